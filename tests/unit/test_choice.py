@@ -180,7 +180,7 @@ def test_ema_writes_and_replays(frf: Callable[..., Path], tmp_path: Path, capsys
     auto = parsed(capsys, *words, "--write-choice", tmp_path / "c.toml")
     again = parsed(capsys, *words, "--choice", tmp_path / "c.toml")
     assert [m["frequency_hz"] for m in again["modes"]] == [m["frequency_hz"] for m in auto["modes"]]
-    status, out, _ = call(capsys, *words, "--choice", tmp_path / "c.toml")
+    status, out, _ = call(capsys, *words, "--choice", tmp_path / "c.toml", "--why")
     assert status == 0
     assert "confirmed by" in out
 

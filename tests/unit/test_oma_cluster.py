@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.identification.ambient.confidence import all_clear
+from ringtrue.identification.ambient.confidence import all_clear, confidence, weakest
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.ambient.ssi_cov import (
@@ -20,7 +21,7 @@ from ringtrue.identification.ambient.ssi_cov import (
     squared_hankel,
 )
 from ringtrue.identification.common.merging import merge_modes
-from ringtrue.identification.common.stabilisation import cluster_poles
+from ringtrue.identification.common.stabilisation import cluster_poles, least_deviations
 from ringtrue.identification.common.uncertainty import frequency_damping, hankel, perturb
 from ringtrue.shapes import mac
 
@@ -214,12 +215,45 @@ def test_hankel_of_one_channel():
     assert np.array_equal(hankel(r, 5), 1 + lag[:, None] + lag)
 
 
-@pytest.mark.parametrize(("halves", "done"), [(0.9, True), (0.4, False), (0.1, True)])
-def test_a_mode_in_doubt_asks_for_all_orders(halves: float, done: bool):
-    none = np.zeros((1, 8), np.complex128)
-    c = CandidateModes(
-        np.array([-0.1 + 10j]), none, np.ones((4, 1), np.complex128), np.zeros((1, 4, 8), np.complex128),
-        np.array([0.9]), np.array([[18, 20]]), np.array([9.0]), np.ones(1), np.array([halves]),
-        np.zeros(20, np.int64), np.ones(20, np.bool_), np.zeros(1, np.bool_),
-    )  # fmt: skip
-    assert all_clear(c, 40) == done
+def candidate(orders: int, spread: float, collinear: float = 1.0) -> CandidateModes:
+    """One candidate of 1.6 Hz and 1 %, that some of 40 orders show; its damping scatters by a
+    multiple of what 1000 s allow.
+    """
+    pole = 2 * np.pi * 1.6 * (-0.01 + 1j)
+    _, least = least_deviations(np.array([1.6]), np.array([0.01]), 1000.0)
+    shape = np.array([[1.0], [0.5j * np.sqrt(1 - collinear)], [-0.7], [0.3]])
+    return CandidateModes(
+        pole=np.array([pole]),
+        deviation=np.array([[-abs(pole) * spread * least[0]]]),
+        shape=shape.astype(np.complex128),
+        shape_deviation=np.zeros((1, 4, 1), np.complex128),
+        orders=np.array([[orders, 40]]),
+        strength=np.array([9.0]),
+        mpc=np.array([collinear]),
+        label=np.zeros(20, np.int64),
+        stable=np.ones(20, np.bool_),
+        refined=np.zeros(1, np.bool_),
+        gain=np.array([20.0]),
+    )
+
+
+def test_the_confidence_falls_with_each_kind_of_evidence():
+    clear = confidence(candidate(38, 1.1), 1000.0)[0]
+    assert clear > 0.95
+    assert confidence(candidate(4, 1.1), 1000.0)[0] < 0.3 * clear
+    assert confidence(candidate(38, 8.0), 1000.0)[0] < 0.6 * clear
+    assert confidence(candidate(38, 1.1, 0.3), 1000.0)[0] < clear
+    without = replace(candidate(38, 1.1), gain=np.array([-20.0]))
+    assert confidence(without, 1000.0)[0] < clear
+
+
+def test_the_weakest_evidence_is_named():
+    assert weakest(candidate(4, 1.1), 1000.0) == ("candidate orders",)
+    assert weakest(candidate(38, 8.0), 1000.0) == ("candidate scatter",)
+
+
+@pytest.mark.parametrize(
+    ("orders", "spread", "done"), [(38, 1.1, True), (12, 1.5, False), (1, 20.0, True)]
+)
+def test_a_mode_in_doubt_asks_for_all_orders(orders: int, spread: float, done: bool):
+    assert all_clear(candidate(orders, spread), 1000.0) == done

@@ -68,8 +68,13 @@ def responses(force: np.ndarray, rng: np.random.Generator) -> TimeHistory:
     )
 
 
-def forced(r: AmbientResult) -> list[str]:
-    return [n for n in r.notes if "a peak of the force" in n]
+def forced(r: AmbientResult) -> list[float]:
+    """Frequencies of the doubtful modes, Hz."""
+    return [
+        float(f)
+        for f, kind in zip(r.others.modes.frequencies, r.others.classes, strict=True)
+        if kind == "doubtful"
+    ]
 
 
 @pytest.mark.parametrize("crowd", [0.0, 1.0])
@@ -78,7 +83,7 @@ def test_a_peak_of_the_force_is_no_mode(crowd: float) -> None:
     assert len(r.modes) == STOREYS, (r.modes.frequencies, r.notes)
     assert np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.005
     assert len(forced(r)) == (crowd > 0)
-    assert not crowd or f"pole at {PEAK:.1f}"[:-1] in forced(r)[0]
+    assert not crowd or abs(forced(r)[0] - PEAK) < 0.1
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])
@@ -89,7 +94,6 @@ def test_groups_that_jump_leave_the_modes_of_the_structure(seed: int) -> None:
     assert (
         np.abs(r.modes.frequencies / chain()[0] - 1).max() < 0.01
     )  # decays behind some ten groups
-    assert seed < 2 or forced(r)  # of the first two records no other pole is believed
 
 
 def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:

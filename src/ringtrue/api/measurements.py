@@ -15,7 +15,7 @@ from ringtrue.core.choice import Choice
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import sentence
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
@@ -68,6 +68,10 @@ class TestModes(Displayed):
     confidence : (mode,) float64, 0..1
     reasons : tuple of str
         Evidence for and against each mode.
+    remarks : tuple of str
+        What is particular of each mode, in six words.
+    others : OtherCandidates
+        Doubtful modes and harmonics, which are not among the modes.
     notes : tuple of str
         What is to be known of the data.
     modes : ModeSet
@@ -91,6 +95,8 @@ class TestModes(Displayed):
     modes: ModeSet
     uncertainty: Uncertainty
     reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    others: OtherCandidates = field(default_factory=OtherCandidates.none)
     notes: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
     result: AmbientResult | HammerResult | SecondOpinion | None = None
@@ -240,7 +246,9 @@ def merged_modes(path: Path) -> TestModes:
         raise DataError(f"{path}: the study has no test modes; run it to its stage `identify`")
     best = found.ambient if found.hammer is None else found.hammer
     notes = found.merge_notes if found.hammer is None else found.frf_notes
-    return TestModes(best.modes, best.uncertainty, best.reasons, notes, best.diagrams)
+    return TestModes(
+        best.modes, best.uncertainty, best.reasons, notes=notes, diagrams=best.diagrams
+    )
 
 
 def is_solver_result(path: Path) -> bool:
@@ -276,11 +284,13 @@ def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeS
         kept = found.rows([found.channels[i] for i in np.flatnonzero(translations).tolist()])
     spread = None
     reasons: tuple[str, ...] = ()
+    others: OtherCandidates | None = None
     if isinstance(modes, TestModes):
         reasons = modes.reasons
+        others = modes.others
         known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
         spread = modes.uncertainty if known.any() else None
-    mode_files.write_modes(path, kept, spread, reasons)
+    mode_files.write_modes(path, kept, spread, reasons, others)
     return kept
 
 
@@ -678,6 +688,8 @@ def identify_ambient(
         modes=found.modes,
         uncertainty=found.uncertainty,
         reasons=found.reasons,
+        remarks=found.remarks,
+        others=found.others,
         notes=found.notes,
         diagrams=found.diagrams,
         result=found,

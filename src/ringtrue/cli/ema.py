@@ -22,6 +22,7 @@ from ringtrue.cli.identify import (
     LeaveOut,
     Rate,
     Sensors,
+    Why,
     WriteChoice,
     check_each_once,
     choice_of,
@@ -71,6 +72,7 @@ def ema(
         Path | None,
         file_to("--write-frfs", "Write the FRFs with their coherence", ".h5", ".uff", ".csv"),
     ] = None,
+    why: Why = False,
     json: Json = None,
 ) -> int:
     """Modes from FRFs, or from records of impacts or shakers: poly-reference LSCF with residues and
@@ -105,7 +107,7 @@ def ema(
     rejected = found.result.rejected if isinstance(found.result, HammerResult) else ()
     none = ("no mode of this band has a confidence above the limit", *rejected[-5:])
     title = " ".join(map(str, files))
-    return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none)
+    return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none, why=why)
 
 
 def _hits_json(hits: Sequence[ImpactReport]) -> dict[str, Any]:

@@ -22,9 +22,10 @@ from ringtrue.api.measurements import (
     read_sensors,
     record_with_notes,
 )
-from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
+from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.notes import summary
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import (
@@ -40,6 +41,7 @@ from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json
 from ringtrue.plots.pages import picker_page
+from ringtrue.shapes import mpc
 
 Fmin = Annotated[
     float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")
@@ -84,21 +86,42 @@ Diagram = Annotated[
 ]
 
 
-def print_modes(
-    title: str, modes: ModeSet, std: Uncertainty | None, reasons: Sequence[str]
-) -> None:
-    """A table of modes with standard deviations, confidence and reasons."""
-    body: list[tuple[object, ...]] = []
-    for i in range(len(modes)):
-        sf, sz = (
-            (std.frequency[i], std.damping[i]) if std is not None else (float("nan"), float("nan"))
+Why = Annotated[bool, typer.Option("--why", help="All evidence for and against each mode.")]
+HEADS = "  #    f [Hz]       ±   damping [%]   ±    MPC  conf.  class     remark"
+
+
+def mode_lines(found: TestModes) -> list[str]:
+    """One line a mode and a candidate, at most 100 columns, ascending in frequency."""
+    natural = _lines(found.modes, found.uncertainty)
+    names = [f"{k + 1:3}" for k in range(len(found))]
+    remarks = (*found.remarks, *[""] * (len(found) - len(found.remarks)))
+    others = _lines(found.others.modes, found.others.uncertainty)
+    both = [
+        *zip(natural, names, ["natural"] * len(found), remarks, strict=True),
+        *zip(
+            others,
+            ["  -"] * len(found.others),
+            found.others.classes,
+            map(summary, found.others.notes),
+            strict=True,
+        ),
+    ]
+    frequency = np.concatenate([found.frequencies, found.others.modes.frequencies])
+    ordered = [both[k] for k in np.argsort(frequency, kind="stable").tolist()]
+    return [f"{name} {line}  {kind:8}  {text}".rstrip() for line, name, kind, text in ordered]
+
+
+def _lines(modes: ModeSet, std: Uncertainty) -> list[str]:
+    """The numbers of each mode: frequency and damping with deviations, MPC, confidence."""
+    collinear = mpc(np.nan_to_num(modes.shapes.astype(np.complex128)))
+    out = []
+    for i, (f, z) in enumerate(zip(modes.frequencies, modes.damping, strict=True)):
+        spread = _known(std.frequency[i], ".1e")
+        damping = f"{100 * z:8.3f}  {_known(100 * std.damping[i], '.2g'):>7}"
+        out.append(
+            f"{f:9.5g} {spread:>8}  {damping}   {collinear[i]:.2f}  {modes.confidence[i]:5.2f}"
         )
-        f = modes.frequencies[i]
-        z = modes.damping[i]
-        note = reasons[i] if i < len(reasons) else ""
-        values = (f"{f:.5g}", _known(sf, ".1e"), f"{100 * z:.3f}", _known(100 * sz, ".2g"))
-        body.append((i + 1, *values, f"{modes.confidence[i]:.2f}", note))
-    rows(title, ("#", "f [Hz]", "± [Hz]", "damping [%]", "± [%]", "confidence", "why"), body)
+    return out
 
 
 def _known(x: float, form: str) -> str:
@@ -159,6 +182,7 @@ def oma(
     choice: ChoiceFile = None,
     choice_to: WriteChoice = None,
     diagram: Diagram = None,
+    why: Why = False,
     json: Json = None,
 ) -> int:
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
@@ -203,7 +227,7 @@ def oma(
     if method == AUTOMATIC_AMBIENT:
         write_pages(record, found, choice_to, diagram)
     found = replace(found, notes=(*notes, *_machines(found), *found.notes))
-    return print_result(f"{record}{more}", found, json)
+    return print_result(f"{record}{more}", found, json, why=why)
 
 
 def check_each_once(files: Sequence[Path]) -> None:
@@ -233,14 +257,20 @@ def print_result(
     *,
     more: dict[str, Any] | None = None,
     if_none: Sequence[str] = (),
+    why: bool = False,
 ) -> int:
     """Print the identified modes with their notes, write them with `more`; the exit status."""
     if json:
-        value = modes_to_json(found.modes, found.uncertainty, reasons=found.reasons)
+        value = modes_to_json(found.modes, found.uncertainty, found.reasons, found.others)
         write_json(value | (more or {}), json)
     if json != "-":
         count = f"{len(found)} mode{'s' if len(found) != 1 else ''}"
-        print_modes(f"{title}: {count}", found.modes, found.uncertainty, found.reasons)
+        kinds = Counter(found.others.classes)
+        besides = "".join(f", {n} {kind}" for kind, n in sorted(kinds.items()))
+        tell((f"{title}: {count}{besides}", HEADS, *mode_lines(found)))
+        if why:
+            numbered = enumerate(found.reasons, start=1)
+            tell((*(f"{k}: {text}" for k, text in numbered), *found.others.sentences()))
         tell((*found.notes, *(() if len(found) else if_none)))
     return 0 if len(found) else 1
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int, freeze_fields
 from ringtrue.core.channels import POWER
 from ringtrue.core.display import Displayed
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import Channel, FrfKind
 from ringtrue.errors import InputError
 
@@ -184,6 +185,48 @@ class Uncertainty:
         return Uncertainty(
             self.frequency[at], self.damping[at], self.shape[:, at], self.factor[:, both]
         )
+
+
+ModeClass = Literal["natural", "doubtful", "harmonic"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherCandidates:
+    """What identification found besides the natural modes, ascending in frequency.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        With the confidence of each by the scatter and the shape of its poles alone.
+    uncertainty : Uncertainty
+    classes : tuple of {"doubtful", "harmonic"}
+    notes : tuple of Note
+        Why each is not among the natural modes.
+    """
+
+    modes: ModeSet
+    uncertainty: Uncertainty
+    classes: tuple[ModeClass, ...]
+    notes: tuple[Note, ...]
+
+    def __len__(self) -> int:
+        return len(self.modes)
+
+    def sentences(self) -> tuple[str, ...]:
+        """One a candidate: what it is, where, and why it is not among the natural modes."""
+        both = zip(self.classes, self.modes.confidence, self.notes, strict=True)
+        return tuple(
+            f"{kind} mode at {note.subject}, confidence {confidence:.2f}: {sentence(note)}"
+            for kind, confidence, note in both
+        )
+
+    @classmethod
+    def none(cls, channels: Sequence[str] = ()) -> OtherCandidates:
+        """No candidate."""
+        nothing = np.empty(0)
+        shapes = np.empty((len(channels), 0), dtype=np.complex128)
+        modes = ModeSet(nothing, nothing, shapes, tuple(channels), confidence=nothing)
+        return cls(modes, Uncertainty.independent(nothing, nothing, shapes.real), (), ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,39 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 SENTENCES = {
+    "candidate orders": "{orders} of {tried} model orders show it",
+    "candidate scatter": (
+        "its damping scatters along the record, to {scatter:.0f} % of its value: more than a mode "
+        "under random forces"
+    ),
+    "candidate complex": "its shape is complex (MPC {mpc:.2f}): a mixture, or noise",
+    "candidate peak": "the spectrum along its shape is hardly higher than on both sides",
+    "mode pair": (
+        "one of a pair closer than this record can separate: any turn of the two shapes in their "
+        "plane fits as well"
+    ),
+    "mode wanders": (
+        "its frequency wanders by {wander:.2g} % along the record, which adds to the damping"
+    ),
+    "mode sharp": "so little damping may be a machine of unsteady speed",
+    "candidate forced": (
+        "its shape is a sum of those at {others} Hz, and it is no resonance as clear as these: a "
+        "peak of the force (people, waves, a machine), or a mode that these sensors do not separate"
+    ),
+    "candidate line": "on a line of a machine: {why}; it may hide a mode",
+    "candidate undamped": "damping {damping:.2g} %: a line, or a structure of very little damping",
+    "candidate impacts": (
+        "it decays too little between impacts at equal intervals: a line of these; a longer time "
+        "between them would show a mode"
+    ),
+    "candidate remainder": (
+        "what the line at {line:.5g} Hz left whose phase wanders; it may hide a mode near it, "
+        "which a record without the machine shows"
+    ),
+    "candidate steady": (
+        "{why}; it may hide a mode near it, which a record without the machine shows"
+    ),
+    "candidate edge": "the spectrum ends there: the filter of the recorder",
     "channel not finite": "channel {subject}: {samples} samples are not finite; left out",
     "channel dead": (
         "channel {subject}: at {value:.4g}, with {changes} changes of its value: a dead sensor; "
@@ -23,6 +56,17 @@ SENTENCES = {
     "channel coarse": "channel {subject}: coarse: {levels} different values only",
     "channel level": (
         "channel {subject}: {ratio:.1e} of the typical level of its quantity: unit or sensitivity?"
+    ),
+    "channel without motion": (
+        "channel {subject}: coherent with no other at any frequency, and without a peak: no motion "
+        "(a temperature, a column of time or counts); left out"
+    ),
+    "channel of another kind": (
+        "channel {subject}: hardly coherent with the others and of another level: another quantity "
+        "(strain, pressure); left out"
+    ),
+    "channel quantity": (
+        "channel {subject}: {quantity} by the phases to the other channels, as no unit is stated"
     ),
     "channel twice": "channel {subject}: the same samples as {other}",
     "channel spikes": (
@@ -61,6 +105,29 @@ SENTENCES = {
     ),
     "channel strain": "channel {subject}: measures strain, not used",
 }
+
+
+SUMMARIES = {
+    "mode pair": "pair, shapes not separated",
+    "mode wanders": "frequency wanders along the record",
+    "mode sharp": "very little damping: a machine?",
+    "candidate orders": "few model orders show it",
+    "candidate scatter": "scatters along the record",
+    "candidate complex": "complex shape",
+    "candidate peak": "hardly a peak in the spectrum",
+    "candidate forced": "shape is a sum of others",
+    "candidate line": "line of a machine",
+    "candidate undamped": "almost no damping",
+    "candidate impacts": "line of regular impacts",
+    "candidate remainder": "remainder of a machine's line",
+    "candidate steady": "steady amplitude: a machine",
+    "candidate edge": "edge of the recorder's filter",
+}
+
+
+def summary(note: Note) -> str:
+    """The note in six words at most, for a column of a table."""
+    return SUMMARIES[note.code]
 
 
 def sentence(note: Note) -> str:

@@ -40,6 +40,8 @@ class BandMethod:
         Samples of a band that it needs.
     deviations : bool
         Whether it states standard deviations.
+    least : float
+        Confidence of its modes, at least.
     """
 
     title: str
@@ -47,6 +49,7 @@ class BandMethod:
     identify: Callable[[TimeHistory, tuple[float, float], AmbientSettings], Found]
     samples: Callable[[int, AmbientSettings], int]
     deviations: bool = False
+    least: float = 0.33
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +170,7 @@ def _in_bands(
     samples = method.samples(len(history.channels), settings) + 16  # which decimation may cut
     bands = long_enough(every, history, samples)
     found = []
+    settings = replace(settings, confidence_min=method.least)
     for k, band in enumerate(bands):
         report(k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz")
         limits = Band(band.low, band.high, band.rate)
@@ -175,7 +179,7 @@ def _in_bands(
         part = TimeHistory(signals, rate, history.channels, history.source)
         modes, std = method.identify(part, (band.low, band.high), settings)
         inside = (modes.frequencies >= band.low) & (modes.frequencies <= band.high)
-        at = np.flatnonzero(inside & (modes.confidence >= settings.confidence_min))
+        at = np.flatnonzero(inside & (modes.confidence >= method.least))
         found.append((modes.take(at), std.take(at)))
     modes, std = _each_once(found)
     if len(bands) == len(every):

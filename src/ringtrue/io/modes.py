@@ -14,7 +14,8 @@ import h5py
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.core.modes import ModeSet, Norm, Uncertainty
+from ringtrue.core.modes import ModeSet, Norm, OtherCandidates, Uncertainty
+from ringtrue.core.notes import sentence
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write, existing, refuse_large
@@ -32,7 +33,10 @@ WRITTEN = (".json", *_HDF5, *_UFF, ".csv")
 
 
 def modes_to_json(
-    modes: ModeSet, uncertainty: Uncertainty | None = None, reasons: Sequence[str] = ()
+    modes: ModeSet,
+    uncertainty: Uncertainty | None = None,
+    reasons: Sequence[str] = (),
+    others: OtherCandidates | None = None,
 ) -> dict[str, Any]:
     """A JSON form of the modes; null where a number is unknown, no `shape_im` of real shapes.
 
@@ -41,9 +45,21 @@ def modes_to_json(
     modes : ModeSet
     uncertainty : Uncertainty, optional
     reasons : sequence of str, optional
-        Why each mode is believed; one a mode.
+        The evidence for each mode.
+    others : OtherCandidates, optional
+        Doubtful modes and harmonics: rows of the same form, under `others`.
     """
-    return {"modes": list(_rows(modes, uncertainty, reasons))} | _rest(modes)
+    rows = list(_rows(modes, uncertainty, reasons))
+    return {"modes": [row | {"class": "natural"} for row in rows]} | _rest(modes) | _others(others)
+
+
+def _others(others: OtherCandidates | None) -> dict[str, Any]:
+    if others is None:
+        return {}
+    rows = _rows(others.modes, others.uncertainty, tuple(map(sentence, others.notes)))
+    return {
+        "others": [row | {"class": kind} for row, kind in zip(rows, others.classes, strict=True)]
+    }
 
 
 def _rest(modes: ModeSet) -> dict[str, Any]:
@@ -161,13 +177,14 @@ def write_modes(
     modes: ModeSet,
     uncertainty: Uncertainty | None = None,
     reasons: Sequence[str] = (),
+    others: OtherCandidates | None = None,
 ) -> None:
     """Write modes as `.json`, `.h5`, `.uff` (data sets 55) or `.csv`, by the ending of the path."""
     path = Path(path)
     ext = path.suffix.lower()
     if ext == ".json":
         with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
-            dump_modes(file, modes, uncertainty, reasons)
+            dump_modes(file, modes, uncertainty, reasons, more=_others(others))
     elif ext in _HDF5:
         with atomic_write(path) as part, h5py.File(part, "w") as file:
             hdf5.save(file.create_group(GROUP), modes)

@@ -145,7 +145,7 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         return nothing
     order = np.asarray(derivatives)
     starts = np.linspace(0, samples - length, DELAY.segments).astype(np.int64)
-    lines = _lines(history.data, length, starts)
+    lines = segment_lines(history.data, length, starts)
     root, turned, coherence = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
@@ -178,7 +178,7 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
-def _lines(data: Any_, length: int, starts: Int) -> Any_:
+def segment_lines(data: Any_, length: int, starts: Int) -> Any_:
     """(freq, segment, ch) transforms of segments of the record, by a Hann window, each channel over
     its size.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.identification.ambient.close_modes import loosened, refined, with_pairs
 from ringtrue.identification.ambient.confidence import (
     BandModes,
@@ -25,23 +25,18 @@ from ringtrue.identification.ambient.record_bands import BandSums
 from ringtrue.identification.ambient.record_checks import RecordFacts, spectrum
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
+    RecordSpectrum,
     candidates,
-    half_agreement,
     steady,
 )
 from ringtrue.identification.ambient.ssi_cov import (
     BandPoles,
-    SsiCov,
-    Subspace,
-    all_orders,
     block_power,
     identify_band,
-    part_of,
-    subspace,
 )
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.manual_selection import with_picks
-from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, unit
+from ringtrue.identification.common.stabilisation import StableDiagram, unit
 from ringtrue.signal.spectra import block_weights
 
 
@@ -93,14 +88,10 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
     power = block_power(sums.r, sums.references)
     loudness = event_weights(power) if facts.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
-    if facts.driven:
-        halves = even_halves(power)
-    else:
-        first, second = np.array_split(np.arange(power.size), 2)
-        halves = first, second
-    search = _search(sums, weights, halves, confidence_min, facts)
+    bins = facts.motion.spectra(sums.bins, sums.eyes) if facts.motion else sums.bins
+    seen = RecordSpectrum(bins, sums.eyes, facts.duration)
+    search = _search(sums, weights, confidence_min, facts, seen)
     table = search.table
-    tries = sums.ssi.order_max // sums.ssi.order_step
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
     level = spectrum(sums.bins, sums.scale[sums.eyes])
@@ -108,7 +99,7 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
         table=table,
         shape=shape,
         shape_std=std,
-        confidence=confidence(table, tries),
+        confidence=confidence(table, facts.duration),
         diagram=StableDiagram(poles, table.stable, table.label, *level),
         picked=search.picked,
         inseparable=tuple(i for both in search.pairs for i in both),
@@ -120,7 +111,6 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
     limits = WanderLimits()
     wander = frequency_wander(table, at, search.poles.deviation.shape[1], limits)
     if steady(table, at, power, sums.stretches * sums.bins.duration):
-        bins = facts.motion.spectra(sums.bins, sums.eyes) if facts.motion else sums.bins
         table = refined(table, at, references=sums.eyes, bins=bins, slope=facts.slope)
         table = loosened(table, search.pairs)
     table = with_wander_doubt(table, wander, limits)
@@ -129,7 +119,7 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
 
 
 def _search(
-    sums: BandSums, weights: Float, halves: tuple[Int, Int], least: float, facts: RecordFacts
+    sums: BandSums, weights: Float, least: float, facts: RecordFacts, seen: RecordSpectrum
 ) -> _BandCandidates:
     """Candidates of the lower orders; of all orders where modes still appear late or are in doubt,
     and of more where they crowd the band.
@@ -138,58 +128,21 @@ def _search(
     band = sums.band
     limits = band.low, band.high
     largest = sums.ssi.order_max
-    tries = largest // sums.ssi.order_step
     for share in (0.6, 1.0, 1.5):
         some = replace(sums.ssi, order_max=max(2 * int(share * largest / 2), 2))
         poles = identify_band(r, weights, some, rate=band.rate, band=limits, turn=facts.turn)
         table, picked = with_picks(candidates(poles, driven=facts.driven), poles, facts.choice)
+        table = seen.with_gain(table)
         pairs: list[tuple[int, int]] = []
         if table.pole.size:
-            first, second = (_poles_of_part(sums, r, weights, part, poles) for part in halves)
-            agreed = half_agreement(table, (first, second))
-            if facts.driven and r.shape[3] > 1:
-                mean = np.tensordot(weights, r, 1)
-                one, two = (_poles_by(mean[:, :, k::2], sums, some, facts) for k in (0, 1))
-                agreed = np.maximum(agreed, half_agreement(table, (one, two)))
-            table = replace(table, halves=agreed)
-            table, pairs = with_pairs(
-                table, poles, halves=(first, second), tries=tries, least=least
-            )
+            table, pairs = with_pairs(table, poles, seen, least)
             added = table.pole.size - picked.size
             picked = np.pad(picked, (0, added), constant_values=-1)
-        if all_clear(table, tries):
+        if all_clear(table, facts.duration):
             break
-        if share >= 1.0 and not crowded(table, tries, some.order_max):
+        if share >= 1.0 and not crowded(table, facts.duration, some.order_max):
             break
     return _BandCandidates(poles, table, picked, pairs)
-
-
-def _poles_of_part(
-    sums: BandSums, r: Any_, weights: Float, blocks: Int, whole: BandPoles
-) -> PoleSet:
-    """Poles of some blocks of the record, every other order."""
-    share = weights[blocks] / weights[blocks].sum()
-    mean = np.tensordot(share.astype(r.dtype), r[blocks], 1).astype(np.float64)
-    part = part_of(whole.subspace, mean, sums.ssi.block_rows)
-    largest = max(sums.ssi.order_max, whole.subspace.s.size)
-    return _every_other_order(part, sums, replace(sums.ssi, order_max=largest))
-
-
-def _poles_by(mean: Float, sums: BandSums, settings: SsiCov, facts: RecordFacts) -> PoleSet:
-    """Poles of the correlations `mean` (lag, ch, ref) with some references, every other order.
-
-    The noise of sensors is their own: what a single event shows to both halves of the references
-    is no noise.
-    """
-    rows = settings.block_rows
-    part = subspace(mean, rows, settings.order_max, sums.band.rate, facts.turn)
-    return _every_other_order(part, sums, settings)
-
-
-def _every_other_order(part: Subspace, sums: BandSums, settings: SsiCov) -> PoleSet:
-    """Poles of every other order in the band and a little around it."""
-    step = replace(settings, order_step=2 * settings.order_step)
-    return all_orders(part, None, step, (0.97 * sums.band.low, 1.03 * sums.band.high))[0]
 
 
 def _in_units(sums: BandSums, table: CandidateModes, facts: RecordFacts) -> tuple[Complex, Float]:
@@ -211,13 +164,6 @@ def event_weights(power: Float) -> Float:
     floor = max(silence, 1e-12 * float(power.max()), np.finfo(float).tiny)
     w = 1 / np.maximum(power, 10.0 * floor)
     return np.asarray(w / w.sum())
-
-
-def even_halves(power: Float) -> tuple[Int, Int]:
-    """Two halves of the blocks of about the same power: events are in both where there are two."""
-    rank = np.argsort(-power, kind="stable")
-    first = np.arange(rank.size) % 4 % 3 == 0  # 0, 3, 4, 7, 8, ..
-    return np.sort(rank[first]), np.sort(rank[~first])
 
 
 def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimits) -> Float:

@@ -32,6 +32,7 @@ from ringtrue.identification.ambient.maximum_likelihood import (
 )
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
+    RecordSpectrum,
     SpectralBins,
     groups_table,
     oscillator_spectrum,
@@ -348,45 +349,42 @@ class Pair:
 def with_pairs(
     table: CandidateModes,
     band: BandPoles,
-    halves: tuple[PoleSet, PoleSet],
-    tries: int,
+    spectrum: RecordSpectrum,
     least: float,
 ) -> tuple[CandidateModes, list[tuple[int, int]]]:
     """The candidates with two more rows for each pair that they lack, and the rows of pairs that
     are not separated.
 
-    Rows that the two replace are agreed on by no half of the record any more.
+    No order counts any more for rows that the two replace.
 
     Parameters
     ----------
     table : CandidateModes
     band : BandPoles
-    halves : poles of the first and the second half of the record
-    tries : int
-        Orders there are to try.
+    spectrum : RecordSpectrum
+        Of the same band.
     least : float
         Confidence of what is reported.
     """
     free: list[tuple[int, int]] = []
     if table.shape.shape[0] < PAIRS.channels:
         return table, free
-    # a mixture of two real shapes is complex
-    worth = table.stable | stable_poles(band, collinearity=0.0)
+    worth = table.stable | stable_poles(band)
     for f, z in _places(table):
         pair = _pair(band, worth, f, z)
         if pair is None:
             continue
         near = np.abs(table.frequencies / f - 1) < z
         own = np.flatnonzero(near & (_inside(table.shape, pair.basis) > PAIRS.within))
-        if pair.turn < ANY_TURN and (confidence(table, tries)[own] > least).sum() > 1:
+        if pair.turn < ANY_TURN and (confidence(table, spectrum.duration)[own] > least).sum() > 1:
             continue
-        two = _rows(band, pair, min(_seen(h, pair.basis, f, z) for h in halves))
-        if confidence(two, tries).min() < least:
+        two = spectrum.with_gain(_rows(band, pair))
+        if confidence(two, spectrum.duration).min() < least:
             continue
-        doubt = table.halves.copy()
-        doubt[own] = 0.0
+        orders = table.orders.copy()
+        orders[own, 0] = 0
         rows = (table.pole.size, table.pole.size + 1)
-        table = stacked(replace(table, halves=doubt), two)
+        table = stacked(replace(table, orders=orders), two)
         free += [rows] if pair.turn == ANY_TURN else []
     return table, free
 
@@ -497,7 +495,7 @@ def _mean_deviation(band: BandPoles, at: Int) -> Complex:
     return np.asarray(band.deviation[at].mean(axis=1))
 
 
-def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
+def _rows(band: BandPoles, pair: Pair) -> CandidateModes:
     """The two rows of a pair; the poles are known as two independent ones, of which their mean is
     known.
     """
@@ -521,28 +519,13 @@ def _rows(band: BandPoles, pair: Pair, agreed: float) -> CandidateModes:
     top = np.take_along_axis(pair.shape, np.abs(pair.shape).argmax(0)[None], 0)[0]
     label = np.full(len(p), -1, dtype=np.int64)
     label[at] = np.arange(2)
-    possible = int((p.orders >= p.order[at].min()).sum())
     return replace(
         table,
         pole=pair.pole,
         deviation=np.stack([np.concatenate([d, s * d]) for s in (1.0, -1.0)]),
         shape=unit(pair.shape),
         shape_deviation=outside / top[:, None, None],
-        share=np.full(2, len(at) / max(possible, 1)),
         orders=np.array([[len(at), p.orders.size]] * 2),
-        halves=np.full(2, agreed),
         mpc=mpc(pair.shape),
         label=label,
     )
-
-
-def _seen(h: PoleSet, basis: Complex, f: float, z: float) -> float:
-    """Share of the orders of half a record that show two poles of the plane."""
-    near = _near(h, f, z, 1.5)
-    near = near[_inside(h.shape[:, near], basis) > PAIRS.within]
-    psi = h.shape / np.linalg.norm(h.shape, axis=0)
-    seen = 0
-    for n in np.unique(h.order[near]):
-        c = basis.conj().T @ psi[:, near[h.order[near] == n]]
-        seen += c.shape[1] > 1 and np.linalg.eigvalsh(c @ c.conj().T)[0] > PAIRS.unlike
-    return seen / max(h.orders.size, 1)

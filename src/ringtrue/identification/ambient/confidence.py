@@ -12,46 +12,79 @@ sharper than the modes (a crowd that jumps to music now and then).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import Uncertainty
+from ringtrue.core.notes import Note, sentence, summary
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.stabilisation import StableDiagram
-from ringtrue.shapes import mac
+from ringtrue.identification.common.stabilisation import StableDiagram, least_deviations
+from ringtrue.shapes import mpc
 from ringtrue.signal.tonal_lines import Harmonic
 
 Row = tuple[int, int]  # a band, and a row of its table
 
 
 @dataclass(frozen=True, slots=True)
-class ConfidenceLimits:
-    """What the confidence of candidates means, and when a band needs more orders or lags.
+class EvidenceWeights:
+    """Weights of the evidence in the log-odds that a candidate is a mode of the structure.
+
+    Fitted by logistic regression to the candidates of simulated records whose modes are known
+    (`bench/confidence.py`).
 
     Attributes
     ----------
-    doubtful, certain : float
-        Confidence below which a candidate is left out, and above which it is a mode beyond doubt.
-    crowd : float
-        Number of possible modes over the largest order, above which more orders are tried.
-    dense, spacing : int, float
-        A set of more than `dense` possible modes is dense if their mean distance is below `spacing`
-        times the resolution of the lags.
-    gain : float
-        Sum of confidence by which more lags must be better: less is chance.
+    constant : float
+    orders : float
+        Of the logarithm of the share of the orders that show it.
+    scatter : float
+        Of the logarithm of the standard deviation of its damping over the least that a record of
+        this length allows (Gersch 1974): the scatter over the blocks of the record.
+    complexity : float
+        Of the logarithm of 1.02 less the modal phase collinearity.
+    peak : float
+        Of the inverse hyperbolic sine of its likelihood gain.
     """
 
-    doubtful: float = 0.2
-    certain: float = 0.6
+    constant: float = -0.57
+    orders: float = 2.2
+    scatter: float = -1.8
+    complexity: float = -0.81
+    peak: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class ConfidenceLimits:
+    """What the confidence of candidates means, and when a band needs more orders.
+
+    Attributes
+    ----------
+    mixing : float
+        Sums of half bandwidths between modes whose estimates mix.
+    shown : float
+        Share of the orders that show a mode that others mix with.
+    doubtful, certain : float
+        Confidence below which a candidate is not mentioned, and above which it is a mode beyond
+        doubt.
+    crowd : float
+        Number of possible modes over the largest order, above which more orders are tried.
+    sharp : float
+        Damping below which a mode may be a machine of unsteady speed.
+    """
+
+    mixing: float = 4.0
+    shown: float = 0.3
+    doubtful: float = 0.1
+    certain: float = 0.8
     crowd: float = 0.2
-    dense: int = 10
-    spacing: float = 3.0
-    gain: float = 0.1
+    sharp: float = 2.5e-3
 
 
+WEIGHTS = EvidenceWeights()
 LIMITS = ConfidenceLimits()
 
 
@@ -88,71 +121,85 @@ class BandModes:
         return np.flatnonzero((self.confidence >= least) & (self.picked < 0))
 
 
-def confidence(c: CandidateModes, orders: int = 0) -> Float:
-    """(m,) 0..1: agreement of the halves, share of the orders, certainty of the damping,
-    collinearity.
+def confidence(c: CandidateModes, duration: float) -> Float:
+    """(m,) probability that each candidate is a mode of the structure.
 
-    `orders` is the number of orders there are to try. Those not tried count as those do that were,
-    from the first appearance of the mode on.
+    Of what scatters as modes under random forces do; machines and peaks of the force are recognised
+    by other evidence.
+
+    Parameters
+    ----------
+    c : CandidateModes
+    duration : float, s
+        Of the record.
     """
-    _, sz = c.stds()
-    shown = c.orders[:, 0] + 0.0
-    tried = np.maximum(c.orders[:, 1], 1)
-    rest = np.maximum(orders - tried, 0)
-    seen = np.sqrt((shown + c.share * rest) / (tried + rest))
-    known = 1 / (1 + (2 * sz / np.maximum(c.damping, 1e-3)) ** 2)
-    return np.asarray(np.clip(c.halves * seen * known * np.sqrt(c.mpc), 0, 1))
+    return np.asarray(expit(WEIGHTS.constant + evidence(c, duration).sum(axis=0)))
 
 
-def all_clear(c: CandidateModes, orders: int) -> bool:
+def evidence(c: CandidateModes, duration: float) -> Float:
+    """(4, m) log-odds by the orders, the scatter, the complexity and the peak of each candidate."""
+    _, std = c.stds()
+    _, least = least_deviations(c.frequencies, c.damping, duration)
+    share = c.orders[:, 0] / np.maximum(c.orders[:, 1], 1)
+    return np.stack(
+        [
+            WEIGHTS.orders * np.log(np.maximum(share, 1e-9)),
+            WEIGHTS.scatter * np.log(std / least),
+            WEIGHTS.complexity * np.log(1.02 - collinearity_among(c)),
+            WEIGHTS.peak * np.arcsinh(c.gain),
+        ]
+    )
+
+
+def collinearity_among(c: CandidateModes) -> Float:
+    """(m,) modal phase collinearity of what no mixture with close modes explains.
+
+    The estimate of one of two close modes holds a little of the other, with any phase: its
+    imaginary part then lies along the real part of the other, and that share of it is no complexity
+    of the mode.
+    """
+    size = np.linalg.norm(c.shape, axis=0)
+    phase = np.angle((c.shape**2).sum(axis=0)) / 2
+    psi = c.shape * np.exp(-1j * phase) / np.where(size > 0, size, 1.0)
+    f = c.frequencies
+    half = f * c.damping
+    close = np.abs(f[:, None] - f) < LIMITS.mixing * (half[:, None] + half)
+    close &= c.orders[:, 0] > LIMITS.shown * c.orders[:, 1]
+    np.fill_diagonal(close, False)
+    most = len(psi) // 3  # of many shapes a sum explains anything
+    out = np.array(c.mpc)
+    for i in np.flatnonzero(close.any(axis=1)).tolist():
+        near = np.flatnonzero(close[i])
+        near = near[np.argsort(np.abs(f[near] - f[i]), kind="stable")][:most]
+        own = psi[:, i].real
+        others = psi[:, near].real
+        others = others - np.outer(own, own @ others) / (own @ own)
+        basis = np.linalg.qr(others)[0]
+        left = psi[:, i].imag - basis @ (basis.T @ psi[:, i].imag)
+        out[i] = mpc((own + 1j * left)[:, None])[0]
+    return out
+
+
+def weakest(c: CandidateModes, duration: float) -> tuple[str, ...]:
+    """For each candidate the code of the note on what speaks most against it."""
+    codes = ("candidate orders", "candidate scatter", "candidate complex", "candidate peak")
+    value = evidence(c, duration)
+    clear = (0.0, 0.0, WEIGHTS.complexity * np.log(0.02), WEIGHTS.peak * np.arcsinh(20.0))
+    return tuple(codes[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
+
+
+def all_clear(c: CandidateModes, duration: float) -> bool:
     """Whether each possible mode is beyond doubt and shown by most orders."""
-    conf = confidence(c, orders)
+    conf = confidence(c, duration)
     rare = c.orders[:, 0] < 0.6 * c.orders[:, 1]
     open_ = (conf > LIMITS.doubtful) & ((conf < LIMITS.certain) | rare)
     return not open_.any()
 
 
-def crowded(c: CandidateModes, orders: int, largest: int) -> bool:
+def crowded(c: CandidateModes, duration: float, largest: int) -> bool:
     """Whether possible modes take two fifths of the largest order: some appear late."""
-    possible = confidence(c, orders) > 0.5 * LIMITS.doubtful
+    possible = confidence(c, duration) > LIMITS.doubtful
     return bool(possible.sum() > LIMITS.crowd * largest)
-
-
-def is_dense(c: CandidateModes, orders: int, seconds: float) -> bool:
-    """Whether possible modes, some of them in doubt, are closer than lags of `seconds` resolve."""
-    if all_clear(c, orders):
-        return False
-    f = c.frequencies[confidence(c) > 0.5 * LIMITS.doubtful]
-    return bool(f.size > LIMITS.dense and np.ptp(f) * seconds < LIMITS.spacing * f.size)
-
-
-def better_groups(one: BandModes, two: BandModes, least: float) -> tuple[BandModes, BandModes]:
-    """Two estimates of one band: of each group of overlapping modes the surer estimate keeps its
-    confidence.
-
-    Modes are of one group where their half-power bandwidths touch.
-    """
-    rows = [one.automatic(least), two.automatic(least)]
-    estimates = (one, two)
-    f = np.concatenate([x.table.frequencies[at] for x, at in zip(estimates, rows, strict=True)])
-    half = np.concatenate([x.table.damping[at] for x, at in zip(estimates, rows, strict=True)]) * f
-    conf = np.concatenate([x.confidence[at] for x, at in zip(estimates, rows, strict=True)])
-    source = np.repeat([0, 1], [at.size for at in rows])
-    rank = np.argsort(f - half, kind="stable")
-    reach = np.maximum.accumulate((f + half)[rank])
-    begins = np.ones(f.size, dtype=np.bool_)
-    begins[1:] = (f - half)[rank][1:] > reach[:-1]
-    group = np.empty(f.size, dtype=np.int64)
-    group[rank] = np.cumsum(begins) - 1
-    size = group.max(initial=0) + 1
-    sums = [np.bincount(group[source == k], conf[source == k], size) for k in (0, 1)]
-    worse = np.where(sums[1] > sums[0] + LIMITS.gain, 0, 1)[group]
-    out = []
-    for k, (x, at) in enumerate(zip(estimates, rows, strict=True)):
-        kept = x.confidence.copy()
-        kept[at[worse[source == k] == k]] = 0.0
-        out.append(replace(x, confidence=kept))
-    return out[0], out[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,7 +238,11 @@ def listed(found: list[BandModes], rows: list[Row]) -> ListedCandidates:
 
 
 def select(found: list[BandModes], least: float) -> list[Row]:
-    """The modes to report: confident ones, each once, ascending in frequency."""
+    """Candidates of `least` confidence, each once, ascending in frequency.
+
+    The best come first. One whose shape is that of a better one near it, or a sum of those of the
+    better ones on both sides, is none of its own.
+    """
     rows = [(b, i) for b, x in enumerate(found) for i in x.automatic(least).tolist()]
     if not rows:
         return []
@@ -203,13 +254,17 @@ def select(found: list[BandModes], least: float) -> list[Row]:
     half = c.damping * f
     widths = half[:, None] + half
     near = np.abs(f[:, None] - f) < np.maximum(4 * np.hypot(sf[:, None], sf), widths)
-    # two clusters of one band beyond doubt must be more similar to be one mode
-    both_certain = np.minimum(conf[:, None], conf) > LIMITS.certain
-    like = np.where(both_certain & (band[:, None] == band), 0.95, 0.8)
-    same = near & (mac(c.shape, c.shape) > like)
+    psi = c.shape / np.linalg.norm(c.shape, axis=0)
+    most = max(len(psi) // 4, 1)  # of many shapes a sum explains anything
     keep: list[int] = []
-    for k in np.lexsort((sf / f, -conf.round(1))).tolist():  # greedy: the best first
-        if not same[k, keep].any():
+    for k in np.lexsort((sf / f, -conf.round(1))).tolist():
+        better = np.array([j for j in keep if near[k, j]], dtype=np.int64)
+        better = better[np.argsort(np.abs(f[better] - f[k]), kind="stable")][:most]
+        # two clusters of one band beyond doubt must be more similar to be one mode
+        certain = (band[better] == band[k]) & (conf[better] > LIMITS.certain)
+        limit = 0.95 if conf[k] > LIMITS.certain and certain.all() else 0.8
+        basis = np.linalg.qr(psi[:, better])[0]
+        if np.linalg.norm(basis.conj().T @ psi[:, k]) ** 2 < limit:
             keep.append(k)
     return [rows[k] for k in sorted(keep, key=lambda k: float(f[k]))]
 
@@ -221,24 +276,47 @@ def reason(found: BandModes, i: int) -> str:
     n, tried = c.orders[i].tolist()
     parts = [
         f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency "
-        f"and {100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {c.mpc[i]:.2f}, halves of the "
-        f"record agree to {c.halves[i]:.2f}"
+        f"and {100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {mpc(found.shape[:, [i]])[0]:.2f}"
     ]
     if c.refined[i]:
         parts.append("refined by maximum likelihood")
-    if found.wander[i]:
-        parts.append(
-            f"its frequency wanders by {100 * found.wander[i]:.2g} % along the record, which adds "
-            "to the damping"
-        )
-    if c.damping[i] < 2.5e-3:
-        parts.append("so little damping may be a machine of unsteady speed")
+    return "; ".join((*parts, *map(sentence, remarks(found, i))))
+
+
+def remarks(found: BandModes, i: int) -> tuple[Note, ...]:
+    """What is particular of a mode."""
+    c = found.table
+    subject = f"{c.frequencies[i]:.5g} Hz"
+    out = []
     if i in found.inseparable:
-        parts.append(
-            "one of a pair closer than this record can separate: any turn of the two shapes in "
-            "their plane fits as well"
-        )
-    return "; ".join(parts)
+        out.append(Note("mode pair", "information", subject))
+    if found.wander[i]:
+        values = {"wander": float(100 * found.wander[i])}
+        out.append(Note("mode wanders", "information", subject, values))
+    if c.damping[i] < LIMITS.sharp:
+        out.append(Note("mode sharp", "information", subject))
+    return tuple(out)
+
+
+def doubts(found: BandModes, i: int, duration: float) -> Note:
+    """What speaks most against a candidate."""
+    c = found.table
+    _, std = c.stds()
+    values: dict[str, float | int] = {
+        "orders": int(c.orders[i, 0]),
+        "tried": int(c.orders[i, 1]),
+        "scatter": float(100 * std[i] / c.damping[i]),
+        "mpc": float(c.mpc[i]),
+    }
+    return Note(weakest(c, duration)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values)
+
+
+def in_short(found: BandModes, i: int, duration: float) -> str:
+    """The remark of a mode in six words; empty for one beyond doubt."""
+    own = remarks(found, i)
+    if not own and found.confidence[i] < LIMITS.certain:
+        own = (doubts(found, i, duration),)
+    return summary(own[0]) if own else ""
 
 
 def uncertainty(found: list[BandModes], at: list[Row], channels: int) -> Uncertainty:
@@ -289,7 +367,7 @@ class ForceLimits:
     channels : int
         Channels for each of these modes.
     outside : float
-        Share of the squared shape that may lie outside their span, times the doubt.
+        Share of the squared shape that may lie outside their span.
     blind : float
         That share of the modes among themselves, over that of the peak, where sensors separate
         them.
@@ -305,8 +383,8 @@ class ForceLimits:
     channels: int = 4
     outside: float = 0.01
     blind: float = 4.0
-    sharper: float = 5.0
-    doubt: float = 2.0
+    sharper: float = 3.0
+    doubt: float = 4.0
     odd_level: float = 100.0
 
 
@@ -352,51 +430,10 @@ def line_remainders(
     return tuple(float(max(sines[left[:, k]], default=0.0)) for k in range(frequency.size))
 
 
-def unconfirmed(found: list[BandModes], reported: Float) -> tuple[str, ...]:
-    """A note on what would be a mode beyond doubt if both halves of the record showed it, far from
-    those `reported`, Hz.
-    """
-    known: list[float] = []
-    notes = []
-    for x in found:
-        c = x.table
-        f = c.frequencies
-        tried = np.unique(x.diagram.poles.order).size
-        far = (np.abs(reported[:, None] - f) > 2 * c.damping * f).all(axis=0)
-        clear = confidence(replace(c, halves=np.ones(f.size)), tried) > LIMITS.certain
-        for i in np.flatnonzero(far & clear & (c.halves < LIMITS.doubtful)).tolist():
-            own = float(f[i])
-            if all(abs(own / other - 1) > 0.03 for other in known):
-                notes.append(
-                    f"pole at {own:.4g} Hz at {c.orders[i, 0]} of {c.orders[i, 1]} orders left "
-                    "out: the halves of the record do not agree on it: a machine whose speed "
-                    "wanders, which may hide a mode, or a structure that changed"
-                )
-            known.append(own)
-    return tuple(notes)
-
-
-def without_forced(found: list[BandModes], rows: list[Row]) -> tuple[list[Row], list[str]]:
-    """The modes, ascending in frequency, without peaks of the force, and a note on each
-    of these.
-    """
-    if not rows:
-        return rows, []
+def forced_by(found: list[BandModes], rows: list[Row]) -> list[Int]:
+    """For each row the other rows whose motion it is, none for a mode."""
     c = listed(found, rows)
-    f = c.frequency
-    modes = []
-    notes = []
-    whose = carriers(f, c.damping, c.std_damping, c.shape)
-    for row, x, by in zip(rows, f, whose, strict=True):
-        if not by.size:
-            modes.append(row)
-            continue
-        notes.append(
-            f"pole at {x:.4g} Hz left out: its shape is a sum of those at "
-            f"{', '.join(f'{y:.4g}' for y in f[by])} Hz, and it is no resonance as clear as "
-            "these: a peak of the force (people, waves, a machine)"
-        )
-    return modes, notes
+    return carriers(c.frequency, c.damping, c.std_damping, c.shape)
 
 
 def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex) -> list[Int]:
@@ -436,7 +473,7 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
             inverse = np.linalg.pinv(psi[:, near])
             # least share of these shapes that lies outside the span of the others
             own = (1 / np.maximum((np.abs(inverse) ** 2).sum(axis=1), 1.0)).min()
-            within = min(limits.outside * doubt, float(own) / limits.blind)
+            within = min(limits.outside, float(own) / limits.blind)
             if doubt > limits.doubt and outside < within:
                 out[k] = near
         accepted[k] = not out[k].size

@@ -8,32 +8,34 @@ next.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.channels import SHOWN
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient.band_modes import modes_of_band
 from ringtrue.identification.ambient.confidence import (
+    LIMITS,
     BandModes,
-    better_groups,
-    is_dense,
+    ListedCandidates,
+    Row,
+    doubts,
+    forced_by,
+    in_short,
     line_remainders,
     listed,
     machine,
     reason,
     select,
     uncertainty,
-    unconfirmed,
-    without_forced,
 )
 from ringtrue.identification.ambient.record_bands import (
     SHORTEST,
@@ -43,11 +45,9 @@ from ringtrue.identification.ambient.record_bands import (
     events_of,
     steady_sines,
     sums_of_stretches,
-    with_more_lags,
     without_machines,
 )
 from ringtrue.identification.ambient.record_checks import (
-    AT_EDGE,
     RecordFacts,
     event_notes,
     filter_edges,
@@ -58,14 +58,24 @@ from ringtrue.identification.ambient.record_checks import (
     one_motion,
     response_slope,
 )
+from ringtrue.identification.ambient.spectral_bins import SpectrumPeak, spectrum_peaks
 from ringtrue.identification.ambient.ssi_cov import SsiCov, positions
 from ringtrue.identification.common.manual_selection import chosen
 from ringtrue.identification.common.stabilisation import StableDiagram
+from ringtrue.shapes import mac
 from ringtrue.signal.band_correlations import map_in_threads
 from ringtrue.signal.channel_checks import bridge_gaps, unclipped_channels, usable
+from ringtrue.signal.channel_quantities import with_learned_quantities
 from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
 from ringtrue.signal.spectra import Band, remove_drift, scaled, unit_factor
 from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines
+
+CLASSES: dict[str, ModeClass] = {  # of candidates by their notes; of other notes: doubtful
+    "candidate line": "harmonic",
+    "candidate impacts": "harmonic",
+    "candidate remainder": "harmonic",
+    "candidate steady": "harmonic",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +93,7 @@ class AmbientSettings:
     references : tuple of str
         Reference channels; () lets each band choose at most 8.
     confidence_min : float
-        Modes below are not reported.
+        Modes below are doubtful.
     """
 
     fmin: float | None = None
@@ -91,7 +101,7 @@ class AmbientSettings:
     order_max: int = 80
     block_rows: int = 50
     references: tuple[str, ...] = ()
-    confidence_min: float = 0.33
+    confidence_min: float = 0.5
 
     def __post_init__(self) -> None:
         low = self.fmin or 0.0
@@ -113,10 +123,16 @@ class AmbientResult:
         One for each band, from the highest; clusters are numbered within it.
     reasons : tuple of str
         The evidence for each mode.
+    remarks : tuple of str
+        What is particular of each mode, in six words; empty for one beyond doubt.
     harmonics : tuple of Harmonic
-        Lines of machines, left out.
+        Lines of machines.
+    others : OtherCandidates
+        Doubtful modes and harmonics.
+    unexplained : tuple of SpectrumPeak
+        Peaks of the singular values of the spectral matrix at which none of these is.
     record_notes : tuple of str
-        What the reader should know: machines, left-out poles, nothing found.
+        What the reader should know: machines, events, nothing found.
     channel_notes : tuple of Note
         On channels.
     """
@@ -125,14 +141,22 @@ class AmbientResult:
     uncertainty: Uncertainty
     diagrams: tuple[StableDiagram, ...]
     reasons: tuple[str, ...]
+    remarks: tuple[str, ...]
     harmonics: tuple[Harmonic, ...]
+    others: OtherCandidates
     record_notes: tuple[str, ...]
     channel_notes: tuple[Note, ...] = ()
+    unexplained: tuple[SpectrumPeak, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """All notes as sentences."""
-        return (*map(sentence, self.channel_notes), *self.record_notes)
+        highest = sorted(self.unexplained, key=lambda p: -p.prominence)
+        peaks = [f"{p.frequency:.4g} Hz ({p.prominence:.0f} dB)" for p in highest[:SHOWN]]
+        more = f" and {len(highest) - SHOWN} lower ones" if len(highest) > SHOWN else ""
+        unexplained = f"peaks of the spectrum that nothing explains: {', '.join(peaks)}{more}"
+        of_spectrum = (unexplained,) if peaks else ()
+        return (*map(sentence, self.channel_notes), *self.record_notes, *of_spectrum)
 
 
 def lowest(duration: float, settings: AmbientSettings) -> float:
@@ -237,11 +261,12 @@ def identify_stretches(
     sums, events = sums_of_stretches(record, (scaled(x, factor) for x in later), ssi, report)
     motion = one_motion(record.good.channels)
     strongest = max(events, key=lambda e: e.share)
-    facts = RecordFacts(response_slope(record.good), choice, strongest, motion)
+    duration = record.good.duration * len(events)
+    facts = RecordFacts(response_slope(record.good), choice, strongest, motion, duration)
     found = _modes_of_bands(record, sums, facts, settings, report)
-    if second is None and not facts.driven:
-        found = _with_more_lags(record, sums, found, facts=facts, settings=settings)
     result = _assembled(record, found, facts, settings)
+    if not facts.driven:  # events have lines of their own
+        result = replace(result, unexplained=_unexplained(record, sums, result))
     report(1.0, f"{len(result.modes)} modes")
     noisy = noisy_channels(result.modes, result.uncertainty.shape)
     notes = record.notes + event_notes(events) + result.record_notes
@@ -259,6 +284,7 @@ def identify_stretches(
 def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: bool) -> FirstStretch:
     """The usable channels of the first stretch, without what machines leave in it."""
     part, gaps = bridge_gaps(first)
+    part, learned = with_learned_quantities(part)
     raw, states = usable(part)
     kept = unclipped_channels(raw, states)  # of raw samples: these show what is cut off
     good = remove_drift(raw, lowest(raw.duration, settings))
@@ -294,8 +320,23 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
         sines=sines,
         steady=not impacts.driven,
         notes=notes,
-        channel_notes=gaps.notes + states + late,
+        channel_notes=gaps.notes + learned + states + late,
     )
+
+
+def _unexplained(
+    record: FirstStretch, sums: list[BandSums], result: AmbientResult
+) -> tuple[SpectrumPeak, ...]:
+    """Peaks of the spectrum without a mode, a doubtful one or a machine, each once."""
+    lines = [h.frequency for h in (*record.sines, *result.harmonics)]
+    known = np.concatenate([result.modes.frequencies, result.others.modes.frequencies, lines])
+    out: list[SpectrumPeak] = []
+    for x in sums:
+        for peak in spectrum_peaks(x.bins, x.band.low, x.band.high):
+            there = np.append(known, [p.frequency for p in out])
+            if (np.abs(there - peak.frequency) > peak.width).all():
+                out.append(peak)
+    return tuple(sorted(out, key=lambda p: p.frequency))
 
 
 def _modes_of_bands(
@@ -315,85 +356,102 @@ def _modes_of_bands(
     return found
 
 
-def _with_more_lags(
-    record: FirstStretch,
-    sums: list[BandSums],
-    found: list[BandModes],
-    *,
-    facts: RecordFacts,
-    settings: AmbientSettings,
-) -> list[BandModes]:
-    """The modes of all bands, those of dense ones with more lags where these are more certain."""
-    ssi = SsiCov(settings.block_rows, settings.order_max)
-    tries = ssi.order_max // ssi.order_step
-    least = settings.confidence_min
-    dense = [k for k, x in enumerate(found) if is_dense(x.table, tries, sums[k].seconds)]
-    more = [with_more_lags(record, record.bands[: k + 1], ssi) for k in dense]
-    automatic = replace(facts, choice=None)
-    out = list(found)
-    again = map_in_threads(lambda x: modes_of_band(x, least, automatic), more)
-    for k, other in zip(dense, again, strict=True):
-        out[k], better = better_groups(out[k], other, least)
-        out.append(better)
-    return out
-
-
 def _assembled(
     record: FirstStretch, found: list[BandModes], facts: RecordFacts, settings: AmbientSettings
 ) -> AmbientResult:
-    """The modes of all bands as one result, after exclusions and the choice by hand."""
+    """The modes of all bands as one result, after the evidence against them and the choice by
+    hand.
+    """
     good = record.good
     lines: tuple[Harmonic, ...] = ()
     if record.unclipped and record.steady:
         shown = harmonics(record.unclipped, low=record.bands[-1].low)
         lines = tuple(h for h in shown if h.frequency < record.bands[0].high)
-    candidates = select(found, settings.confidence_min)
-    possible = listed(found, candidates)
-    f = possible.frequency
-    why = _exclusions(record, f, possible.damping, lines=lines, facts=facts)
-    rows = [row for row, text in zip(candidates, why, strict=True) if not text]
-    left_out = [text for text in why if text]
-    rows, forced = without_forced(found, rows)
+    least = min(LIMITS.doubtful, settings.confidence_min)
+    candidates = select(found, least)
+    notes = _against(record, listed(found, candidates), lines=lines, facts=facts)
+    against = dict(zip(candidates, notes, strict=True))
+    for row in candidates:
+        if against[row] is None and found[row[0]].confidence[row[1]] < settings.confidence_min:
+            against[row] = doubts(found[row[0]], row[1], facts.duration)
+    rows = [row for row in candidates if against[row] is None]
+    against |= _forced(found, rows)
+    rows = [row for row in rows if against[row] is None]
     by_hand = chosen(found, rows, facts.choice, good.source)
     rows = by_hand.rows
-    left_out += [*forced, *by_hand.notes]
     reported = listed(found, rows)
-    known = np.append(reported.frequency, [h.frequency for h in lines])
-    left_out += unconfirmed(found, np.append(known, f))
+    picked = [row for row in candidates if _among(found, row, reported)]
+    others = [row for row in candidates if against[row] is not None and row not in picked]
+    of_record = by_hand.notes
     if not rows:
-        left_out.append(nothing_found(good, record.bands))
-    modes = ModeSet(
-        frequencies=reported.frequency,
-        damping=reported.damping,
-        shapes=reported.shape,
-        labels=tuple(c.id for c in good.channels),
-        source=f"{good.source or 'record'}: SSI-cov",
-        confidence=reported.confidence,
-    )
+        of_record = (*of_record, nothing_found(good, record.bands))
     reasons = []
+    remarks = []
     for row in rows:
         evidence = reason(found[row[0]], row[1])
         said = by_hand.said.get(row)
         reasons.append(f"{said}; {evidence}" if said else evidence)
+        remarks.append(said or in_short(found[row[0]], row[1], facts.duration))
+    noted = [note for row in others if (note := against[row]) is not None]
     return AmbientResult(
-        modes=modes,
+        modes=_mode_set(record, reported),
         uncertainty=uncertainty(found, rows, len(good.channels)),
         diagrams=tuple(band.diagram for band in found[: len(record.bands)]),
         reasons=tuple(reasons),
+        remarks=tuple(remarks),
         harmonics=lines,
-        record_notes=tuple(left_out),
+        others=OtherCandidates(
+            _mode_set(record, listed(found, others)),
+            uncertainty(found, others, len(good.channels)),
+            tuple(CLASSES.get(note.code, "doubtful") for note in noted),
+            tuple(noted),
+        ),
+        record_notes=of_record,
     )
 
 
-def _exclusions(
+def _mode_set(record: FirstStretch, of: ListedCandidates) -> ModeSet:
+    return ModeSet(
+        frequencies=of.frequency,
+        damping=of.damping,
+        shapes=of.shape,
+        labels=tuple(c.id for c in record.good.channels),
+        source=f"{record.good.source or 'record'}: SSI-cov",
+        confidence=of.confidence,
+    )
+
+
+def _among(found: list[BandModes], row: Row, reported: ListedCandidates) -> bool:
+    """Whether a candidate is one of the modes that are reported, as after a pick by hand."""
+    own = listed(found, [row])
+    near = np.abs(reported.frequency - own.frequency) < own.damping * own.frequency
+    return bool((near & (mac(own.shape, reported.shape)[0] > 0.8)).any())
+
+
+def _doubt(code: str, frequency: float, values: Mapping[str, float | int | str]) -> Note:
+    return Note(code, "warning", f"{frequency:.5g} Hz", values)
+
+
+def _forced(found: list[BandModes], rows: list[Row]) -> dict[Row, Note | None]:
+    """For each row the note that it is a peak of the force."""
+    frequency = listed(found, rows).frequency
+    out: dict[Row, Note | None] = {}
+    for row, f, by in zip(rows, frequency.tolist(), forced_by(found, rows), strict=True):
+        others = ", ".join(f"{x:.4g}" for x in frequency[by])
+        out[row] = _doubt("candidate forced", f, {"others": others}) if by.size else None
+    return out
+
+
+def _against(
     record: FirstStretch,
-    f: Float,
-    damping: Float,
+    of: ListedCandidates,
     *,
     lines: tuple[Harmonic, ...],
     facts: RecordFacts,
-) -> list[str]:
-    """For each pole (m,) why it is no mode of the structure; empty for a mode."""
+) -> list[Note | None]:
+    """For each candidate (m,) the physical evidence that it is no mode of the structure."""
+    f = of.frequency
+    damping = of.damping
     good = record.good
     line_f = [h.frequency for h in lines]
     # main lobe of the window of `harmonics` in 120 half-overlapped segments
@@ -414,28 +472,22 @@ def _exclusions(
         unsteady = tuple(own or other for own, other in both)
     edges = filter_edges(good, f, damping)
     remainders = line_remainders(f, damping, np.array(record.places), good.duration)
-    hides = "; it may hide a mode near it, which a record without the machine shows"
-    out = []
+    out: list[Note | None] = []
     for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
         line = on_line[k]
         decays_by = 2 * np.pi * z * x * facts.interval  # from one impact to the next
-        text = ""
+        found: tuple[str, dict[str, float | str]] | None = None
         if line:
-            text = f"left out: {line.why}"
-        elif z < 5e-4:  # below what structures have in operation (welded steel: 0.1 %)
-            text = f"left out: damping {100 * z:.2g} % is a line, not a structure"
-        elif facts.interval and facts.impacts.lines_near(x) and decays_by < 0.1:
-            text = (
-                "left out: it decays too little between impacts at equal intervals: a line of "
-                "these; a longer time between them would show a mode"
-            )
+            found = "candidate line", {"why": line.why}
+        elif facts.interval and facts.impacts.lines_near(x) and decays_by < 0.3:
+            found = "candidate impacts", {}
         elif remainders[k]:
-            text = (
-                f"left out: what the line at {remainders[k]:.5g} Hz left whose phase wanders{hides}"
-            )
+            found = "candidate remainder", {"line": remainders[k]}
         elif unsteady[k]:
-            text = f"left out: {unsteady[k]}{hides}"
+            found = "candidate steady", {"why": unsteady[k]}
+        elif z < 5e-4:  # below what structures have in operation (welded steel: 0.1 %)
+            found = "candidate undamped", {"damping": 100 * z}
         elif edges[k]:
-            text = AT_EDGE
-        out.append(f"pole at {x:.4g} Hz {text}" if text else "")
+            found = "candidate edge", {}
+        out.append(_doubt(found[0], x, found[1]) if found else None)
     return out

@@ -382,23 +382,6 @@ def sums_of_stretches(
     return sums, events
 
 
-def with_more_lags(record: FirstStretch, bands: tuple[Band, ...], ssi: SsiCov) -> BandSums:
-    """The last of the `bands` with three times the lags and more orders, for modes that stand close
-    to each other.
-    """
-    more = replace(ssi, block_rows=3 * ssi.block_rows, order_max=3 * ssi.order_max // 2)
-    good = record.good
-    sums = first_sums(
-        good.data,
-        good.rate,
-        bands=bands,
-        ssi=more,
-        references=record.references,
-        events=events_of(good, record.gaps),
-    )
-    return sums[-1]
-
-
 def events_of(part: TimeHistory, gaps: Gaps) -> Events:
     """The events of a stretch, none where samples are lost."""
     return find_events(part.data, part.rate, gaps.cut(part.data.shape[1]))

@@ -92,12 +92,15 @@ class RecordFacts:
     impacts : Events
         Of the stretch in which they are most of the motion.
     motion : CommonMotion, optional
+    duration : float, s
+        All stretches together.
     """
 
     slope: tuple[float, float]
     choice: Choice | None
     impacts: Events
     motion: CommonMotion | None
+    duration: float
 
     @property
     def driven(self) -> bool:

@@ -3,8 +3,7 @@
 Candidate modes of a band: checks of each pole, clusters over the orders, one estimate of each.
 
 A physical pole differs from a mathematical one by what is measured: its standard deviation, the
-strength of its contribution to the correlations, the orders and the halves of the record that show
-it.
+strength of its contribution to the correlations, and the orders that show it.
 """
 
 from __future__ import annotations
@@ -14,17 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
+from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.identification.ambient.ssi_cov import BandPoles, transition
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.stabilisation import (
-    PoleSet,
-    cluster_poles,
-    seen_in_halves,
-    unit,
-)
+from ringtrue.identification.common.stabilisation import cluster_poles, unit
 from ringtrue.shapes import mpc
 from ringtrue.signal.band_correlations import Signals
 
@@ -42,34 +37,31 @@ class CandidateModes:
     shape_deviation : (m, ch, block) complex128
         Of the shape by each block of the record, and by what is not known of its mixing with
         others.
-    share : (m,) float64
-        Fraction of the orders, from the first that shows the mode, that show it.
     orders : (m, 2) int64
         Orders that show it, orders tried.
     strength : (m,) float64
         Signal-to-noise ratio in the correlations.
     mpc : (m,) float64
-    halves : (m,) float64
-        Agreement of the two halves of the record, 0..1; NaN where not tried.
     label : (k,) int64
         Row of this table for each pole of the band, -1 for none.
     stable : (k,) bool
     refined : (m,) bool
         Pole and deviation are of the maximum likelihood fit.
+    gain : (m,) float64
+        Root of twice what a peak adds to the log-likelihood of the spectrum (`RecordSpectrum`).
     """
 
     pole: Complex
     deviation: Complex
     shape: Complex
     shape_deviation: Complex
-    share: Float
     orders: Int
     strength: Float
     mpc: Float
-    halves: Float
     label: Int
     stable: Bool
     refined: Bool
+    gain: Float
 
     def stds(self) -> tuple[Float, Float]:
         """Standard deviations of frequency (Hz) and damping ratio, each (m,)."""
@@ -87,15 +79,13 @@ class CandidateModes:
         return -self.pole.real / np.abs(self.pole)
 
 
-def stable_poles(band: BandPoles, strength: float = 2.0, collinearity: float = 0.3) -> Bool:
-    """(k,) poles worth clustering: damped, known to a few per cent, of some strength, and not
-    wildly complex.
-    """
+def stable_poles(band: BandPoles, strength: float = 2.0) -> Bool:
+    """(k,) poles worth clustering: damped, known to a few per cent, of some strength."""
     p = band.poles
     # to a share of the frequency, or of the half bandwidth of a mode of much damping
     sharp = p.std_frequency < np.maximum(0.025, 0.5 * p.damping) * p.frequencies
     known = sharp & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < 0.2) & known & (band.strength > strength) & (mpc(p.shape) > collinearity)
+    return (p.damping < 0.2) & known & (band.strength > strength)
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
@@ -173,13 +163,10 @@ def _table(
     m = len(groups)
     ch = band.subspace.channels
     nb = band.deviation.shape[1]
-    tried = p.orders
     label = np.full(len(p), -1, dtype=np.int64)
     for i, g in enumerate(groups):
         label[g] = i
-    first = np.array([p.order[g].min() for g in groups], dtype=np.int64)
     size = np.array([g.size for g in groups], dtype=np.int64)
-    possible = (tried[:, None] >= first).sum(0) if m else size
     shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
     d = _shape_deviations(band, [x[3] for x in means])
     return CandidateModes(
@@ -187,14 +174,13 @@ def _table(
         deviation=np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
         shape=unit(shape),
         shape_deviation=d,
-        share=size / np.maximum(possible, 1),
-        orders=np.stack([size, np.full(m, tried.size)], axis=1).astype(np.int64),
+        orders=np.stack([size, np.full(m, p.orders.size)], axis=1).astype(np.int64),
         strength=np.array([np.median(band.strength[g]) for g in groups]),
         mpc=mpc(shape),
-        halves=np.full(m, np.nan),
         label=label,
         stable=stable,
         refined=np.zeros(m, dtype=np.bool_),
+        gain=np.zeros(m),
     )
 
 
@@ -225,11 +211,6 @@ def steady(c: CandidateModes, at: Int, power: Float, seconds: float) -> bool:
     """
     chance = np.median(1 / (1 - c.pole.real[at] * seconds / power.size))
     return bool((power**2).mean() < (1.2 + 2 * chance) * power.mean() ** 2)
-
-
-def half_agreement(c: CandidateModes, halves: tuple[PoleSet, PoleSet]) -> Float:
-    """How far the two halves of the record show each mode, (m,) 0..1 (`seen_in_halves`)."""
-    return seen_in_halves(c.frequencies, c.damping, shape=c.shape, stds=c.stds(), halves=halves)
 
 
 def oscillator_spectrum(nu: Float, zeta: Float | float) -> Float:
@@ -278,6 +259,52 @@ class SpectralBins:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordSpectrum:
+    """The spectral matrix of a band, to weigh candidates by.
+
+    Attributes
+    ----------
+    bins : SpectralBins
+    channels : (eye,) int64
+        Their positions among all channels.
+    duration : float, s
+        Of the record.
+    """
+
+    bins: SpectralBins
+    channels: Int
+    duration: float
+
+    def with_gain(self, c: CandidateModes) -> CandidateModes:
+        """The candidates with the likelihood that a peak at each adds to the spectrum.
+
+        The spectrum along the shape of a mode, by the filter that passes least of what lies on both
+        sides of it (Capon 1969), has lines that are exponentially distributed. Their mean at the
+        mode is r times that on both sides, and 2n (r - 1 - ln r) is twice the logarithm of the
+        likelihood ratio of n lines. The sign is that of the peak.
+        """
+        gain = [self._gain(*x) for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)]
+        return replace(c, gain=np.array(gain, dtype=np.float64))
+
+    def _gain(self, frequency: float, damping: float, shape: Complex) -> float:
+        bins = self.bins
+        half = max(damping * frequency, 1 / bins.duration)
+        away = np.abs(bins.freqs - frequency) / half
+        peak = np.flatnonzero(away < 1.5)
+        sides = np.flatnonzero((away >= 1.5) & (away < 6.0))
+        if not peak.size or not sides.size:
+            return 0.0
+        psi = shape[self.channels]
+        inside = np.average(bins.cross[peak], axis=0, weights=bins.count[peak])
+        outside = np.average(bins.cross[sides], axis=0, weights=bins.count[sides])
+        floor = 1e-3 * np.trace(outside).real / psi.size
+        solved = np.linalg.solve(outside + floor * np.eye(psi.size), psi)
+        ratio = float((solved.conj() @ inside @ solved).real / (psi.conj() @ solved).real)
+        twice = 2 * bins.count[peak].sum() * (ratio - 1 - np.log(ratio))
+        return float(np.sign(ratio - 1) * np.sqrt(max(twice, 0.0)))
+
+
 def spectral_bins(
     y: Signals, channels: Int, *, rate: float, limits: tuple[float, float], scale: Float
 ) -> SpectralBins:
@@ -314,3 +341,83 @@ def spectral_bins(
         matrices.append(cross)
     freqs = np.concatenate(places) * rate / n
     return SpectralBins(freqs, np.concatenate(counts), np.concatenate(matrices), n / rate)
+
+
+@dataclass(frozen=True, slots=True)
+class PeakSettings:
+    """When a singular value of the spectral matrix has a peak.
+
+    Attributes
+    ----------
+    lines : int
+        Lines of a channel that are averaged, over the number of channels.
+    values : int
+        Singular values that are looked at.
+    chance : float
+        Standard deviations of the logarithm by which a peak stands out.
+    prominence : float
+        Ratio by which it stands out at least.
+    """
+
+    lines: int = 4
+    values: int = 3
+    chance: float = 6.0
+    prominence: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpectrumPeak:
+    """A peak of a singular value.
+
+    Attributes
+    ----------
+    frequency, width : float, Hz
+        Width at half of its height above the surroundings.
+    value : int
+        Which singular value, from 1.
+    prominence : float, dB
+    """
+
+    frequency: float
+    width: float
+    value: int
+    prominence: float
+
+
+def spectrum_peaks(
+    bins: SpectralBins, low: float, high: float, settings: PeakSettings | None = None
+) -> tuple[SpectrumPeak, ...]:
+    """Peaks of the first singular values between `low` and `high`, Hz, higher than chance makes
+    them.
+
+    The singular values of the spectral matrix peak at the modes (Brincker, Zhang and Andersen
+    2001). Where the curves of two modes cross, the lower value has a peak under a dip of the upper:
+    that is none.
+    """
+    limits = settings or PeakSettings()
+    channels = bins.cross.shape[1]
+    group = np.floor(np.cumsum(bins.count) / (limits.lines * channels))
+    start = np.flatnonzero(np.diff(group, prepend=-1.0))
+    if start.size < 8:
+        return ()
+    count = np.add.reduceat(bins.count, start)
+    freqs = np.add.reduceat(bins.freqs * bins.count, start) / count
+    weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
+    cross = np.add.reduceat(weighted, start) / count[:, None, None]
+    size = np.linalg.eigvalsh(cross)[:, ::-1][:, : limits.values]
+    level = np.log(np.maximum(size, np.finfo(np.float32).tiny))
+    found = []
+    for k, curve in enumerate(level.T):
+        least = max(limits.chance / np.sqrt(np.median(count)), np.log(limits.prominence))
+        places, about = find_peaks(curve, prominence=least, width=0, rel_height=0.5)
+        for at, prominence, width in zip(
+            places, about["prominences"], about["widths"], strict=True
+        ):
+            frequency = float(freqs[at])
+            above = level[max(at - 2, 0) : at + 3, k - 1]
+            dip = k > 0 and 0 < above.argmin() < above.size - 1  # where two modes cross
+            if low <= frequency <= high and not dip:
+                step = float(freqs[min(at + 1, freqs.size - 1)] - freqs[at - 1]) / 2
+                decibel = float(10 * prominence / np.log(10))
+                found.append(SpectrumPeak(frequency, float(width) * step, k + 1, decibel))
+    return tuple(found)

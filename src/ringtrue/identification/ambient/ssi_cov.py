@@ -180,14 +180,6 @@ def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None 
     return factored(u, s, v / s, ch, rate, turn=turn)
 
 
-def part_of(whole: Subspace, r: Float, rows: int) -> Subspace:
-    """The subspace that the correlations `r` of a part of the record show through the right vectors
-    of the whole.
-    """
-    u = var.hankel(r, rows) @ whole.vs
-    return factored(u, whole.s, whole.vs, whole.channels, whole.rate, turn=whole.turn)
-
-
 def factored(
     u: Float, s: Float, vs: Float, ch: int, rate: float, *, turn: Complex | None = None
 ) -> Subspace:

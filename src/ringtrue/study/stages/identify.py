@@ -257,7 +257,7 @@ def _as_one(files: Sequence[RecordSummary], result: AmbientResult) -> RecordSumm
     return replace(
         first,
         duration=duration,
-        notes=(*joined, *first.notes, *others, *result.record_notes),
+        notes=(*joined, *first.notes, *others, *result.others.sentences(), *result.record_notes),
         channel_notes=(*of_files, *result.channel_notes),
     )
 

@@ -1,0 +1,221 @@
+"""What channels without a unit measure, learned from the record: velocities beside accelerations,
+and columns that show no motion.
+
+Modes of little damping under random forces have cross spectra that are real between channels of one
+quantity; between a motion and its derivative they are a quarter turn off, at every frequency and
+whatever the shapes. The square of the phase factor of a cross spectrum does not see the sign of the
+shapes, so
+
+    J_cd = Σ w(f) Re (S_cd/|S_cd|)² / Σ w(f),  w = γ⁴ (squared coherence, squared),
+
+is 1 in one quantity and -1 between a motion and its derivative. Which of the two is the derivative
+shows in their levels: the power of the derivative over that of the motion grows as f².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.channels import DERIVATIVE
+from ringtrue.core.notes import Note
+from ringtrue.core.signals import Quantity, TimeHistory
+from ringtrue.signal.clock_alignment import in_one_motion, segment_lines, summed_power
+
+MOTION_OF = {order: motion for motion, order in DERIVATIVE.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class QuantitySettings:
+    """When channels tell what they measure.
+
+    Attributes
+    ----------
+    segments : int
+        Of the record, that are looked at.
+    coherence : float
+        Squared coherence of a line that counts.
+    lines : float
+        Sum of squared coherences of a channel with the others, below which it says nothing.
+    agreement : float
+        Mean of |J| of a channel with the others, at least.
+    peak : float
+        Standard deviations by which the spectrum of a column that measures a motion has peaks.
+    stray, level : float
+        Share of the typical coherence below which, and ratio of the typical level above which, a
+        column is of another kind (strain beside accelerations).
+    """
+
+    segments: int = 64
+    coherence: float = 0.25
+    lines: float = 20.0
+    agreement: float = 0.5
+    peak: float = 8.0
+    stray: float = 0.05
+    level: float = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PhaseAgreement:
+    """Phases between channels, over all lines.
+
+    Attributes
+    ----------
+    agreement : (ch, ch) float64
+        J.
+    weight : (ch, ch) float64
+        Sum of squared coherences.
+    by_line : (freq,) float64
+        The same of a line over all pairs.
+    power : (freq, ch) float64
+        Mean powers, each channel over its size.
+    """
+
+    agreement: Float
+    weight: Float
+    by_line: Float
+    power: Float
+
+
+def with_learned_quantities(
+    history: TimeHistory, settings: QuantitySettings | None = None
+) -> tuple[TimeHistory, tuple[Note, ...]]:
+    """The record with quantities that its channels do not state, without columns that show no
+    motion; notes on both.
+
+    Parameters
+    ----------
+    history : TimeHistory
+        Finite samples. Channels of a known quantity keep it.
+    settings : QuantitySettings, optional
+    """
+    limits = settings or QuantitySettings()
+    unknown = np.array([c.quantity == "unknown" for c in history.channels])
+    samples = history.data.shape[1]
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // limits.segments, 1024, 4096))))
+    if len(unknown) < 3 or not unknown.any() or samples < 16 * length:
+        return history, ()
+    phases = _phase_agreement(history.data, length, limits)
+    np.fill_diagonal(phases.weight, 0.0)
+    total = phases.weight.sum(axis=1)
+    seen = total > limits.lines
+    if seen.sum() < 2:
+        return history, ()
+    ids = np.array([c.id for c in history.channels])
+    silent = unknown & (total < 1.0) & _without_peaks(phases.power, limits)
+    size = history.data.std(axis=1)
+    ratio = size / np.median(size[seen])
+    odd = (ratio > limits.level) | (ratio * limits.level < 1)
+    stray = unknown & odd & (total < limits.stray * np.median(total[seen])) & ~silent
+    notes = []
+    for code, out in (("channel without motion", silent), ("channel of another kind", stray)):
+        if out.any():
+            notes.append(Note(code, "warning", " ".join(ids[out].tolist())))
+    kept = ~(silent | stray)
+    if not kept.all():
+        history = history.pick(ids[kept].tolist())
+        unknown = unknown[kept]
+        seen = seen[kept]
+        phases = _picked(phases, kept)
+    quantities = [c.quantity for c in history.channels]
+    for at, quantity in _learned(quantities, unknown & seen, seen, phases, limits):
+        names = " ".join(history.channels[i].id for i in at.tolist())
+        notes.append(Note("channel quantity", "information", names, {"quantity": quantity}))
+        for i in at.tolist():
+            quantities[i] = cast("Quantity", quantity)
+    channels = tuple(
+        replace(c, quantity=quantity)
+        for c, quantity in zip(history.channels, quantities, strict=True)
+    )
+    return (replace(history, channels=channels) if notes else history), tuple(notes)
+
+
+def _phase_agreement(data: Any_, length: int, limits: QuantitySettings) -> _PhaseAgreement:
+    starts = np.linspace(0, data.shape[1] - length, limits.segments).astype(np.int64)
+    lines = segment_lines(data, length, starts)
+    channels = lines.shape[2]
+    agreement = np.empty((channels, channels))
+    weight = np.empty((channels, channels))
+    by_line = np.zeros(len(lines))
+    power = summed_power(lines)
+    same: Int = np.zeros(channels, dtype=np.int64)
+    for k in range(channels):  # all pairs at once would be channels² spectra
+        cross = np.einsum("fsc,fs->fc", lines, lines[:, :, k].conj())
+        turned, coherence = in_one_motion(cross, power * power[:, [k]], limits.segments, same)
+        counted = np.where(coherence > limits.coherence, coherence**2, 0.0)
+        weight[k] = counted.sum(axis=0)
+        agreement[k] = (counted * turned.real).sum(axis=0) / np.maximum(weight[k], 1e-12)
+        by_line += counted.sum(axis=1) - counted[:, k]
+    return _PhaseAgreement(agreement, weight, by_line, power / limits.segments)
+
+
+def _picked(phases: _PhaseAgreement, kept: Bool) -> _PhaseAgreement:
+    return replace(
+        phases,
+        agreement=phases.agreement[kept][:, kept],
+        weight=phases.weight[kept][:, kept],
+        power=phases.power[:, kept],
+    )
+
+
+def _without_peaks(power: Float, limits: QuantitySettings) -> Bool:
+    """(ch,) whether no line of the mean spectrum (freq, ch) stands out of its surroundings."""
+    level = median_filter(power, size=(41, 1), mode="nearest")
+    chance = 1 + limits.peak / np.sqrt(limits.segments)
+    inside = power[8:-8] > chance * np.maximum(level[8:-8], np.finfo(np.float64).tiny)
+    return np.asarray(~inside.any(axis=0))
+
+
+def _learned(
+    quantities: Sequence[str],
+    open_: Bool,
+    seen: Bool,
+    phases: _PhaseAgreement,
+    limits: QuantitySettings,
+) -> list[tuple[Int, str]]:
+    """Groups of the `open_` channels with their quantity; none where all are of one."""
+    weighted = phases.weight * phases.agreement
+    side = np.sign(np.linalg.eigh(weighted)[1][:, -1])
+    total = np.maximum(phases.weight.sum(axis=1), 1e-12)
+    clear = seen & (side * (weighted @ side) / total > limits.agreement)
+    order = np.array([DERIVATIVE.get(q, -1) for q in quantities])
+    known = clear & (order >= 0)
+    if known.any():
+        first = int(np.bincount(order[known]).argmax())
+        side = side * np.sign(side[known & (order == first)].sum())
+    else:
+        first = -1
+    one = clear & (side > 0)
+    other = clear & (side < 0)
+    if not (one.any() and other.any()):
+        return []
+    rises = _rise(phases, one, other) > 0
+    if first < 0:
+        orders = (1, 2) if rises else (2, 1)
+    else:
+        beside = first + 1 if rises else first - 1
+        orders = (first, beside if 0 <= beside <= 2 else 1)
+        stated = order[known & other]
+        if stated.size:
+            orders = (first, int(np.bincount(stated).argmax()))
+    groups = ((one & open_, orders[0]), (other & open_, orders[1]))
+    return [(np.flatnonzero(at), MOTION_OF[n]) for at, n in groups if at.any()]
+
+
+def _rise(phases: _PhaseAgreement, one: Bool, other: Bool) -> float:
+    """Exponent of the frequency in the power of the `other` channels over that of the first: 2 of
+    their derivative, -2 of their integral.
+    """
+    lines = np.flatnonzero(phases.by_line > 0)
+    level = np.log(np.maximum(phases.power[lines], np.finfo(np.float64).tiny))
+    ratio = level[:, other].mean(axis=1) - level[:, one].mean(axis=1)
+    weight = phases.by_line[lines]
+    x = np.log(lines)
+    x = x - np.average(x, weights=weight)
+    ratio = ratio - np.average(ratio, weights=weight)
+    return float((weight * x) @ ratio / max(float((weight * x) @ x), 1e-300))
