@@ -674,7 +674,7 @@ def _raising(fault: BaseException) -> Callable[..., None]:
         ("model.survey", ("check", "a.bdf")),
         ("respond.read_damped_deck", ("frf", "a.bdf", "--fmax", "9", "--force", "1+Z")),
         ("respond.deflect", ("static", "a.bdf", "--force", "1+Z")),
-        ("update.read_candidates", ("update", "study.toml", "a.json")),
+        ("update.update_study", ("update", "study.toml", "a.json")),
     ],
 )
 def test_ctrl_c_ends_any_command_with_one_line_and_130(

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_study
+from typer.main import get_command
 
-from ringtrue.cli.main import COMMANDS, OUTPUTS, _command, run
+from ringtrue.cli.main import COMMANDS, OUTPUTS, application, run
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
@@ -130,7 +131,7 @@ def test_no_command_replaces_what_it_reads(
 
 def test_every_option_that_writes_is_known_as_such() -> None:
     for name in COMMANDS:
-        for parameter in _command([name]).commands[name].params:
+        for parameter in get_command(application([name])).commands[name].params:
             told = str(getattr(parameter, "help", "") or "")
             if told.startswith(("Write", "What to write", "The HTML", "Keep")):
                 assert OUTPUTS & set(parameter.opts), (name, parameter.opts)

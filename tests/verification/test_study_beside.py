@@ -78,7 +78,9 @@ def written(folder: Path, more: str) -> Path:
         groups=(*test.groups, ""),
     )
     write_sheet(folder / "sensors.csv", end, end.channels)
-    write_modes(folder / "modes.json", true.seen(true.modes(18.0).modes, test, 0.01))
+    modes = true.modes(18.0).modes
+    shapes = true.observation(test, 0.01)(modes.shapes)
+    write_modes(folder / "modes.json", replace(modes, shapes=shapes, labels=test.channels))
     rows = (
         at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix
         @ true.analysis.system.transform

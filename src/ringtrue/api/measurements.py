@@ -214,23 +214,17 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     path = Path(path)
     if is_solver_result(path):
         modes = read_nastran_modes(path, deck)
+        unknown = np.full(len(modes), np.nan)
+        std = unknown, unknown
     elif deck is not None:
         raise InputError(f"deck: {path} is no results file of a solver")
-    elif is_store(path):
+    elif path.name == STORE:
         return merged_modes(path)
     else:
         modes = mode_files.read_modes(path)
         std = mode_files.read_std(path)
-        no_std = np.full(modes.shapes.shape, np.nan)
-        return TestModes(modes, Uncertainty.independent(*std, no_std))
-    none = np.full(len(modes), np.nan)
-    no_shapes = np.full(modes.shapes.shape, np.nan)
-    return TestModes(modes, Uncertainty.independent(none, none, no_shapes))
-
-
-def is_store(path: Path) -> bool:
-    """Whether a file is the store of a study."""
-    return path.name == STORE
+    of_shapes = np.full(modes.shapes.shape, np.nan)
+    return TestModes(modes, Uncertainty.independent(*std, of_shapes))
 
 
 def merged_modes(path: Path) -> TestModes:
@@ -580,23 +574,19 @@ def identify_frfs(
         found = identify_hammer(data, band, choice=choice, progress=progress)
     if choice is None:
         found = with_local_fits(found, setups, band, progress=progress)
-    return TestModes(
-        modes=found.modes,
-        uncertainty=found.uncertainty,
-        reasons=found.reasons,
-        notes=(*measured.notes, *found.notes, *map(sentence, found.channel_notes)),
-        diagrams=found.diagrams,
-        result=found,
-    )
+    return _of_result(found, (*measured.notes, *map(sentence, found.channel_notes)))
 
 
-def _second_opinion(found: SecondOpinion, notes: Sequence[str]) -> TestModes:
+def _of_result(
+    found: AmbientResult | HammerResult | SecondOpinion, notes: tuple[str, ...] = ()
+) -> TestModes:
+    """What a method of identification returned, with further notes."""
     return TestModes(
         modes=found.modes,
         uncertainty=found.uncertainty,
         reasons=found.reasons,
         notes=(*notes, *found.notes),
-        diagrams=(),
+        diagrams=() if isinstance(found, SecondOpinion) else found.diagrams,
         result=found,
     )
 
@@ -680,20 +670,9 @@ def identify_ambient(
     if method != AMBIENT:
         refuse_choice(method, AMBIENT, choice)
         one = next(iter(parts))
-        return _second_opinion(
-            identify_ambient_by(method, one, settings, near=near, progress=progress), ()
-        )
+        return _of_result(identify_ambient_by(method, one, settings, near=near, progress=progress))
     found = identify_stretches(iter(parts), settings, choice=choice, progress=progress)
-    return TestModes(
-        modes=found.modes,
-        uncertainty=found.uncertainty,
-        reasons=found.reasons,
-        remarks=found.remarks,
-        others=found.others,
-        notes=found.notes,
-        diagrams=found.diagrams,
-        result=found,
-    )
+    return replace(_of_result(found), remarks=found.remarks, others=found.others)
 
 
 def ambient_parts(

@@ -77,6 +77,8 @@ class FittedStudy:
     ----------
     config : StudyConfig
         Without candidates that are held.
+    model : Model
+        The deck before the updating.
     problem : Problem
         As stated.
     done : Verified
@@ -94,6 +96,7 @@ class FittedStudy:
     """
 
     config: StudyConfig
+    model: Model
     problem: Problem
     done: Verified
     data: tuple[Data, ...]
@@ -109,57 +112,25 @@ class FittedStudy:
         return self.done.solution.outcome.ok and self.done.error <= AGREE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CandidateStudy:
-    """A study with a deck and candidates.
-
-    Attributes
-    ----------
-    config : StudyConfig
-    model : Model
-        Of the deck.
-    base : Path
-        The folder that its files are relative to.
-    """
-
-    config: StudyConfig
-    model: Model
-    base: Path
-
-
-def read_candidates(study: Path) -> CandidateStudy:
-    """Read a study that can be updated, and its deck.
-
-    Raises
-    ------
-    ConfigError
-        If the study has no deck or no candidate.
-    """
-    config = read_config(study)
-    if config.model is None or not config.candidate:
-        raise ConfigError(
-            f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]"
-        )
-    model = read_deck(study.parent / config.model.deck, units=config.model.units)
-    return CandidateStudy(config, model, study.parent)
-
-
 def update_study(
-    study: CandidateStudy, test: Path, asked: UpdateRequest, *, progress: Progress = quiet
+    study: Path, test: Path, asked: UpdateRequest, *, progress: Progress = quiet
 ) -> FittedStudy:
     """Fit the candidates of a study to a file of test modes.
 
     Raises
     ------
     ConfigError
-        If settings do not go together.
+        If the study has no deck or no candidate, or settings do not go together.
     DataError
         If no test mode was measured at a common set of channels.
     """
-    config = study.config
-    model = study.model
-    base = study.base
-    assert config.model is not None
+    config = read_config(study)
+    if config.model is None or not config.candidate:
+        raise ConfigError(
+            f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]"
+        )
+    base = study.parent
+    model = read_deck(base / config.model.deck, units=config.model.units)
     if wrong := [r for r in config.residual if r.configuration]:
         raise ConfigError(
             f"[[residual]] of configuration {wrong[0].configuration!r}: run the whole study"
@@ -189,6 +160,7 @@ def update_study(
     done = solved(problem, config.update, seed, asked.checkpoint, part(progress, 0.3, 1.0))
     return FittedStudy(
         config=config,
+        model=model,
         problem=problem,
         done=done,
         data=data,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -60,23 +60,6 @@ def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[b
             f"--align {align}: lays the places of a sheet onto a deck; give --sensors"
         )
     return first, second
-
-
-def _refuse_idle(given: Mapping[str, tuple[object, bool, str]]) -> None:
-    """Refuse options (value, whether it counts here, why not) that would change nothing."""
-    for name, (value, counts, why) in given.items():
-        if value is not None and not counts:
-            raise ConfigError(f"{name} {value}: {why}")
-
-
-def _check_pairs(option: str, texts: Sequence[str]) -> None:
-    """Refuse pairs that are not of the form 3:4, modes from one."""
-    for text in texts:
-        left, _, right = text.partition(":")
-        if not (left.isdigit() and right.isdigit() and int(left) > 0 and int(right) > 0):
-            raise ConfigError(
-                f"{option} {text!r}: must be a mode of A and one of B, from 1, such as 3:4"
-            )
 
 
 def _modes_or_deck(path: Path, units: str) -> TestModes | Model:
@@ -236,16 +219,15 @@ def correlate(
 
     Example: ringtrue correlate test.json wing.bdf --sensors sensors.csv --complete
     """
-    _check_pairs("--lock", lock or ())
-    _check_pairs("--forbid", forbid or ())
     both, deck = _decks(a, b, sensors, align)
-    _refuse_idle(
-        {
-            "--units": (units, deck, "no deck is given"),
-            "--match": (match, sensors is not None, ON_SHEET),
-            "--tolerance": (tolerance, both or sensors is not None, ON_SHEET),
-        }
+    idle = (
+        ("--units", units, deck, "no deck is given"),
+        ("--match", match, sensors is not None, ON_SHEET),
+        ("--tolerance", tolerance, both or sensors is not None, ON_SHEET),
     )
+    for name, value, counts, why in idle:
+        if value is not None and not counts:
+            raise ConfigError(f"{name} {value}: {why}")
     given = {
         "match": match,
         "align": align,

@@ -120,7 +120,11 @@ def _tables(found: DirectProposal) -> list[str]:
         if missing
         else []
     )
-    out += [_card(found, by[m.name].targets[0].id, m.added) for m in missing]
+    for m in missing:
+        masses = found.model["CONM2"]
+        eid = by[m.name].targets[0].id
+        node = int(masses["G"][masses.find(np.array([eid]))[0]])
+        out.append(f"CONM2,{eid},{node},,{m.added:.4g}")
     factors = [m for m in found.proposal.members if not m.lump]
     out += ["as candidates of study.toml:"] if factors else []
     for p in (by[m.name] for m in factors):
@@ -131,12 +135,6 @@ def _tables(found: DirectProposal) -> list[str]:
         out += ["[[candidate]]", f'name = "{p.name}"', f"targets = [{listed}]"]
         out.append(f"lower = {p.lower:.4g}\nupper = {p.upper:.4g}\nstd = {p.std:.4g}")
     return out
-
-
-def _card(found: DirectProposal, eid: int, mass: float) -> str:
-    masses = found.model["CONM2"]
-    node = int(masses["G"][masses.find(np.array([eid]))[0]])
-    return f"CONM2,{eid},{node},,{mass:.4g}"
 
 
 def _size(m: Member) -> tuple[str, str]:

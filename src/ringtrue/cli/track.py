@@ -67,7 +67,11 @@ def track(
     Example: ringtrue track day1.h5 day2.h5 --hours 1 --csv modes.csv --plot modes.html
     """
     check_band(fmin, fmax)
-    cut = RecordParts(hours, _starts(starts), rate, leave_out or ())
+    try:
+        begins = [float(x) for x in starts.split(",")] if starts is not None else []
+    except ValueError as e:
+        raise ConfigError(f"--starts {starts!r}: hours, separated by commas") from e
+    cut = RecordParts(hours, begins, rate, leave_out or ())
     with progress("modes through time") as show:
         tracked, notes = track_records(records, cut, fmin=fmin, fmax=fmax, progress=show)
     if table:
@@ -80,13 +84,6 @@ def track(
     if json != "-":
         _show(tracked, notes)
     return 0 if tracked.tracks else 1
-
-
-def _starts(text: str | None) -> list[float]:
-    try:
-        return [float(x) for x in text.split(",")] if text is not None else []
-    except ValueError as e:
-        raise ConfigError(f"--starts {text!r}: hours, separated by commas") from e
 
 
 def _write(path: Path, text: str) -> None:

@@ -11,7 +11,6 @@ import typer
 from ringtrue.api.study_update import (
     SIDES,
     UpdateRequest,
-    read_candidates,
     update_json,
     update_study,
 )
@@ -148,9 +147,8 @@ def update(
     )
     with progress("updating") as show:
         show(0.0, "reading")
-        given = read_candidates(study)
-        warn_of_units(given.model, given.model.units)
-        found = update_study(given, test, asked, progress=show)
+        found = update_study(study, test, asked, progress=show)
+    warn_of_units(found.model, found.model.units)
     summary = update_json(found)
     if json:
         write_json(summary, json)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -155,29 +155,31 @@ def read_force_records(
                 f"{option}: given {len(given)} times for {len(paths)} files; once for all, or "
                 "once each"
             )
-    runs = [(i, p, *found) for i, p in enumerate(paths) for found in _runs(p, how.of(i))]
-    known = {c.id for _, _, run, _ in runs for c in run.channels}
+    found = [read_file(path, how.of(i)) for i, path in enumerate(paths)]
+    known = {name for file in found for name in file.channels}
     if lost := [c for c in how.leave_out if c not in known]:
         raise ConfigError(
             f"--leave-out {lost[0]}: no file has such a channel; there are "
             f"{' '.join(sorted(known)[:40])}"
         )
-    records = []
-    notes = dict[str, None]()
-    for i, path, run, scaled in runs:
-        record, said = _ready(path, run, how.of(i))
-        records.append(record)
-        notes.update(dict.fromkeys((*scaled, *said)))
     ranges: dict[str, float] = {}
     for path in paths:
         ranges |= full_scale(path)
-    return tuple(records), ranges, tuple(notes)
+    records = tuple(record for file in found for record in file.records)
+    return records, ranges, tuple(dict.fromkeys(note for file in found for note in file.notes))
 
 
-def read_file(
-    path: Path, how: ForceRecordFormat | None = None
-) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
-    """The acquisitions of one file as `read_force_records` gives them, and notes.
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceRecords:
+    """The acquisitions of one file, notes, and all channels that it has."""
+
+    records: tuple[TimeHistory, ...]
+    notes: tuple[str, ...]
+    channels: frozenset[str]
+
+
+def read_file(path: Path, how: ForceRecordFormat) -> ForceRecords:
+    """The acquisitions of one file as `read_force_records` gives them.
 
     Channels of `leave_out` that the file does not have are no error: another file of the test may
     have them.
@@ -187,31 +189,24 @@ def read_file(
     DataError
         As `read_force_records` does.
     """
-    how = how or ForceRecordFormat()
-    ready = [(*_ready(path, run, how), scaled) for run, scaled in _runs(path, how)]
-    return tuple(r for r, *_ in ready), tuple(
-        dict.fromkeys(n for _, said, scaled in ready for n in (*scaled, *said))
-    )
-
-
-def _ready(
-    path: Path, run: TimeHistory, how: ForceRecordFormat
-) -> tuple[TimeHistory, Sequence[str]]:
-    kept = run.pick([c.id for c in run.channels if c.id not in how.leave_out])
-    record, notes = _prepared(kept, how)
-    refuse_bad_samples(record, path)
-    return record, notes
-
-
-def _runs(path: Path, how: ForceRecordFormat) -> Iterator[tuple[TimeHistory, tuple[str, ...]]]:
-    """The acquisitions by the names and the sheet that are given, and the notes of the sheet."""
     runs = read_runs(path, how.rate, group=how.group)
     names = how.channels[0] if how.channels else ()
-    for k, run in enumerate(runs):
-        named = renamed(
-            replace(run, source=str(path) if len(runs) == 1 else f"{path} #{k + 1}"), names, path
-        )
-        yield how.sheet.scaled(named) if how.sheet else (named, ())
+    records = []
+    notes: list[str] = []
+    channels: set[str] = set()
+    for k, run in enumerate(runs, start=1):
+        source = str(path) if len(runs) == 1 else f"{path} #{k}"
+        named = renamed(replace(run, source=source), names, path)
+        if how.sheet:
+            named, of_sheet = how.sheet.scaled(named)
+            notes += of_sheet
+        here = [c.id for c in named.channels]
+        channels.update(here)
+        record, more = _prepared(named.pick([c for c in here if c not in how.leave_out]), how)
+        refuse_bad_samples(record, path)
+        records.append(record)
+        notes += more
+    return ForceRecords(tuple(records), tuple(dict.fromkeys(notes)), frozenset(channels))
 
 
 def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory, list[str]]:

@@ -57,15 +57,24 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     known: UncertaintyStage | None = r.get("uncertainty")
     out: list[str] = []
     if identify is not None:
-        out += [_mode_counts(identify), *identify.merge_notes, *_at_fault(identify)]
+        modes = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
+        if identify.hammer is not None:
+            modes.append(f"{len(identify.hammer)} modes of the {identify.source}")
+        out += ["; ".join(modes) or "no mode", *identify.merge_notes, *_at_fault(identify)]
     if correlate is not None:
         out += [m.text for m in correlate.sensors.mendings]
-        out += _mended_tests(r.get("configurations"))
+        others: ConfigurationsStage | None = r.get("configurations")
+        for c in others.items if others is not None else ():
+            out += [f"configuration {c.name}: {m.text}" for m in c.sensors.mendings]
         out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
     best = update.best if update is not None else None
     if r.get("sensitivity") is not None and best is not None:
         out += held_sentences(r["sensitivity"].held.get(best.name, {}))
-    masses = _added_masses(localise)
+    # that the deck did not have and a factor of 2 adds
+    masses = {}
+    if localise is not None:
+        candidates = localise.candidates.parameters.parameters
+        masses = {p.name: p.lump for p in candidates if p.lump}
     for name, a, std in _factors(r):
         within = _interval(known, name)
         if name in masses:
@@ -86,15 +95,6 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     last = final or correlate
     out += _suspects(last.evidence if last is not None else None, r.get("compare"))
     return tuple(filter(None, out))
-
-
-def _mended_tests(found: ConfigurationsStage | None) -> list[str]:
-    """Other mountings of the sensors of other configurations that explain their tests better."""
-    return (
-        [f"configuration {c.name}: {m.text}" for c in found.items for m in c.sensors.mendings]
-        if found is not None
-        else []
-    )
 
 
 def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
@@ -249,13 +249,6 @@ def _at_fault(identify: IdentifyStage) -> list[str]:
     return out
 
 
-def _mode_counts(identify: IdentifyStage) -> str:
-    parts = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
-    if identify.hammer is not None:
-        parts.append(f"{len(identify.hammer)} modes of the {identify.source}")
-    return "; ".join(parts) or "no mode"
-
-
 def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     tables = [
         t for t in (correlate.initial, final.table if final is not None else None) if t is not None
@@ -349,13 +342,6 @@ def _factor_sentence(
         else ""
     )
     return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
-
-
-def _added_masses(found: LocaliseStage | None) -> dict[str, float]:
-    """Masses that the deck did not have and a factor of 2 adds, by the names of the parameters."""
-    if found is None:
-        return {}
-    return {p.name: p.lump for p in found.candidates.parameters.parameters if p.lump}
 
 
 def _added_mass(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -252,8 +253,19 @@ def rigid_settings(config: StudyConfig) -> PairingSettings:
 
 
 def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
-    """Pairs such as 3:7, modes from one, as positions from zero."""
-    return tuple((int(a) - 1, int(b) - 1) for a, b in (pair.split(":") for pair in pairs))
+    """Pairs such as 3:7, modes from one, as positions from zero.
+
+    Raises
+    ------
+    ConfigError
+        If one is not of this form.
+    """
+    found = [(re.fullmatch(r"([1-9]\d*):([1-9]\d*)", pair), pair) for pair in pairs]
+    if wrong := [pair for match, pair in found if match is None]:
+        raise ConfigError(
+            f"{wrong[0]!r} is no pair of a test mode and a mode of the deck, from 1, such as '3:7'"
+        )
+    return tuple((int(m[1]) - 1, int(m[2]) - 1) for m, _ in found if m)
 
 
 def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:

@@ -400,14 +400,13 @@ def _acquisitions(
         channels=(tuple(record.channels),) if record.channels else (),
         sheet=sheet,
     )
-    runs, notes = read_file(record.path, how)
-    for run in runs:
+    found = read_file(record.path, how)
+    runs = []
+    for k, run in enumerate(found.records, start=1):
         check_sheet(record.path, run.channels, sheet.model)
-    if len(runs) == 1:
-        return (replace(runs[0], source=record.name),), notes
-    return tuple(
-        replace(run, source=f"{record.name} #{k}") for k, run in enumerate(runs, start=1)
-    ), notes
+        name = record.name if len(found.records) == 1 else f"{record.name} #{k}"
+        runs.append(replace(run, source=name))
+    return tuple(runs), found.notes
 
 
 def _block(record: Logged, rate: float) -> HammerSettings:

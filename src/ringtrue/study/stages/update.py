@@ -66,7 +66,7 @@ def update_reduced(
     name: str,
     members: Sequence[str],
     progress: Progress,
-    u: UpdateSection | None = None,
+    u: UpdateSection,
     factors: Mapping[str, float] | None = None,
 ) -> FinishedSet:
     """Update on the reduced models of all configurations until the full ones agree at the end
@@ -77,8 +77,8 @@ def update_reduced(
     name : str
         Of the set.
     members : sequence of str
-    u : UpdateSection, optional
-        In place of the [update] of the study.
+    u : UpdateSection
+        [update] of the study, or what the set has in its place.
     factors : mapping of str to float, optional
         Of the members, where it starts; [update] says where if not given.
 
@@ -87,7 +87,6 @@ def update_reduced(
     NotConverged
         If a reduced model does not follow its full one.
     """
-    u = u or session.config.update
     models = list(session.models(progress))
     y: Float | None = None
     if factors is not None:
@@ -285,7 +284,7 @@ def update_by_runs(
     name: str,
     members: Sequence[str],
     progress: Progress,
-    u: UpdateSection | None = None,
+    u: UpdateSection,
 ) -> FinishedSet:
     """Update on the full decks of all configurations. A run that fails at a trial point is a
     rejected step.
@@ -295,7 +294,6 @@ def update_by_runs(
     SolverError
         If the solver is missing, or fails at the start.
     """
-    u = u or session.config.update
     models = [_full(c, members) for c in session.configurations]
     problem = problem_of(session, models, u)
 
@@ -462,27 +460,22 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     for i, (name, members) in enumerate(sets.sets.items()):
         of_set = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
         of_set(0.0, f"updating: {name}")
-        settings = named[name] if name in named and named[name].own() else None
-        if settings is None:
-            same = [r for r in results if set(r.parameters) == set(members) and not r.settings]
-            if same:  # two rules, one choice
-                results.append(replace(same[0], name=name))
-                continue
+        section = named.get(name)
+        words = section.words() if section else ""
+        same = [r for r in results if set(r.parameters) == set(members) and not r.settings]
+        if same and not words:  # two rules, one choice
+            results.append(replace(same[0], name=name))
+            continue
         done = kept.get(name)
         if done is None:
-            u = None if settings is None else settings.settings(session.config.update)
-            if session.engine is None:
-                done = update_reduced(session, name, members, of_set, u)
-            else:
-                done = update_by_runs(session, name, members, of_set, u)
-            done = kept.put(name, done)
-        words = "" if settings is None else settings.words()
+            u = section.settings(session.config.update) if section else session.config.update
+            update = update_reduced if session.engine is None else update_by_runs
+            done = kept.put(name, update(session, name, members, of_set, u))
         results.append(replace(done.result, settings=words))
         runs += done.runs
         lost[name] = done.lost
-    comparable = [
-        r.name not in named or named[r.name].comparable(session.config.update) for r in results
-    ]
+    own = session.config.update
+    comparable = [r.name not in named or named[r.name].comparable(own) for r in results]
     chosen = _lowest_criterion(results, comparable)
     if results[chosen].parameters and lost.get(results[chosen].name):
         results = _with_further_starts(session, results, chosen, progress)
@@ -555,11 +548,12 @@ def _with_further_starts(
     may end.
     """
     best = results[chosen]
-    more = further_starts(session.config.update)
+    own = session.config.update
+    more = further_starts(own)
     at = _proposed(session)
-    starts: list[tuple[str, UpdateSection | None, dict[str, float] | None]] = []
+    starts: list[tuple[str, UpdateSection, dict[str, float] | None]] = []
     if set(at) == set(best.parameters):
-        starts.append(("from the proposal", None, at))
+        starts.append(("from the proposal", own, at))
     if more is not None:
         starts.append(("further starts", more, None))
     for what, u, factors in starts:
