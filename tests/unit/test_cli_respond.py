@@ -423,7 +423,7 @@ def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> 
         (
             ("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"),
             2,
-            "--damping is for modes",
+            "damping is for modes",
         ),
         (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "the deck has no 55+X"),

@@ -312,12 +312,6 @@ def frf(
     >>> h.data.shape
     (3, 1, 1)
     """
-    if quantity not in FRF_KIND:
-        raise ConfigError(f"quantity {quantity!r}{did_you_mean(quantity, FRF_KIND)}")
-    if direct and damping is not None:
-        raise ConfigError("direct: it has the damping of the deck; a damping ratio is for modes")
-    if damping is not None and not 0 < damping < 1:
-        raise ConfigError(f"damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
     asked = FrfRequest(
         frequencies=np.asarray(frequencies, dtype=np.float64),
         forces=parse_points(forces, "force"),
@@ -351,6 +345,18 @@ class FrfRequest:
     quantity: Motion = "acceleration"
     damping: float | None = None
     direct: bool = False
+
+    def __post_init__(self) -> None:
+        if self.quantity not in FRF_KIND:
+            raise ConfigError(f"quantity {self.quantity!r}{did_you_mean(self.quantity, FRF_KIND)}")
+        if self.damping is None:
+            return
+        if self.direct:
+            raise ConfigError("direct has the damping of the deck; damping is for modes")
+        if not 0 < self.damping < 1:
+            raise ConfigError(
+                f"damping {self.damping:g}: must be a ratio between 0 and 1, such as 0.01"
+            )
 
 
 def responses_of(

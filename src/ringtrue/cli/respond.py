@@ -93,10 +93,6 @@ def frf(
     lowest = fmax / lines if fmin is None else fmin
     if not 0 <= lowest < fmax:
         raise ConfigError(f"--fmin {lowest:g} --fmax {fmax:g}: must be 0 <= fmin < fmax")
-    if direct and damping is not None:
-        raise ConfigError("--direct has the damping of the deck; --damping is for modes")
-    if damping is not None and not 0 < damping < 1:
-        raise ConfigError(f"--damping {damping:g}: must be a ratio between 0 and 1, such as 0.01")
     asked = FrfRequest(
         frequencies=np.linspace(lowest, fmax, lines),
         forces=parse_points(force, "--force"),

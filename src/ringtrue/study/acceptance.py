@@ -220,7 +220,12 @@ def improvement(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     out = []
     for name, used in (("used", True), ("left-out", False)):
         out += _improved(f"{name} modes", before.initial, final.table, used=used)
-    return (*out, *_others_improved(results))
+    others: ConfigurationsStage | None = results.get("configurations")
+    done: ConfiguredStage | None = results.get("configured")
+    if others is not None and done is not None:  # over all modes
+        for c, d in zip(others.items, done.items, strict=True):
+            out += _improved(c.name, c.initial, d.table)
+    return tuple(out)
 
 
 def in_both(*tables: CorrelationTable, used: bool | None = None) -> tuple[Bool, ...]:
@@ -244,22 +249,10 @@ def _improved(
         t.mean_deviation(which)
         for t, which in zip(tables, in_both(*tables, used=used), strict=True)
     )
-    there = np.isfinite(a)
-    return (
-        [AcceptanceCheck(f"{name}: mean |Δf| improved", f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
-        if there
-        else []
-    )
-
-
-def _others_improved(results: Mapping[str, Any]) -> list[AcceptanceCheck]:
-    """The same of each other configuration, over all its modes."""
-    before: ConfigurationsStage | None = results.get("configurations")
-    after: ConfiguredStage | None = results.get("configured")
-    if before is None or after is None:
+    if not np.isfinite(a):
         return []
-    every = zip(before.items, after.items, strict=True)
-    return [check for c, d in every for check in _improved(c.name, c.initial, d.table)]
+    name = f"{name}: mean |Δf| improved"
+    return [AcceptanceCheck(name, f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
 
 
 def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:

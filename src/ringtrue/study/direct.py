@@ -254,8 +254,11 @@ def solved(
     From further starts, too, where used modes that the model has are left without partner; the end
     of lower J.
     """
-    if isinstance(problem.configurations[0].model, FullModel):
-        return _on_full(problem, u, seed, checkpoint, show)
+    model = problem.configurations[0].model
+    if isinstance(model, FullModel):  # on modes that a solver finds anew at each point
+        course = course_of_runs(u)
+        end = Minimisation(u, seed, course, show, checkpoint).run(problem, show)
+        return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
     done = _on_basis(problem, u, seed, checkpoint, show)
     more = further_starts(u)
     if more is None or checkpoint is not None or not displaced(problem, done.solution.end):
@@ -266,16 +269,6 @@ def solved(
     except NumericalError:  # the end from the deck stands
         return done
     return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
-
-
-def _on_full(
-    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
-) -> Verified:
-    """On modes that a solver finds anew at each point."""
-    model = problem.configurations[0].model
-    assert isinstance(model, FullModel)
-    end = Minimisation(u, seed, course_of_runs(u), show, checkpoint).run(problem, show)
-    return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
 
 
 def _on_basis(

@@ -83,24 +83,17 @@ def precision(plan: PlanStage, found: IdentifyStage) -> list[dict[str, float]]:
     """
     modes = found.ambient.modes
     std = found.ambient.uncertainty
-    planned = ambient_std(
-        modes.frequencies, plan.acquisition.damping, plan.acquisition.record_length
-    )
-    columns = (
-        modes.frequencies,
-        100 * planned[0],
-        100 * std.frequency / modes.frequencies,
-        100 * planned[1],
-        100 * std.damping / modes.damping,
-    )
-    names = (
-        "frequency_hz",
-        "planned_frequency",
-        "found_frequency",
-        "planned_damping",
-        "found_damping",
-    )
-    return [dict(zip(names, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
+    timing = plan.acquisition
+    planned = ambient_std(modes.frequencies, timing.damping, timing.record_length)
+    columns = {
+        "frequency_hz": modes.frequencies,
+        "planned_frequency": 100 * planned[0],
+        "found_frequency": 100 * std.frequency / modes.frequencies,
+        "planned_damping": 100 * planned[1],
+        "found_damping": 100 * std.damping / modes.damping,
+    }
+    rows = np.stack(list(columns.values()), axis=1).tolist()
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def setups_json(plan: PlanStage) -> dict[str, Any]:

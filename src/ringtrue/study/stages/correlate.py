@@ -123,13 +123,16 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
     if config.remodel and last is not None:
         first = evidence(reference, initial, before.pairing, config)
     sheet = None if config.frequency_only else found.test
+    pairing = after.pairing  # the frequency gate keeps some from a similar mode of the deck
+    unpaired = zip(pairing.unpaired_a, pairing.reasons_a, pairing.gated_a, strict=True)
     notes = (
         *reference.gaps,
         *fewer(config.update.left_out, reference.left_out),
         *beyond(test, session.fmax),
         *_shared_places(session, found.test),
         *_mesh(session, after),
-        *_beyond_gate(after),
+        *after.pairing.far(),
+        *(f"test mode {i + 1}: {why}" for i, why, gated in unpaired if gated),
     )
     return CorrelateStage(
         reference=reference,
@@ -183,15 +186,6 @@ def _mesh(session: Session, table: CorrelationTable) -> tuple[str, ...]:
         return ()
     more = f": with `refine = {session.deck.refine + 1}` under [model] the study refines it first"
     return (errors.in_words(paired + 1) + more,) if errors.off.size else ()
-
-
-def _beyond_gate(table: CorrelationTable) -> tuple[str, ...]:
-    """Pairs beyond the frequency gate, and unpaired test modes that it keeps from a similar mode of
-    the deck.
-    """
-    p = table.pairing
-    unpaired = zip(p.unpaired_a, p.reasons_a, p.gated_a, strict=True)
-    return (*p.far(), *(f"test mode {i + 1}: {why}" for i, why, gated in unpaired if gated))
 
 
 def _shared_places(session: Session, sheet: TestModel) -> tuple[str, ...]:

@@ -474,26 +474,23 @@ def _identified(
     stage = _with_ambient(
         IdentifyStage(sheet.model, IdentifiedModes(NO_MODES, NOT_KNOWN), None), found, shown
     )
-    frfs, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
-    setups: tuple[FrfSet, ...] = ()
-    records_of_frfs: list[RecordSummary] = []
-    rejected: tuple[str, ...] = ()
+    given, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
     if forced:
-        made = frfs_of_records(
-            forced, sheet, unused, settings.hammer_fmax, part(progress, 0.5, 0.7)
-        )
-        frfs = made.frfs
-        setups = made.setups
-        records_of_frfs = list(made.records)
-        rejected = made.rejected
-    if frfs is None:
+        early = part(progress, 0.5, 0.7)
+        made = frfs_of_records(forced, sheet, unused, settings.hammer_fmax, early)
+    elif given is not None:
+        made = FrfsOfRecords(given, (), (), ())
+    else:
         return replace(stage, source="FRFs")
+    frfs = made.frfs
     band = HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
     by_hand = choice.of(HAMMER)
     result = identify_hammer(frfs, band, choice=by_hand, progress=part(progress, 0.7, 1.0))
     if by_hand is None:
-        result = with_local_fits(result, setups if len(setups) > 1 else (frfs,), band)
-    if records_of_frfs:
+        setups = made.setups if len(made.setups) > 1 else (frfs,)
+        result = with_local_fits(result, setups, band)
+    records_of_frfs = list(made.records)
+    if forced:
         first = records_of_frfs[0]
         notes_of_both = (*first.notes, *result.notes)
         records_of_frfs[0] = replace(first, notes=notes_of_both, channel_notes=result.channel_notes)
@@ -506,7 +503,7 @@ def _identified(
         frf_notes=(*notes, *result.notes) if test.frfs else (),
         channel_notes=result.channel_notes if test.frfs else (),
         synthesis_error=result.synthesis_error,
-        rejected_hits=rejected,
+        rejected_hits=made.rejected,
     )
 
 
