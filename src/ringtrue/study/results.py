@@ -310,12 +310,12 @@ class RecordSummary:
     duration : float, s
     notes : tuple of str
         Harmonics, band of the sensor correction.
-    channel_notes : tuple of Note
-        On channels.
     setup : str
         Of a roving test.
     preview : RecordPreview, optional
         None where the record is listed alone.
+    channel_notes : tuple of Note
+        On channels.
     """
 
     name: str
@@ -326,9 +326,9 @@ class RecordSummary:
     rate: float
     duration: float
     notes: tuple[str, ...]
-    channel_notes: tuple[Note, ...] = ()
     setup: str = ""
     preview: RecordPreview | None = None
+    channel_notes: tuple[Note, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
