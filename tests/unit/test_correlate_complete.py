@@ -222,7 +222,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([*files, "--forbid", "1:1", "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["pairs"][0]["test_mode"] == 2
     assert run([*files, "--lock", "0:1"]) == 2
-    assert "such as 3:4" in capsys.readouterr().err
+    assert "such as '3:7'" in capsys.readouterr().err
 
 
 def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
