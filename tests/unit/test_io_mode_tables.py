@@ -109,7 +109,7 @@ def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
             "frequency,damping\n3.0,1.5\n4.0,0.8\n",
             "`damping`: 1.5 of critical? What is in percent has [%]",
         ),
-        ("frequency,3,4\n1+Z,1,2\n1+Z,3,4\n", "`1+Z` stands there twice"),
+        ("frequency,3,4\n1+Z,1,2\n1+Z,3,4\n", "`1+Z` occurs twice"),
         (
             "mode,f FEM [Hz],f test [Hz]\n1,3,4\n",
             "`f FEM [Hz]` and `f test [Hz]` are both frequency",

@@ -56,11 +56,15 @@ def test_a_record_without_a_force_goes_to_oma(tmp_path: Path, capsys: Capture) -
 @pytest.mark.parametrize(
     ("command", "name", "told"),
     [
-        ("oma", "beam.uff", f"no time records; it holds 3 FRFs; {EMA}"),
+        (
+            "oma",
+            "beam.uff",
+            "no time records; it holds 3 FRFs; `ringtrue oma` takes records, `ringtrue ema`",
+        ),
         (
             "oma",
             "uff55_translation.uff",
-            "it holds mode shapes or other data at nodes (55); `ringtrue correlate` takes",
+            "it holds mode shapes or other data at nodes (55); `ringtrue oma` takes records",
         ),
         (
             "ema",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
-from ringtrue.errors import ConfigError, did_you_mean
+from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.io.files import atomic_write, existing
 from ringtrue.io.foreign.parsers import read_json, read_toml
 
@@ -42,8 +42,9 @@ def read_choice(path: str | Path) -> Choice:
 
 
 def _choice(table: Mapping[str, Any], source: str) -> Choice:
+    allowed = ("automatic", *_KINDS)
     for key in table:
-        if key not in (allowed := ("automatic", *_KINDS)):
+        if key not in allowed:
             raise ConfigError(f"{source}: unknown key {key!r}{did_you_mean(key, allowed)}")
     automatic = table.get("automatic", True)
     if not isinstance(automatic, bool):
@@ -53,46 +54,34 @@ def _choice(table: Mapping[str, Any], source: str) -> Choice:
         rows = table.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
             raise ConfigError(f"{source}: {name} must be a list of tables")
-        parts[name] = tuple(
-            _entry(name, row, f"{source}: {name} {i + 1}") for i, row in enumerate(rows)
-        )
+        entries = (_entry(name, row, f"{source}: {name} {i}") for i, row in enumerate(rows, 1))
+        parts[name] = tuple(entries)
     return Choice(parts["pick"], parts["reject"], parts["merge"], automatic, source)
+
+
+# of the values of an entry; others are texts
+_WANTED = {
+    "frequency": ((int, float), "a number, Hz"),
+    "frequencies": ((int, float), "a list of numbers, Hz"),
+    "order": ((int,), "a whole number"),
+}
 
 
 def _entry(name: str, row: Mapping[str, Any], where: str) -> Any:
     kind = _KINDS[name]
     known = {f.name: f for f in fields(kind)}
-    for key in row:
+    for key, value in row.items():
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}")
+        types, wanted = _WANTED.get(key, ((str,), "a text"))
+        several = isinstance(value, list)
+        numbers = value if several else [value]
+        if several != (key == "frequencies") or not {type(x) for x in numbers} <= set(types):
+            raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
     if lost := [k for k, f in known.items() if f.default is MISSING and k not in row]:
         raise ConfigError(f"{where}: {' and '.join(lost)} missing")
-    try:
-        for key, value in row.items():
-            wanted, accepts = _WANTED.get(key, ("a text", _is_text))
-            if not accepts(value):
-                raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
+    with about(where):
         return kind(**row)
-    except ConfigError as exc:
-        raise exc if where in str(exc) else ConfigError(f"{where}: {exc}") from exc
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-_WANTED: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "frequency": ("a number, Hz", _number),
-    "frequencies": (
-        "a list of numbers, Hz",
-        lambda v: isinstance(v, list) and all(map(_number, v)),
-    ),
-    "order": ("a whole number", lambda v: _number(v) and isinstance(v, int)),
-}
 
 
 def write_choice(path: str | Path, choice: Choice) -> None:
@@ -110,14 +99,13 @@ def write_choice(path: str | Path, choice: Choice) -> None:
         "reject": [_row(r) for r in choice.rejects],
         "merge": [_row(m) for m in choice.merges],
     }
-    if path.suffix.lower() == ".json":
+    ending = path.suffix.lower()
+    if ending == ".json":
         text = json.dumps(table, indent=1, ensure_ascii=False) + "\n"
-    elif path.suffix.lower() == ".toml":
-        text = _HEAD + f"automatic = {str(choice.automatic).lower()}\n" + "".join(_tables(table))
+    elif ending == ".toml":
+        text = _HEAD + f"automatic = {str(choice.automatic).lower()}\n" + _tables(table)
     else:
-        raise ConfigError(
-            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.toml', '.json'])}"
-        )
+        raise ConfigError(f"{path}: format {ending!r}{did_you_mean(ending, ['.toml', '.json'])}")
     with atomic_write(path) as part:
         part.write_text(text, encoding="utf-8")
 
@@ -127,11 +115,11 @@ def _row(entry: Pick | Reject | Merge) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(entry).items() if v}
 
 
-def _tables(table: Mapping[str, Any]) -> list[str]:
-    out = []
+def _tables(table: Mapping[str, Any]) -> str:
+    out = ""
     for name in _KINDS:
         for row in table[name]:
             # JSON texts, numbers and lists of numbers are TOML too
             body = "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in row.items())
-            out.append(f"\n[[{name}]]\n{body}")
+            out += f"\n[[{name}]]\n{body}"
     return out

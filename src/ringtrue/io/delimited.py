@@ -6,7 +6,7 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -90,14 +90,10 @@ def _without_footer(lines: list[str]) -> list[str]:
     """
     while len(lines) > 1 and not lines[-1].strip(" ;,\t"):
         lines = lines[:-1]
-    for k in range(min(20, len(lines) - 1)):  # lines
-        words = lines[len(lines) - 1 - k]
-        if (
-            any(c.isdigit() for c in words)
-            or not any(c.isalpha() for c in words)
-            or "nan" in words.lower()
-        ):
-            return lines[: len(lines) - k]
+    for k in range(len(lines) - 1, max(len(lines) - 21, 0), -1):
+        words = lines[k].lower()
+        if "nan" in words or any(c.isdigit() for c in words) or not any(map(str.isalpha, words)):
+            return lines[: k + 1]
     return lines
 
 
@@ -121,14 +117,11 @@ def _dialect(line: str) -> tuple[str, bool]:
     for delimiter in (";", "\t"):
         if delimiter in bare:
             return delimiter, "," in line
+    quoted = any(_COMMA.match(x) for x in re.findall(r'"([^"]*)"', line))
     if "," in bare:
         words = bare.split()
         spaced = len(words) > 1 and all(_COMMA.match(w) or w.lstrip("+-").isdigit() for w in words)
-        return (
-            (" ", True)
-            if spaced
-            else (",", any(_COMMA.match(x) for x in re.findall(r'"([^"]*)"', line)))
-        )
+        return (" ", True) if spaced else (",", quoted)
     return (",", True) if '"' in line and "," in line else (" ", False)
 
 
@@ -150,43 +143,29 @@ def header_rows(lines: Sequence[str], delimiter: str, comma: bool, width: int) -
         cells = split_cells(line, delimiter)
         if led and _is_word(cells[0], comma):
             continue
-        if len(cells) == width and any(
-            _is_number(x, comma) or is_clock(x) for x in cells if x.strip()
-        ):
+        given = [x for x in cells if x.strip()]
+        numbers = [_number(x, comma) is not None for x in given]
+        if len(cells) == width:
+            samples = any(numbers) or any(map(is_clock, given))
+        else:  # a line of samples that lacks some
+            samples = at > 0 and len(cells) > 1 and all(numbers)
+        if samples:
             return at
-        if (
-            at
-            and len(cells) > 1
-            and len(cells) != width
-            and all(_is_number(x, comma) for x in cells if x.strip())
-        ):
-            return at  # a line of samples that lacks some
     return min(1, len(lines))
 
 
 def _is_word(cell: str, comma: bool) -> bool:
-    return bool(cell.strip()) and not (
-        _is_number(cell, comma) or is_clock(cell) or is_no_value(cell)
-    )
+    given = bool(cell.strip()) and not (is_clock(cell) or is_no_value(cell))
+    return given and _number(cell, comma) is None
 
 
-def _is_number(cell: str, comma: bool) -> bool:
+def _number(cell: str, comma: bool) -> float | None:
+    """The number in a cell; None where it is none."""
+    text = cell.replace(",", ".") if comma else cell
     try:
-        float(_plain(cell, comma))
+        return float(text.strip(' "').replace("D", "E").replace("d", "e"))
     except ValueError:
-        return False
-    return True
-
-
-def _is_finite(cell: str, comma: bool) -> bool:
-    return _is_number(cell, comma) and math.isfinite(float(_plain(cell, comma)))
-
-
-def _plain(cell: str, comma: bool) -> str:
-    """A number as Python reads it."""
-    return (
-        (cell.replace(",", ".") if comma else cell).strip(' "').replace("D", "E").replace("d", "e")
-    )
+        return None
 
 
 def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list[str]:
@@ -198,19 +177,20 @@ def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list
     rows = header_cells(head)
     if len(head) == 1 and len(rows[0]) != width:
         raise DataError(f"{path}: {len(rows[0])} names in the header, {width} columns")
-    fit = [r for r in rows if len(r) == width and width > 1] or [
-        r for r in rows[-1:] if len(r) == width
-    ]
-    units = [_unbracketed(u) for u in fit[-1]] if len(fit) > 1 else []
+    fit = [r for r in (rows if width > 1 else rows[-1:]) if len(r) == width]
+    if len(fit) < 2:
+        return fit[-1] if fit else []
+    units = [_unbracketed(u) for u in fit[-1]]
     # a unit of frequency stands first, whatever follows: analysers and their users write many
     # units
-    if not units or not (units[0].lower() in _OF_FREQUENCY or all(_is_unit(u) for u in units[1:])):
-        return fit[-1] if fit else []
-    bracketed = [(m := BRACKETED_UNIT.match(n)) is not None and _is_unit(m[2]) for n in fit[-2]]
-    units = [u.strip("-") for u in units]
-    return [
-        n if t or not u else f"{n} [{u}]" for n, u, t in zip(fit[-2], units, bracketed, strict=True)
-    ]
+    if units[0].lower() not in _OF_FREQUENCY and not all(map(_is_unit, units[1:])):
+        return fit[-1]
+    titles = []
+    for name, unit in zip(fit[-2], units, strict=True):
+        own = BRACKETED_UNIT.match(name)
+        bare = unit.strip("-")
+        titles.append(f"{name} [{bare}]" if bare and not (own and _is_unit(own[2])) else name)
+    return titles
 
 
 def _unbracketed(cell: str) -> str:
@@ -227,9 +207,8 @@ def _unbracketed(cell: str) -> str:
 
 def commented_titles(comments: Sequence[str], delimiter: str, width: int) -> list[str]:
     """Names of the columns in the last comment, as NumPy and MATLAB write them; else none."""
-    cells = (
-        [x.strip() for x in split_cells(comments[-1].lstrip("#%/ "), delimiter)] if comments else []
-    )
+    last = comments[-1].lstrip("#%/ ") if comments else ""
+    cells = [x.strip() for x in split_cells(last, delimiter)]
     return cells if len(cells) == width > 1 else []
 
 
@@ -246,39 +225,37 @@ def numbers(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Fl
     """
     if not any(x.partition("#")[0].strip() for x in lines):
         raise DataError(f"{path}: empty, there are no samples")
-    text = (x.replace(",", ".") for x in lines) if comma else iter(lines)
     if comma and delimiter == ",":  # in quotes
         return np.ascontiguousarray(_by_cell(lines, delimiter, comma, path).T)
     try:
-        a = _loaded(text, delimiter)
+        a = _loaded(lines, delimiter, comma)
     except ValueError:
         lines = without_words(lines, delimiter)
         try:
-            a = _loaded((x.replace(",", ".") for x in lines) if comma else iter(lines), delimiter)
+            a = _loaded(lines, delimiter, comma)
         except ValueError:
             a = _by_cell(lines, delimiter, comma, path)
     return np.ascontiguousarray(a.T)
 
 
-def _loaded(lines: Iterable[str], delimiter: str) -> Float:
-    return np.loadtxt(
-        lines, delimiter=None if delimiter == " " else delimiter, ndmin=2, dtype=np.float64
-    )
+def _loaded(lines: Sequence[str], delimiter: str, comma: bool) -> Float:
+    text = (x.replace(",", ".") for x in lines) if comma else iter(lines)
+    at = None if delimiter == " " else delimiter
+    return np.loadtxt(text, delimiter=at, ndmin=2, dtype=np.float64)
 
 
 def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> Float:
     """Numbers (row, column) of lines with quotes, D exponents or empty cells; columns of words are
     not numbers.
     """
-    first = split_cells(lines[0], delimiter)
-    last = split_cells(lines[-1], delimiter)
+    first, last = (split_cells(lines[k], delimiter) for k in (0, -1))
     width = len(first)
-    words = {
-        c
-        for c, x in enumerate(zip(first, last, strict=False))
-        if all(y.strip() and not _is_finite(y, comma) for y in x)
-        and not all(_is_number(y, comma) for y in x)
-    }
+    words = set()
+    for c, ends in enumerate(zip(first, last, strict=False)):
+        found = [_number(cell, comma) for cell in ends]
+        finite = any(x is not None and math.isfinite(x) for x in found)
+        if all(map(str.strip, ends)) and None in found and not finite:
+            words.add(c)
     out = np.full((len(lines), width), np.nan)
     for r, line in enumerate(lines):  # such files are rare, and read cell by cell
         cells = split_cells(line, delimiter)
@@ -289,12 +266,12 @@ def _by_cell(lines: Sequence[str], delimiter: str, comma: bool, path: Path) -> F
             )
         for c, cell in enumerate(cells):
             if cell.strip() and c not in words:
-                try:
-                    out[r, c] = float(_plain(cell, comma))
-                except ValueError:
+                value = _number(cell, comma)
+                if value is None:
                     raise DataError(
                         f"{path}: {cell.strip()[:40]!r} at row {r}, column {c} is no number"
-                    ) from None
+                    )
+                out[r, c] = value
     return out
 
 
@@ -328,19 +305,20 @@ def parted(
         if len(row) != len(double):
             out.append(line)
             continue
-        pairs = [_pair(c, mark, one) if d else [c] for c, d in zip(row, double, strict=True)]
-        single = [c for pair in pairs for c in pair]
+        single: list[str] = []
+        for cell, is_double in zip(row, double, strict=True):
+            bare = cell.strip()
+            if not is_double:
+                single.append(cell)
+            elif mark in cell:
+                single += cell.split(mark)
+            elif one.match(cell):
+                single += [cell.strip(" ()"), "0"]
+            else:
+                single += [f"real_{bare}", f"imag_{bare}"] if bare else ["", ""]
         quoted = [f'"{c}"' if delimiter in c or '"' in c else c for c in single]
         out.append(delimiter.join(quoted))
     return out
-
-
-def _pair(cell: str, mark: str, number: re.Pattern[str]) -> list[str]:
-    if mark in cell:
-        return cell.split(mark)
-    if number.match(cell):
-        return [cell.strip(" ()"), "0"]
-    return [f"{part}_{cell.strip()}" if cell.strip() else "" for part in ("real", "imag")]
 
 
 log = logging.getLogger(__name__)

@@ -14,16 +14,17 @@ import re
 import socket
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_
-from ringtrue.errors import DataError, InputError
+from ringtrue.errors import DataError, InputError, did_you_mean
 
 Identity = tuple[int, int]  # device and inode
 _HOST = re.sub(r"\W", "", socket.gethostname())[:32] or "host"
@@ -48,12 +49,8 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 @contextmanager
 def one_run() -> Iterator[None]:
     """Within it no file that is read is replaced; a run within a run knows the files of both."""
-    outer = _RUN.get()
-    mine = (
-        _Run(dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept))
-        if outer
-        else _Run()
-    )
+    outer = _RUN.get() or _Run()
+    mine = _Run(dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept))
     token = _RUN.set(mine)
     try:
         yield
@@ -169,26 +166,25 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 def _sweep(folder: Path) -> None:
     """Remove the temporary files of processes of this machine that are gone."""
-    names: list[str] = []
-    with suppress(OSError), os.scandir(folder) as entries:
-        names = [e.name for e in entries if e.name.endswith(".part")]
-    for name in names:
-        found = _PART.fullmatch(name)
-        if found and not _alive(int(found.group(1))):
+    entries: list[Path] = []
+    with suppress(OSError):
+        entries = list(folder.glob(".*.part"))
+    for part in entries:
+        found = _PART.fullmatch(part.name)
+        if found and not _alive(int(found[1])):
             with suppress(OSError):
-                (folder / name).unlink()
+                part.unlink()
 
 
 def _alive(process: int) -> bool:
     """Whether a process runs; where it cannot be asked, it may."""
-    if os.name != "posix":  # there a signal of 0 would end it
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
+    if os.name == "posix":  # elsewhere a signal of 0 would end it
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            pass
     return True
 
 
@@ -257,54 +253,58 @@ _SETS = {
     2420: "coordinate systems",
     2431: "trace lines",
 }
-_GEOMETRY = (15, 18, 82, 2411, 2412, 2420, 2431)
-_TAKES = {
-    "time records": "`ringtrue oma` takes records without forces, `ringtrue ema` those with a "
-    "force",
-    "FRFs": "`ringtrue ema` takes FRFs",
-    "transmissibilities": "`ringtrue ema` takes FRFs",
-    "functions": "`ringtrue oma` and `ringtrue ema` take records and FRFs",
-    "mode shapes or other data at nodes": "`ringtrue correlate` takes modes",
-}
+_TAKES = (
+    "`ringtrue oma` takes records, `ringtrue ema` FRFs and records with a force, `ringtrue "
+    "correlate` modes, and a sensor sheet the points of a test"
+)
 _BY_ENDING = {  # of files that no record or FRF has
-    **dict.fromkeys((".bdf", ".dat", ".nas"), ("a deck", "`ringtrue check` takes decks")),
-    **dict.fromkeys(
-        (".op2", ".f06", ".pch"), ("results of a solver", "`ringtrue convert` takes them")
-    ),
-    ".json": ("modes or a log", "`ringtrue correlate` takes modes"),
-    ".toml": ("a study or a choice", "`ringtrue run` takes studies"),
-    ".npz": ("FRFs", _TAKES["FRFs"]),
+    **dict.fromkeys((".bdf", ".dat", ".nas"), "a deck; `ringtrue check` takes decks"),
+    **dict.fromkeys((".op2", ".f06", ".pch"), "results of a solver; `ringtrue convert` takes them"),
+    ".json": "modes or a log; `ringtrue correlate` takes modes",
+    ".toml": "a study or a choice; `ringtrue run` takes studies",
+    ".npz": "FRFs; `ringtrue ema` takes FRFs",
 }
 
 
 def functions_held(kinds: Iterable[int]) -> str:
     """How many functions of which types a universal file holds, and which command takes them."""
     count = Counter(FUNCTIONS.get(k, f"functions of type {k}") for k in kinds)
-    return _sentence([f"{n} {what}" for what, n in count.items()], count)
+    return f"it holds {', '.join(f'{n} {what}' for what, n in count.items())}; {_TAKES}"
 
 
 def sets_held(kinds: Iterable[int]) -> str:
     """What the data sets of a universal file hold, and which command takes it."""
-    found = sorted(set(kinds))
-    named = [f"{_SETS[k]} ({k})" if k in _SETS else f"data sets {k}" for k in found]
-    geometry = (
-        "; the points of a test go into a sensor sheet" if set(found) & set(_GEOMETRY) else ""
-    )
-    return _sentence(named, [_SETS.get(k, "") for k in found]) + geometry
+    named = [f"{_SETS.get(k, 'data sets')} ({k})" for k in sorted(set(kinds))]
+    return f"it holds {', '.join(named)}; {_TAKES}"
 
 
 def ending_means(path: Path) -> str:
     """What a file with this ending holds, and which command takes it; empty where nothing can be
     said.
     """
-    if (known := _BY_ENDING.get(path.suffix.lower())) is None:
-        return ""
-    return f": {known[0]}; {known[1]}"
+    known = _BY_ENDING.get(path.suffix.lower())
+    return f": {known}" if known else ""
 
 
-def _sentence(named: Iterable[str], what: Iterable[str]) -> str:
-    takes = dict.fromkeys(_TAKES[w] for w in what if w in _TAKES)
-    return "; ".join([f"it holds {', '.join(named)}", *takes])
+def refuse_twice(names: Sequence[str], what: str, path: str | Path) -> None:
+    """Refuse names of which one occurs twice.
+
+    Raises
+    ------
+    DataError
+    """
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f"{path}: {what} {' '.join(twice[:8])} occurs twice")
+
+
+def refuse_ending(path: Path, allowed: Iterable[str]) -> NoReturn:
+    """Say that a file has an ending that is none of those allowed.
+
+    Raises
+    ------
+    DataError
+    """
+    raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, allowed)}")
 
 
 LARGEST = 1e50  # of any unit: MAC has products of four, updating of six, which stay below 1.8e308

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -27,7 +27,7 @@ from ringtrue.core.channels import (
     base_motion,
     channel,
 )
-from ringtrue.core.signals import FrfSet
+from ringtrue.core.signals import FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.files import atomic_write
@@ -75,6 +75,51 @@ def known_lines(
             bare[0],
         )
     return ~none
+
+
+def frf_set(
+    h: Complex,
+    freqs: Float,
+    names: tuple[Sequence[str], Sequence[str]],
+    kind: Quantity,
+    path: str | Path,
+    coherence: Float | None = None,
+    based: Collection[str] = (),
+) -> FrfSet:
+    """FRFs of a file at the lines that have values.
+
+    Parameters
+    ----------
+    h : (f, out, in) complex128, SI
+    freqs : (f,) float64, Hz
+    names : (outputs, inputs)
+    kind : str
+        Quantity of the responses; the FRFs of a strain are receptances, those of none known
+        accelerances.
+    path : path
+    coherence : (f, out, in) float64, optional
+    based : collection of str
+        The inputs that are motions of a base.
+
+    Raises
+    ------
+    DataError
+        As `known_lines` does.
+    """
+    outputs, inputs = names
+    at = known_lines(h, freqs, outputs, inputs, path)
+    if coherence is None:
+        coherence = np.full(h.shape, np.nan)
+    return FrfSet(
+        data=np.ascontiguousarray(h[at]),
+        freqs=freqs[at],
+        outputs=tuple(channel(n, kind) for n in outputs),
+        inputs=tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
+        coherence=np.ascontiguousarray(coherence[at]),
+        averages=np.full(len(inputs), np.nan),
+        kind="receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
+        source=str(path),
+    )
 
 
 def say_accelerances(path: str | Path) -> None:
@@ -161,40 +206,25 @@ def read_frf_table(path: Path) -> FrfSet:
     freqs, order = np.unique(data[0] * hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
-    outputs, inputs = (list(dict.fromkeys(k[i] for k in parts)) for i in (0, 1))
+    if not any(_ratio_of(u) for u in units.values()):
+        say_accelerances(path)
+    outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*parts, strict=True))
     shape = (freqs.size, len(outputs), len(inputs))
     h = np.full(shape, np.nan, dtype=np.complex128)
     coherence = np.full(shape, np.nan)
-    kinds = {k: _kind(units.get(k, ""), path) for k in parts}
-    if not any(_ratio_of(u) for u in units.values()):
-        say_accelerances(path)
-    based = {key[1] for key, k in kinds.items() if k[2]}
-    for key, columns in parts.items():
-        o = outputs.index(key[0])
-        i = inputs.index(key[1])
-        title = {p: names[at] for p, at in columns.items()}
-        h[:, o, i] = (
-            _complex({p: data[at, order] for p, at in columns.items()}, title, key, path)
-            * kinds[key][1]
-        )
+    kinds = {pair: _kind(units.get(pair, ""), path) for pair in parts}
+    motions = [motion for motion, _, _ in kinds.values()]
+    kind = max(dict.fromkeys(motions), key=motions.count)
+    for pair, columns in parts.items():
+        at = outputs.index(pair[0]), inputs.index(pair[1])
+        motion, factor, _ = kinds[pair]
+        title = {part: names[k] for part, k in columns.items()}
+        values = _complex({p: data[k, order] for p, k in columns.items()}, title, pair, path)
+        h[:, *at] = as_motion(values * factor, freqs, motion, kind)
         if "coherence" in columns:
-            coherence[:, o, i] = data[columns["coherence"], order]
-    motions = {key: k[0] for key, k in kinds.items()}
-    kind = max(dict.fromkeys(motions.values()), key=list(motions.values()).count)
-    for (out, ref), motion in motions.items():
-        at = outputs.index(out), inputs.index(ref)
-        h[:, *at] = as_motion(h[:, *at], freqs, motion, kind)
-    known_at = known_lines(h, freqs, outputs, inputs, path)
-    return FrfSet(
-        data=h[known_at],
-        freqs=freqs[known_at],
-        outputs=tuple(channel(n, kind) for n in outputs),
-        inputs=tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
-        coherence=coherence[known_at],
-        averages=np.full(len(inputs), np.nan),
-        kind=FRF_KIND[kind],
-        source=str(path),
-    )
+            coherence[:, *at] = data[columns["coherence"], order]
+    based = {ref for (_, ref), (_, _, on_base) in kinds.items() if on_base}
+    return frf_set(h, freqs, (outputs, inputs), kind, path, coherence, based)
 
 
 def _columns(
@@ -271,9 +301,9 @@ def _unit_of(title: str) -> tuple[str, str]:
     for found in _GROUP.finditer(title):
         inside = found[0][1:-1].strip()
         closing = not title[found.end() :].strip() and not title[: found.start()][-1:].isalpha()
-        if _says_unit(inside) or (
-            closing and not _points(inside) and not any(p.fullmatch(inside) for p in _PART.values())
-        ):
+        points = re.search(r"\d[+-]R?[XYZ]", inside)  # such as `1+Z,3+Z`
+        part = any(p.fullmatch(inside) for p in _PART.values())
+        if _says_unit(inside) or (closing and not points and not part):
             rest = rest.replace(found[0], " ", 1)
             units = [*units, inside]
     for pattern in (_LEVEL, _DEGREES, _RADIANS):
@@ -295,11 +325,6 @@ def _says_unit(text: str) -> bool:
     return _ratio(bare) is not None if bare else bare != text
 
 
-def _points(text: str) -> bool:
-    """Whether brackets hold points such as `1+Z,3+Z` and no unit."""
-    return re.search(r"\d[+-]R?[XYZ]", text) is not None
-
-
 def _complex(
     columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path
 ) -> Complex:
@@ -307,15 +332,13 @@ def _complex(
         return np.asarray(columns["re"] + 1j * columns["im"])
     if {"size", "phase"} <= set(columns):
         size = columns["size"]
+        if _LEVEL.search(title["size"]):
+            size = 10 ** (size / 20)
         phase = columns["phase"]
-        size = 10 ** (size / 20) if _LEVEL.search(title["size"]) else size
-        radians, degrees = (p.search(title["phase"]) is not None for p in (_RADIANS, _DEGREES))
-        turn = (
-            phase
-            if radians or (not degrees and np.abs(phase).max() <= _TURN)
-            else np.radians(phase)
-        )
-        return np.asarray(size * np.exp(1j * turn))
+        degrees = _DEGREES.search(title["phase"]) or np.abs(phase).max() > _TURN
+        if degrees and not _RADIANS.search(title["phase"]):
+            phase = np.radians(phase)
+        return np.asarray(size * np.exp(1j * phase))
     raise DataError(
         f"{path}: {'/'.join(key)} has {' and '.join(columns)}; needed: real and imag, or "
         "magnitude and phase"

@@ -11,15 +11,23 @@ from typing import Any, get_args
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.channels import FRF_KIND, OF_KIND, Motion, channel
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.channels import OF_KIND, Motion
 from ringtrue.core.signals import Channel, FrfKind, FrfSet
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import hdf5
-from ringtrue.io.files import atomic_write, ending_means, existing, refuse_large
+from ringtrue.io.files import (
+    atomic_write,
+    ending_means,
+    existing,
+    refuse_ending,
+    refuse_large,
+    refuse_twice,
+)
 from ringtrue.io.foreign.arrays import read_npz
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frf_tables import (
+    frf_set,
     is_frf_table,
     known_lines,
     read_frf_table,
@@ -59,10 +67,13 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     """
     path = existing(path)
     ext = path.suffix.lower()
-    if ext in _HDF5:
-        frfs = _read_h5(path) if _own(path) else read_frf_arrays(path)
-    elif ext == ".mat":
+    if ext == ".mat" or (ext in _HDF5 and not _own(path)):
         frfs = read_frf_arrays(path)
+    elif ext in _HDF5:
+        with open_hdf5(path, "HDF5 file of FRFs") as file:
+            frfs = hdf5.load(file.get(GROUP, file))
+        if not isinstance(frfs, FrfSet):
+            raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
     elif ext == ".npz":
         frfs = _read_npz(path)
     elif ext in _UFF:
@@ -74,9 +85,8 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         raise DataError(f"{path}: no FRFs{ending_means(path) or f': format {ext!r}{known}'}")
     _check(frfs, path)
     frfs = _forward(frfs, path)
-    there = {c.id for c in (*frfs.outputs, *frfs.inputs)}
-    lost = [c for c in leave_out if c in there]
-    return frfs.without(lost) if lost else frfs
+    there = {c.id for c in (*frfs.outputs, *frfs.inputs)} & set(leave_out)
+    return frfs.without([c for c in leave_out if c in there]) if there else frfs
 
 
 def frf_ids(path: str | Path) -> tuple[str, ...]:
@@ -124,18 +134,16 @@ def write_frfs(path: str | Path, frfs: FrfSet) -> None:
     origin).
     """
     path = Path(path)
-    if path.suffix.lower() == ".csv":
+    ext = path.suffix.lower()
+    if ext == ".csv":
         write_frf_table(path, frfs)
-        return
-    if path.suffix.lower() in _UFF:
+    elif ext in _UFF:
         write_frf_sets(path, frfs)
-        return
-    if path.suffix.lower() not in _HDF5:
-        raise DataError(
-            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, [*_HDF5, *_UFF, '.csv'])}"
-        )
-    with atomic_write(path) as part, h5py.File(part, "w") as file:
-        hdf5.save(file.create_group(GROUP), frfs)
+    elif ext in _HDF5:
+        with atomic_write(path) as part, h5py.File(part, "w") as file:
+            hdf5.save(file.create_group(GROUP), frfs)
+    else:
+        refuse_ending(path, [*_HDF5, *_UFF, ".csv"])
 
 
 def _check(frfs: FrfSet, path: Path) -> None:
@@ -145,10 +153,8 @@ def _check(frfs: FrfSet, path: Path) -> None:
         raise DataError(
             f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some"
         )
-    for name, channels in (("response", frfs.outputs), ("reference", frfs.inputs)):
-        ids = [c.id for c in channels]
-        if twice := sorted({x for x in ids if ids.count(x) > 1}):
-            raise DataError(f"{path}: {name} {' '.join(twice[:8])} occurs twice")
+    refuse_twice([c.id for c in frfs.outputs], "response", path)
+    refuse_twice([c.id for c in frfs.inputs], "reference", path)
     if frfs.kind not in (kinds := get_args(FrfKind)):
         raise DataError(f"{path}: kind {frfs.kind!r}{did_you_mean(frfs.kind, kinds)}")
     if frfs.freqs[0] < 0:
@@ -156,14 +162,13 @@ def _check(frfs: FrfSet, path: Path) -> None:
     with about(path):
         refuse_large(frfs.freqs, "frequency")
         refuse_large(frfs.data, "FRF")
-    lines, outs, ins = np.nonzero((frfs.coherence < -_ROUNDED) | (frfs.coherence > 1 + _ROUNDED))
-    if lines.size:
-        at = int(lines[0]), int(outs[0]), int(ins[0])
-        where = f"{frfs.outputs[at[1]].id}/{frfs.inputs[at[2]].id} at {frfs.freqs[at[0]]:g} Hz"
+    beyond = np.argwhere((frfs.coherence < -_ROUNDED) | (frfs.coherence > 1 + _ROUNDED))
+    if beyond.size:
+        f, o, i = beyond[0].tolist()
+        where = f"{frfs.outputs[o].id}/{frfs.inputs[i].id} at {frfs.freqs[f]:g} Hz"
         raise DataError(
-            f"{path}: coherence {frfs.coherence[at]:g} of {where}, and {lines.size - 1} more "
-            "beyond 0 to 1: not a "
-            "coherence, or in per cent; mend it or leave it out of the file"
+            f"{path}: coherence {frfs.coherence[f, o, i]:g} of {where}, and {len(beyond) - 1} more "
+            "beyond 0 to 1: not a coherence, or in per cent; mend it or leave it out of the file"
         )
     step = np.diff(frfs.freqs)
     if not np.isfinite(step).all() or step.min() <= 0:
@@ -190,21 +195,11 @@ def _forward(frfs: FrfSet, path: Path) -> FrfSet:
     return replace(frfs, data=h.conj())
 
 
-def _read_h5(path: Path) -> FrfSet:
-    with open_hdf5(path, "HDF5 file of FRFs") as file:
-        frfs = hdf5.load(file.get(GROUP, file))
-    if not isinstance(frfs, FrfSet):
-        raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
-    return frfs
-
-
 def _read_npz(path: Path) -> FrfSet:
     data = read_npz(path)
-    names = ("freq", "H1")
-    if lost := [n for n in names if n not in data]:
-        raise DataError(
-            f"{path}: {' and '.join(lost)} missing; there are {', '.join(data) or 'no arrays'}"
-        )
+    if lost := [n for n in ("freq", "H1") if n not in data]:
+        there = ", ".join(data) or "no arrays"
+        raise DataError(f"{path}: {' and '.join(lost)} missing; there are {there}")
     freq = data["freq"]
     h = data["H1"]
     if h.ndim != 3 or freq.ndim != 1 or h.shape[2] != freq.size:
@@ -213,33 +208,26 @@ def _read_npz(path: Path) -> FrfSet:
             "of freq"
         )
     coherence = data.get("coherence", np.full(h.shape, np.nan))
-    outputs = _channels(data.get("outputs"), h.shape[1], "out", path)
-    inputs = _channels(data.get("inputs"), h.shape[0], "in", path)
-    averages = np.atleast_1d(data.get("averages", np.full(h.shape[0], np.nan)))
+    ids = []
+    for name, count in (("outputs", h.shape[1]), ("inputs", h.shape[0])):
+        default = [f"{name.removesuffix('puts')}{i + 1}" for i in range(count)]
+        given = [str(x) for x in data.get(name, default)]
+        if len(given) != count:
+            raise DataError(f"{path}: {len(given)} ids of {name} for {count}")
+        ids.append(given)
     h = h.transpose(2, 1, 0)
-    keep = known_lines(h, freq, [c.id for c in outputs], [c.id for c in inputs], path)
+    keep = known_lines(h, freq, ids[0], ids[1], path)
     return FrfSet(
         data=np.ascontiguousarray(h[keep]),
         freqs=freq[keep],
-        outputs=outputs,
-        inputs=inputs,
+        outputs=tuple(Channel(x, "acceleration", "m/s^2") for x in ids[0]),
+        inputs=tuple(Channel(x, "force", "N") for x in ids[1]),
         coherence=np.ascontiguousarray(coherence.transpose(2, 1, 0)[keep]),
-        averages=averages,
+        averages=np.atleast_1d(data.get("averages", np.full(h.shape[2], np.nan))),
         kind=str(data.get("kind", "accelerance")),  # type: ignore[arg-type]
         window_decay=float(data.get("window_decay", 0.0)),
         source=str(path),
     )
-
-
-def _channels(ids: Any_ | None, n: int, prefix: str, path: Path) -> tuple[Channel, ...]:
-    names: Sequence[str] = (
-        [f"{prefix}{i + 1}" for i in range(n)] if ids is None else [str(x) for x in ids]
-    )
-    if len(names) != n:
-        raise DataError(f"{path}: {len(names)} ids of {prefix}puts for {n}")
-    if prefix == "in":
-        return tuple(Channel(x, "force", "N") for x in names)
-    return tuple(Channel(x, "acceleration", "m/s^2") for x in names)
 
 
 _HERTZ = (
@@ -261,6 +249,7 @@ _OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "out
 _INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
 _CALLED: dict[str, Motion] = OF_KIND | {"compliance": "displacement", "inertance": "acceleration"}
 _LONGEST = 1 << 22
+_OBJECTS = np.dtype(object)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,30 +291,19 @@ def read_frf_arrays(path: Path) -> FrfSet:
         )
     h = np.moveaxis(found.data, found.axis, 0)
     h = h.reshape(h.shape[0], -1, 1) if h.ndim == 2 else h
-    outputs = _names(values, _OUTPUTS, h.shape[1], "out")
-    inputs = _names(values, _INPUTS, h.shape[2], "in")
-    text = " ".join(
-        [
-            found.name,
-            *(str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type")),
-        ]
+    outputs, inputs = (
+        texts(values, keys, count) or [f"{prefix}{i + 1}" for i in range(count)]
+        for keys, count, prefix in ((_OUTPUTS, h.shape[1], "out"), (_INPUTS, h.shape[2], "in"))
     )
-    called = [m for k, m in _CALLED.items() if k in text.lower()]
-    if not called:
+    kinds = [str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type")]
+    text = " ".join([found.name, *kinds]).lower()
+    motion = next((m for name, m in _CALLED.items() if name in text), None)
+    if motion is None:
         say_accelerances(path)
-    motion: Motion = called[0] if called else "acceleration"
+        motion = "acceleration"
     order = np.argsort(found.freqs, kind="stable")
-    order = order[known_lines(h[order], found.freqs[order], outputs, inputs, path)]
-    return FrfSet(
-        data=np.ascontiguousarray(h[order], dtype=np.complex128),
-        freqs=found.freqs[order],
-        outputs=tuple(channel(n, motion) for n in outputs),
-        inputs=tuple(channel(n, "force") for n in inputs),
-        coherence=np.full((order.size, *h.shape[1:]), np.nan),
-        averages=np.full(len(inputs), np.nan),
-        kind=FRF_KIND[motion],
-        source=str(path),
-    )
+    h = np.ascontiguousarray(h[order], dtype=np.complex128)
+    return frf_set(h, found.freqs[order], (outputs, inputs), motion, path)
 
 
 def _values(path: Path) -> dict[str, Any]:
@@ -361,21 +339,10 @@ def _find(values: Mapping[str, Any]) -> _Found | None:
 def _frequencies(name: str, value: Any) -> Float | None:
     """Hz, of a vector that is named so and has no value twice."""
     short = _short(name)
-    if short not in (*_HERTZ, *_RADIANS):
-        return None
-    if (
-        getattr(value, "dtype", np.dtype(object)).kind not in "fiu"
-        or value.size < 8  # lines
-        or value.size != max(value.shape)
-    ):
+    if short not in (*_HERTZ, *_RADIANS) or getattr(value, "dtype", _OBJECTS).kind not in "fiu":
         return None
     f = np.ravel(value).astype(np.float64)
-    if not np.isfinite(f).all() or np.unique(f).size != f.size or f.min() < 0:
+    vector = 8 <= f.size == max(value.shape)  # lines
+    if not vector or not np.isfinite(f).all() or np.unique(f).size != f.size or f.min() < 0:
         return None
     return f / (2 * np.pi) if short in _RADIANS else f
-
-
-def _names(
-    values: Mapping[str, Any], keys: tuple[str, ...], count: int, prefix: str
-) -> Sequence[str]:
-    return texts(values, keys, count) or [f"{prefix}{i + 1}" for i in range(count)]

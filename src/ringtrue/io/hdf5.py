@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Iterable
 from enum import Enum
 from importlib import import_module
 from typing import Any, cast
@@ -53,7 +54,7 @@ def save(group: h5py.Group, obj: object) -> None:
         raise DataError(f"{group.name}: the group is not empty; delete it first")
     kind, parts = _parts(obj, group.name or "/")
     group.attrs["kind"] = np.bytes_(kind)
-    if dataclasses.is_dataclass(obj):
+    if kind == "dataclass":
         group.attrs["class"] = np.bytes_(_class_name(type(obj)))
     plain = {}
     for name, value in parts.items():
@@ -78,16 +79,16 @@ def load(group: h5py.Group) -> Any:
         If the group was not written by `save`, or names a class that is not a dataclass or Enum of
         ringtrue.
     """
-    kind = group.attrs.get("kind")
-    if kind is None or PLAIN not in group:
+    if "kind" not in group.attrs or PLAIN not in group:
         raise DataError(f"{group.file.filename}:{group.name}: not an object stored by ringtrue")
-    parts = {
-        k: _decode(v) for k, v in json_value(_plain(group[PLAIN]), group.file.filename).items()
-    }
+    item = group[PLAIN]  # files of earlier versions have it as a text of variable length
+    text = h5py.check_string_dtype(item.dtype)
+    plain = str(item.asstr()[()]) if text else bytes(item[()]).decode()
+    parts = {k: _decode(v) for k, v in json_value(plain, group.file.filename).items()}
     for name, item in group.items():
         if name != PLAIN:
             parts[name] = load(item) if isinstance(item, h5py.Group) else _get_array(item)
-    return _build(text_of(kind), parts, group)
+    return _build(text_of(group.attrs["kind"]), parts, group)
 
 
 def text_of(attribute: Any) -> str:
@@ -95,43 +96,33 @@ def text_of(attribute: Any) -> str:
     return attribute.decode() if isinstance(attribute, bytes) else str(attribute)
 
 
-def _plain(item: h5py.Dataset) -> str:
-    """The JSON text; files of earlier versions have it as one of variable length."""
-    return (
-        str(item.asstr()[()]) if h5py.check_string_dtype(item.dtype) else bytes(item[()]).decode()
-    )
+def _fields(obj: object) -> dict[str, Any] | None:
+    """What a dataclass is made of; None where it is none."""
+    if not dataclasses.is_dataclass(obj) or isinstance(obj, type):
+        return None
+    return {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj) if f.init}
 
 
 def _parts(obj: object, where: str) -> tuple[str, dict[str, Any]]:
-    if dataclasses.is_dataclass(obj) and not isinstance(obj, type):
-        _class_name(type(obj))
-        return "dataclass", {
-            f.name: getattr(obj, f.name) for f in dataclasses.fields(obj) if f.init
-        }
+    if (fields := _fields(obj)) is not None:
+        return "dataclass", fields
     if isinstance(obj, tuple | list):
-        return type(obj).__name__ if type(obj) in (tuple, list) else "tuple", _numbered(obj)
+        return "list" if type(obj) is list else "tuple", _numbered(obj)
     if isinstance(obj, dict):
-        return "dict", {"keys": tuple(obj), **_numbered(list(obj.values()))}
+        return "dict", {"keys": tuple(obj), **_numbered(obj.values())}
     if sparse.issparse(obj):
-        return "sparse", _sparse_parts(cast(Any, obj), where)
+        matrix = cast(Any, obj)
+        name = type(obj).__name__
+        if name not in _SPARSE:
+            raise DataError(f"{where}: {name} cannot be stored; allowed are {', '.join(_SPARSE)}")
+        shape = tuple(int(n) for n in matrix.shape)
+        arrays = {part: getattr(matrix, part) for part in ("data", "indices", "indptr")}
+        return "sparse", {"format": name, "shape": shape, **arrays}
     return "value", {"value": obj}
 
 
-def _numbered(values: Any) -> dict[str, Any]:
+def _numbered(values: Iterable[Any]) -> dict[str, Any]:
     return {str(i): v for i, v in enumerate(values)}
-
-
-def _sparse_parts(matrix: Any, where: str) -> dict[str, Any]:
-    name = type(matrix).__name__
-    if name not in _SPARSE:
-        raise DataError(f"{where}: {name} cannot be stored; allowed are {', '.join(_SPARSE)}")
-    return {
-        "format": name,
-        "shape": tuple(int(n) for n in matrix.shape),
-        "data": matrix.data,
-        "indices": matrix.indices,
-        "indptr": matrix.indptr,
-    }
 
 
 def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
@@ -158,19 +149,14 @@ _RENAMED = {("FrfSet", "blows"): "impacts"}
 
 def _make(cls: type, parts: dict[str, Any]) -> Any:
     parts = {_RENAMED.get((cls.__name__, name), name): value for name, value in parts.items()}
-    known = {f.name for f in dataclasses.fields(cls) if f.init}
-    if extra := set(parts) - known:
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    none = dataclasses.MISSING
+    for name, f in fields.items():
+        if name not in parts and f.default is none and f.default_factory is none:
+            raise DataError(f"{cls.__name__}: the store lacks {name}: stored by another version?")
+    if extra := sorted(set(parts) - set(fields)):
         raise DataError(
-            f"{cls.__name__} has no field {', '.join(sorted(extra))}: stored by another version?"
-        )
-    needed = {
-        f.name
-        for f in dataclasses.fields(cls)
-        if f.init and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
-    }
-    if lost := needed - set(parts):
-        raise DataError(
-            f"{cls.__name__}: the store lacks {', '.join(sorted(lost))}: stored by another version?"
+            f"{cls.__name__} has no field {', '.join(extra)}: stored by another version?"
         )
     return cls(**parts)
 
@@ -182,15 +168,8 @@ def _put_array(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
                 f"{group.name}/{name}: an array of objects that are not text cannot be stored"
             )
         text = np.char.encode(a.astype(np.str_), "utf-8")
-        fixed = h5py.string_dtype("utf-8", max(text.dtype.itemsize, 1))
-        _put_checked(group, name, text.astype(fixed))
-    else:
-        _put_checked(group, name, a)
-
-
-def _put_checked(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
-    """A data set with a checksum, which needs an axis and at least one entry."""
-    if not a.size:
+        a = text.astype(h5py.string_dtype("utf-8", max(text.dtype.itemsize, 1)))
+    if not a.size:  # a checksum needs an axis and at least one entry
         group.create_dataset(name, data=a)
         return
     packed = (
@@ -210,15 +189,10 @@ def _get_array(item: h5py.Dataset) -> np.ndarray[Any, Any]:
 def _holds_arrays(value: object) -> bool:
     if isinstance(value, np.ndarray) or sparse.issparse(value):
         return True
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return any(
-            _holds_arrays(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init
-        )
-    if isinstance(value, dict):
-        return any(_holds_arrays(v) for v in value.values())
     if isinstance(value, tuple | list):
-        return any(_holds_arrays(v) for v in value)
-    return False
+        return any(map(_holds_arrays, value))
+    parts = value if isinstance(value, dict) else _fields(value) or {}
+    return any(map(_holds_arrays, parts.values()))
 
 
 def _encode(value: object, where: str) -> Any:
@@ -243,8 +217,7 @@ def _encode(value: object, where: str) -> Any:
         return {"$list": [_encode(v, where) for v in value]}
     if isinstance(value, dict):
         return {"$dict": [[_encode(k, where), _encode(v, where)] for k, v in value.items()]}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
+    if (fields := _fields(value)) is not None:
         return {
             "$class": _class_name(type(value)),
             "fields": {k: _encode(v, where) for k, v in fields.items()},

@@ -5,9 +5,9 @@ A .lvm has segments, decimal commas, and no, one or several columns of time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from ringtrue.io.files import read_text
 from ringtrue.io.foreign.parsers import open_tdms
 from ringtrue.io.record_table import RawTable, is_time, named_rate, time_grid
 from ringtrue.io.record_texts import read_csv
-from ringtrue.io.times import known
+from ringtrue.io.times import known, second_of_day
 
 _END = "***End_of_Header***"
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
@@ -38,27 +38,21 @@ def read_lvm(path: Path) -> RawTable:
         If a header or the step of time is missing, or the segments have gaps: then take
         `read_lvm_segments`.
     """
-    if not read_text(path).lstrip().startswith("LabVIEW"):  # written without any header
+    if not _has_headers(path):
         return read_csv(path)
     parts = read_lvm_segments(path)
-    first = parts[0][1]
-    if len(parts) == 1:
-        return first
-    starts = np.array([start for start, _ in parts])
-    lengths = np.array([t.data.shape[1] for _, t in parts])
-    rate = first.rate or 0.0
-    off = np.abs((np.diff(starts)) * rate - lengths[:-1])
-    same = all(
-        t.names == first.names and abs((t.rate or 0.0) - rate) <= 1e-3 * rate for _, t in parts
-    )
-    # 0.5: samples that a segment may begin off the end of the one before
-    if not same or not (off <= 0.5).all():
-        raise DataError(
-            f"{path}: {len(parts)} segments that do not follow each other; read them one by one "
-            "with read_lvm_segments"
-        )
-    data = np.concatenate([t.data for _, t in parts], axis=1)
-    return RawTable(data, first.rate, first.names, first.units, first.quantities)
+    whole = parts[0][1]
+    rate = whole.rate or 0.0
+    for (start, before), (later, part) in pairwise(parts):
+        like = part.names == whole.names and abs((part.rate or 0.0) - rate) <= 1e-3 * rate
+        # 0.5: samples that a segment may begin off the end of the one before
+        if not like or abs((later - start) * rate - before.data.shape[1]) > 0.5:
+            raise DataError(
+                f"{path}: {len(parts)} segments that do not follow each other; read them one by "
+                "one with read_lvm_segments"
+            )
+    data = np.concatenate([part.data for _, part in parts], axis=1)
+    return replace(whole, data=data)
 
 
 def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
@@ -73,14 +67,19 @@ def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
     ends = [i for i, x in enumerate(lines) if x.startswith(_END)]
     if not lines or not lines[0].startswith("LabVIEW") or len(ends) < 2:
         raise DataError(f"{path}: not a LabVIEW measurement file with both headers")
-    comma_separated = any(x.startswith("Separator,") for x in lines[: ends[0]])
-    head = _table(lines[: ends[0]], "," if comma_separated else "\t")
-    separator = "," if (head.get("Separator") or [""])[0].lower() == "comma" else "\t"
-    bounds = [_segment_start(lines, e) for e in ends[1:]] + [len(lines)]
-    return tuple(
-        _segment(lines[ends[k] + 1 if k == 0 else bounds[k] : bounds[k + 1]], head, separator, path)
-        for k in range(len(ends) - 1)
-    )
+    top = lines[: ends[0]]
+    head = _table(top, "," if any(x.startswith("Separator,") for x in top) else "\t")
+    begins = [ends[0] + 1, *(_segment_start(lines, end) for end in ends[2:]), len(lines)]
+    return tuple(_segment(lines[a:b], head, path) for a, b in pairwise(begins))
+
+
+def read_lvm_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
+    """As `read_lvm_segments`; none of a file without headers, which is text."""
+    return read_lvm_segments(path) if _has_headers(path) else ()
+
+
+def _has_headers(path: Path) -> bool:
+    return read_text(path).lstrip().startswith("LabVIEW")
 
 
 def _without_special(lines: Sequence[str]) -> list[str]:
@@ -107,58 +106,64 @@ def _table(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
     return {r[0]: [v.strip() for v in r[1:]] for r in rows if r and r[0]}
 
 
-def _one_each(values: list[str]) -> list[str]:
-    """Values without the empty cells between them that stand over columns of time, one a
-    channel.
-    """
-    return values[::2] if len(values) > 2 and not any(values[1::2]) else values
-
-
 def _segment(
-    lines: Sequence[str], head: Mapping[str, Sequence[str]], separator: str, path: Path
+    lines: Sequence[str], head: Mapping[str, Sequence[str]], path: Path
 ) -> tuple[float, RawTable]:
+    separator = "," if _first(head, "Separator").lower() == "comma" else "\t"
+    comma = _first(head, "Decimal_Separator") == ","
+    one_x_each = _first(head, "X_Columns").lower() == "multi"
     end = next(i for i, x in enumerate(lines) if x.startswith(_END))
     table = _table(lines[:end], separator)
-    if (head.get("X_Columns") or [""])[0].lower() == "multi":
-        table = {k: _one_each(v) for k, v in table.items()}
-    comma = list(head.get("Decimal_Separator", ())[:1]) == [","]
+    if one_x_each:  # empty cells stand over the columns of time
+        for key, values in table.items():
+            if len(values) > 2 and not any(values[1::2]):
+                table[key] = values[::2]
     try:
         n = int(table["Channels"][0])
         steps = [float(x.replace(",", ".")) for x in table.get("Delta_X", [])[:n]]
-        start = float((table.get("X0") or ["0"])[0].replace(",", ".") or 0) + _clock(
-            (table.get("Time") or [""])[0]
-        )
+        start = float(_first(table, "X0").replace(",", ".") or 0)
     except (KeyError, IndexError, ValueError) as exc:
         raise DataError(
             f"{path}: header of a segment without Channels, or with a number that is none ({exc})"
         ) from exc
-    if (
-        not 0 < n <= 100_000
-        or len(steps) != n
-        or not np.isfinite(steps).all()
-        or max(steps) != min(steps)
-    ):
+    equal = len(steps) == n and np.isfinite(steps).all() and len(set(steps)) == 1
+    if not 0 < n <= 100_000 or not equal:
         raise DataError(
             f"{path}: {n} channels with steps of time Delta_X {steps[:8]}: as many equal ones "
             "are needed"
         )
     # samples stand after one column of x, which may be empty, or after one for each channel
-    one_x_each = (head.get("X_Columns") or ["One"])[0].lower() == "multi"
-    columns = list(range(1, 2 * n, 2)) if one_x_each else list(range(1, n + 1))
+    columns = range(1, 2 * n, 2) if one_x_each else range(1, n + 1)
     title = lines[end + 1].split(separator) if end + 1 < len(lines) else []
-    names = [title[c].strip() if c < len(title) else "" for c in columns]
-    names = [x or f"ch{i + 1}" for i, x in enumerate(names)]
-    data = _data(list(_rows(lines[end + 2 :], columns, separator)), comma, path)
-    units = (*table.get("Y_Unit_Label", [])[:n], *("",) * n)[:n]
-    rate = _rate(steps[0], lines[end + 2 :], separator, comma)
-    return start, RawTable(data, rate, tuple(names), units, ("",) * n)
+    titles = [title[c].strip() if c < len(title) else "" for c in columns]
+    rows = [x.split(separator) for x in lines[end + 2 :] if x.strip() and not x.startswith("***")]
+    samples = [
+        " ".join(cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns)
+        for cells in rows
+    ]
+    try:
+        data = numbers(samples, " ", comma, path)
+    except DataError as exc:
+        why = f"a row of samples is not complete or not a number ({exc})"
+        raise DataError(f"{path}: {why}") from exc
+    found = RawTable(
+        data=data,
+        rate=_rate(steps[0], [cells[0].strip() for cells in rows], comma),
+        names=tuple(x or f"ch{i + 1}" for i, x in enumerate(titles)),
+        units=(*table.get("Y_Unit_Label", [])[:n], *("",) * n)[:n],
+        quantities=("",) * n,
+    )
+    return start + second_of_day(_first(table, "Time")), found
 
 
-def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> float:
+def _first(table: Mapping[str, Sequence[str]], key: str) -> str:
+    return (table.get(key) or [""])[0]
+
+
+def _rate(step: float, cells: Sequence[str], comma: bool) -> float:
     """That of the step of the header, which may have three digits, by the ends of the column of
     times if they agree.
     """
-    cells = [x.split(separator)[0].strip() for x in lines if x.strip() and not x.startswith("***")]
     try:
         first, last = (float(x.replace(",", ".") if comma else x) for x in (cells[0], cells[-1]))
     except (ValueError, IndexError):
@@ -167,39 +172,6 @@ def _rate(step: float, lines: Sequence[str], separator: str, comma: bool) -> flo
     # 0.05: relative, as a step of one or two digits may be off
     step = mean if step and abs(mean / step - 1) < 0.05 else step
     return 1 / step if step else 0.0
-
-
-def _rows(lines: Sequence[str], columns: Sequence[int], separator: str) -> Iterator[str]:
-    for line in lines:
-        cells = line.split(separator)
-        if line.strip() and not line.startswith("***"):
-            yield " ".join(
-                cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns
-            )
-
-
-def _data(rows: Sequence[str], comma: bool, path: Path) -> Float:
-    try:
-        return numbers(rows, " ", comma, path)
-    except DataError as exc:
-        raise DataError(
-            f"{path}: a row of samples is not complete or not a number ({exc})"
-        ) from exc
-
-
-def _clock(text: str) -> float:
-    """Seconds of the day; 0 where there is no clock."""
-    whole, _, part = text.replace(",", ".").partition(".")
-    try:
-        t = datetime.strptime(whole.strip(), "%H:%M:%S")
-    except ValueError:
-        return 0.0
-    return (
-        3600.0 * t.hour
-        + 60.0 * t.minute
-        + t.second
-        + (float(f"0.{part}") if part.isdigit() else 0.0)
-    )
 
 
 _UNIT = ("unit_string", "NI_UnitDescription", "Unit", "unit")
@@ -219,19 +191,15 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
         differ.
     """
     with open_tdms(path) as file:
-        found = _signals(file, path)
-        stated = named_rate(file.properties)
+        groups = _groups(file, path)
+        if group and group not in groups:
+            raise DataError(f"{path}: no group {group!r}{did_you_mean(group, groups)}")
         if group:
-            names = list(dict.fromkeys(c.group_name for c in found))
-            if group not in names:
-                raise DataError(f"{path}: no group {group!r}{did_you_mean(group, names)}")
-            found = [c for c in found if c.group_name == group]
-        stated = next(
-            (r for c in found if (r := named_rate(file[c.group_name].properties)) is not None),
-            stated,
-        )
-        table = _tdms_table(found, path)
-        return table if table.rate is not None else replace(table, rate=stated)
+            groups = {group: groups[group]}
+        table = _tdms_table(groups, path)
+        stated = [named_rate(file[name].properties) for name in groups]
+        rate = next((r for r in (table.rate, *stated) if r is not None), None)
+        return replace(table, rate=named_rate(file.properties) if rate is None else rate)
 
 
 def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
@@ -239,31 +207,22 @@ def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
     one table of all.
     """
     with open_tdms(path) as file:
-        found = _signals(file, path)
-        groups = [
-            [c for c in found if c.group_name == g]
-            for g in dict.fromkeys(c.group_name for c in found)
-        ]
-        shown = {(tuple(c.name for c in g), _tdms_rate(g[0])) for g in groups}
-        return tuple(
-            _tdms_table(g, path)
-            for g in (groups if len(shown) == 1 and len(groups[0]) > 1 else [found])
-        )
+        groups = _groups(file, path)
+        held = {(tuple(c.name for c in g), _tdms_rate(g[0])) for g in groups.values()}
+        if len(held) == 1 and len(next(iter(groups.values()))) > 1:
+            return tuple(_tdms_table({name: g}, path) for name, g in groups.items())
+        return (_tdms_table(groups, path),)
 
 
 def read_tdms_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
     """Each group with its start (s), where all have one (`wf_start_time`); else none."""
     with open_tdms(path) as file:
-        found = _signals(file, path)
-        groups = [
-            [c for c in found if c.group_name == g]
-            for g in dict.fromkeys(c.group_name for c in found)
-        ]
-        starts = [_start(g[0]) for g in groups]
-        even = all(len({(len(c), _tdms_rate(c), _start(c)) for c in g}) == 1 for g in groups)
-        if len(groups) < 2 or not even or not np.isfinite(starts).all():
-            return ()
-        return tuple((start, _tdms_table(g, path)) for start, g in zip(starts, groups, strict=True))
+        groups = _groups(file, path)
+        for g in groups.values():
+            alike = len({(len(c), _tdms_rate(c), _start(c)) for c in g}) == 1
+            if len(groups) < 2 or not alike or not np.isfinite(_start(g[0])):
+                return ()
+        return tuple((_start(g[0]), _tdms_table({k: g}, path)) for k, g in groups.items())
 
 
 def _start(channel: Any) -> float:
@@ -277,62 +236,54 @@ def _start(channel: Any) -> float:
     )
 
 
-def _signals(file: Any, path: Path) -> list[Any]:
-    found = [c for g in file.groups() for c in g.channels() if len(c) and c.dtype.kind in "fiu"]
+def _groups(file: Any, path: Path) -> dict[str, list[Any]]:
+    """The channels with numbers of each group that has some."""
+    found: dict[str, list[Any]] = {}
+    for group in file.groups():
+        channels = [c for c in group.channels() if len(c) and c.dtype.kind in "fiu"]
+        if channels:
+            found[group.name] = channels
     if not found:
         raise DataError(f"{path}: no channel with numbers in the file")
     return found
 
 
-def _tdms_table(found: list[Any], path: Path) -> RawTable:
-    _check_equal(found, path)
-    rate = next((r for c in found if (r := _tdms_rate(c)) is not None), None)
+def _tdms_table(groups: Mapping[str, Sequence[Any]], path: Path) -> RawTable:
+    """The channels of groups that have one rate and length."""
+    found = [c for g in groups.values() for c in g]
+    rates = [r for c in found if (r := _tdms_rate(c)) is not None]
+    one_rate = not rates or max(rates) - min(rates) <= 1e-6 * max(rates)
+    if not one_rate or len({len(c) for c in found}) > 1:
+        held = "; ".join(f"{name}: {_shown(g)}" for name, g in groups.items())
+        raise DataError(
+            f"{path}: rates or lengths differ ({held}): choose a group of one rate and length "
+            "(--group NAME), or split the file"
+        )
+    rate = rates[0] if rates else None
     rows = None
-    if (times := [c for c in found if is_time(c.name)]) and len(times) < len(found):
+    times = [c for c in found if is_time(c.name)]
+    if times and len(times) < len(found):
         rate, rows = time_grid({"time": _values(times[0])}, len(times[0]), path, rate)
         found = [c for c in found if not is_time(c.name)]
-    data = np.stack([_values(c) for c in found])
-    units = tuple(_unit(c.properties) for c in found)
+    names = [c.name for c in found]
+    if len(set(names)) < len(names):
+        names = [f"{c.group_name}/{c.name}" for c in found]
+    given = (next((str(c.properties[k]) for k in _UNIT if c.properties.get(k)), "") for c in found)
     return RawTable(
-        data=data,
+        data=np.stack([_values(c) for c in found]),
         rate=rate,
-        names=_names(found),
-        units=units,
+        names=tuple(names),
+        units=tuple(known(unit) for unit in given),
         quantities=("",) * len(found),
         rows=rows,
     )
 
 
-def _check_equal(found: list[Any], path: Path) -> None:
-    """Refuse rates or lengths that differ; where they do from group to group, say which group has
-    which.
-    """
-    lengths = sorted({len(c) for c in found})
-    known = [r for c in found if (r := _tdms_rate(c)) is not None]
-    rates_differ = known and max(known) - min(known) > 1e-6 * max(known)
-    if not rates_differ and len(lengths) == 1:
-        return
-    by_group = {
-        g: [c for c in found if c.group_name == g]
-        for g in dict.fromkeys(c.group_name for c in found)
-    }
-    one_each = all(len({(len(c), _tdms_rate(c)) for c in g}) == 1 for g in by_group.values())
-    if len(by_group) > 1 and one_each:
-        held = "; ".join(
-            f"{name}: {len(g)} channels, {len(g[0])} samples"
-            + (f", {r:g} Hz" if (r := _tdms_rate(g[0])) else "")
-            for name, g in by_group.items()
-        )
-        raise DataError(
-            f"{path}: the groups differ in rate or length ({held}): choose one with group "
-            "(--group NAME)"
-        )
-    if len(lengths) > 1:
-        raise DataError(
-            f"{path}: channels of {lengths[0]} to {lengths[-1]} samples; they must be equal: "
-            "split the file"
-        )
-    raise DataError(f"{path}: rates from {min(known):g} to {max(known):g} Hz; split the file")
+def _shown(channels: Sequence[Any]) -> str:
+    """Lengths and rates of the channels of a group, in words."""
+    kinds = dict.fromkeys((len(c), _tdms_rate(c)) for c in channels)
+    lengths = " or ".join(f"{n} samples" + (f", {r:g} Hz" if r else "") for n, r in kinds)
+    return f"{len(channels)} channels, {lengths}"
 
 
 def _values(channel: Any) -> Float:
@@ -345,14 +296,3 @@ def _tdms_rate(channel: Any) -> float | None:
     if step is None:
         return named_rate(channel.properties)
     return 1 / float(step) if float(step) else 0.0
-
-
-def _unit(properties: dict[str, Any]) -> str:
-    return known(next((str(properties[k]) for k in _UNIT if properties.get(k)), ""))
-
-
-def _names(channels: list[Any]) -> tuple[str, ...]:
-    names = [c.name for c in channels]
-    if len(set(names)) == len(names):
-        return tuple(names)
-    return tuple(f"{c.group_name}/{c.name}" for c in channels)

@@ -22,7 +22,7 @@ from ringtrue.io.files import existing
 from ringtrue.io.foreign.arrays import compressed_matrix, read_npz, triplet_matrix
 from ringtrue.io.foreign.door import door, read_apart
 from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.op4 import fixed_numbers, read_op4
 from ringtrue.io.record_arrays import check_stored
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -156,13 +156,11 @@ def _scipy(path: Path) -> MatrixFile:
         shape = _two(parts["shape"])
         if kind == "coo":
             return _one(path, triplet_matrix(parts["data"], parts["row"], parts["col"], shape))
-        if kind not in ("csr", "csc"):
-            raise DataError(
-                f"a sparse matrix of kind {kind!r}{did_you_mean(kind, ('csr', 'csc', 'coo'))}"
-            )
-        return _one(
-            path, compressed_matrix(kind, parts["data"], parts["indices"], parts["indptr"], shape)
-        )
+        if kind in ("csr", "csc"):
+            data, indices, starts = (parts[name] for name in ("data", "indices", "indptr"))
+            return _one(path, compressed_matrix(kind, data, indices, starts, shape))
+        allowed = did_you_mean(kind, ("csr", "csc", "coo"))
+        raise DataError(f"a sparse matrix of kind {kind!r}{allowed}")
 
 
 def _two(shape: Any_) -> tuple[int, int]:
@@ -192,12 +190,9 @@ def _hdf5(path: Path) -> MatrixFile:
                     matrices[name] = made
             elif item.dtype.kind in "fciu" and _sparse_group(item.parent) is None:
                 value = _stored(item)
-                _sort(
-                    name,
-                    np.asarray(value.T if turned and np.ndim(value) == 2 else value),
-                    matrices,
-                    arrays,
-                )
+                if turned and value.ndim == 2:
+                    value = value.T
+                _sort(name, np.asarray(value), matrices, arrays)
 
         f.visititems(visit)
     return MatrixFile(matrices, arrays)
@@ -211,24 +206,18 @@ def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
         starts = _stored(g["jc"])
         size = (int(g.attrs["MATLAB_sparse"]), starts.size - 1)
         return compressed_matrix("csc", _stored(g["data"]), _stored(g["ir"]), starts, size)
-    shape = g.attrs["shape"] if "shape" in g.attrs else g["shape"][()] if "shape" in g else None
+    stated = g.attrs.get("shape", g["shape"][()] if "shape" in g else None)
     if {"data", "indices", "indptr"} <= set(g):
         text = g.attrs.get("encoding-type", g.attrs.get("format", "csr"))
         kind = "csc" if "csc" in str(text) else "csr"
         data, indices, starts = (_stored(g[name]) for name in ("data", "indices", "indptr"))
-        lines = starts.size - 1
-        across = int(indices.max(initial=-1)) + 1
-        size = (
-            _two(shape)
-            if shape is not None
-            else (lines, across)
-            if kind == "csr"
-            else (across, lines)
-        )
-        return compressed_matrix(kind, data, indices, starts, size)
+        shape = starts.size - 1, int(indices.max(initial=-1)) + 1
+        shape = shape if kind == "csr" else shape[::-1]
+        shape = shape if stated is None else _two(stated)
+        return compressed_matrix(kind, data, indices, starts, shape)
     if {"data", "row", "col"} <= set(g):
         data, row, column = (_stored(g[name]) for name in ("data", "row", "col"))
-        return triplet_matrix(data, row, column, None if shape is None else _two(shape))
+        return triplet_matrix(data, row, column, None if stated is None else _two(stated))
     return None
 
 
@@ -274,9 +263,11 @@ def _abaqus(path: Path) -> MatrixFile:
 def _whole(values: Any_, i: Any_, j: Any_, n: int) -> sparse.csr_array:
     """The matrix; if only one triangle is there, the other one too."""
     a = triplet_matrix(values, i, j, (n, n))
-    if (i >= j).all() or (i <= j).all():
-        a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
-    return a
+    return _mirrored(a) if (i >= j).all() or (i <= j).all() else a
+
+
+def _mirrored(a: sparse.csr_array) -> sparse.csr_array:
+    return sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
 
 
 def _harwell_boeing(path: Path) -> MatrixFile:
@@ -286,18 +277,19 @@ def _harwell_boeing(path: Path) -> MatrixFile:
     try:
         lines = path.read_text(encoding="ascii").splitlines()
         counts = [int(x) for x in lines[1].split()]
-        kind, (n_rows, n_columns, nonzero) = (
-            lines[2][:3].upper(),
-            (int(x) for x in lines[2][3:].split()[:3]),
-        )
-        pointer, index, value = _formats(lines[3])
+        kind = lines[2][:3].upper()
+        n_rows, n_columns, nonzero = (int(x) for x in lines[2][3:].split()[:3])
+        forms = [(int(n or 1), int(width)) for n, width in _FORTRAN.findall(lines[3])]
         at = 4 + (len(counts) > 4 and counts[4] > 0)
-        indptr, at = _integers(lines, at, n_columns + 1, pointer)
-        indices, at = _integers(lines, at, nonzero, index)
-        per = 2 if kind[0] == "C" else 1
-        data, _ = (
-            _fixed(lines, at, per * nonzero, *value) if kind[0] != "P" else (np.ones(nonzero), at)
-        )
+        pointer, index, *value = forms
+        indptr, at = fixed_numbers(lines, at, n_columns + 1, *pointer)
+        indices, at = fixed_numbers(lines, at, nonzero, *index)
+        starts = _whole_numbers(indptr) - 1
+        rows = _whole_numbers(indices) - 1
+        data: Any_ = np.ones(nonzero)
+        if kind[0] != "P":
+            per = 2 if kind[0] == "C" else 1
+            data, _ = fixed_numbers(lines, at, per * nonzero, *value[0])
     except (ValueError, IndexError, UnicodeDecodeError) as e:
         raise DataError(f"{path}: not a Harwell-Boeing file: {e}") from e
     if kind[2] != "A" or kind[1] not in "SUR":
@@ -309,45 +301,14 @@ def _harwell_boeing(path: Path) -> MatrixFile:
             f"{path}: matrix type {kind} is symmetric, but it has {n_rows} rows and {n_columns} "
             "columns"
         )
-    if per == 2:
+    if kind[0] == "C":
         data = data.view(np.complex128)
     with about(path):
-        a = compressed_matrix("csc", data, indices - 1, indptr - 1, (n_rows, n_columns))
-    if kind[1] == "S":
-        a = sparse.csr_array(a + a.T - sparse.diags_array(a.diagonal(), format="csr"))
-    return _one(path, a)
-
-
-def _formats(line: str) -> list[tuple[int, int]]:
-    """(numbers a line, width) of pointers, indices and values."""
-    found = [(int(n or 1), int(w)) for n, w in _FORTRAN.findall(line)]
-    if len(found) < 2:
-        raise ValueError(f"formats {line!r}")
-    return [*found, (1, 1)][:3]
-
-
-def _integers(lines: list[str], at: int, count: int, form: tuple[int, int]) -> tuple[Int, int]:
-    values, at = _fixed(lines, at, count, *form)
-    return _whole_numbers(values), at
+        a = compressed_matrix("csc", data, rows, starts, (n_rows, n_columns))
+    return _one(path, _mirrored(a) if kind[1] == "S" else a)
 
 
 def _whole_numbers(values: Any_) -> Int:
     if not (np.abs(values) < 2.0**53).all() or (values != np.round(values)).any():
         raise ValueError("a pointer, index or number of a node is no integer")
     return values.astype(np.int64)
-
-
-def _fixed(lines: list[str], at: int, count: int, per: int, width: int) -> tuple[Any_, int]:
-    """`count` numbers of fixed width, `per` a line, from line `at`; and the line after them."""
-    # 80: characters of a number in a Harwell-Boeing file: its lines have 80
-    if count < 0 or per < 1 or not 0 < width <= 80:
-        raise ValueError(f"{count} numbers, {per} a line, of {width} characters")
-    used = -(-count // per)
-    if at + used > len(lines):
-        raise ValueError(f"it ends at line {len(lines)}, before line {at + used}")
-    row = min(per, count) * width
-    joined = "".join(x[:row].ljust(row) for x in lines[at : at + used])
-    parts = [
-        joined[i : i + width].upper().replace("D", "E") for i in range(0, count * width, width)
-    ]
-    return np.array(parts, dtype=np.float64), at + used

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,9 +17,9 @@ import numpy as np
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.modes import ModeSet, Norm, OtherCandidates, Uncertainty
 from ringtrue.core.notes import sentence
-from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.errors import DataError, about
 from ringtrue.io import hdf5
-from ringtrue.io.files import atomic_write, existing, refuse_large
+from ringtrue.io.files import atomic_write, existing, refuse_ending, refuse_large
 from ringtrue.io.foreign.parsers import open_hdf5, read_json
 from ringtrue.io.sheets import cells
 from ringtrue.io.times import hertz
@@ -121,32 +122,30 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     try:
         rows = table["modes"]
         channels = tuple(str(c) for c in table.get("channels", ()))
-        for k, row in enumerate(rows, start=1):
+        shapes = np.zeros((len(rows), len(channels)), dtype=np.complex128)
+        for k, row in enumerate(rows):
             if not isinstance(row, Mapping):
-                raise TypeError(f"mode {k} is {row!r}; it must be a table with frequency_hz")
-        shapes = np.array([_shape(row) for row in rows], dtype=np.complex128)
+                raise TypeError(f"mode {k + 1} is {row!r}; it must be a table with frequency_hz")
+            re = np.array(row.get("shape_re", ()), dtype=np.float64)
+            im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
+            if not re.size == im.size == len(channels):
+                raise ValueError(
+                    f"shape_re of mode {k + 1} has {re.size} components and shape_im {im.size}, "
+                    f"for {len(channels)} channels"
+                )
+            shapes[k] = re + 1j * im
         frequency, damping = (_column(rows, key) for key in ("frequency_hz", "damping"))
         confidence = _column(rows, "confidence", 1.0)
         norm = Norm(table.get("scaling") or Norm.UNSCALED)
     except (KeyError, TypeError, ValueError) as exc:
         raise DataError(f"{source}: not a table of modes ({type(exc).__name__}: {exc})") from exc
     if not np.isfinite(frequency).all():
-        at = int(np.flatnonzero(~np.isfinite(frequency))[0])
+        at = int(np.isfinite(frequency).argmin())
         raise DataError(f"{source}: mode {at + 1} has no frequency_hz")
-    shapes = (
-        shapes.reshape(len(rows), -1).T
-        if rows
-        else np.zeros((len(channels), 0), dtype=np.complex128)
-    )
-    if shapes.shape[0] != len(channels):
-        raise DataError(
-            f"{source}: shapes of {shapes.shape[0]} components for {len(channels)} channels"
-        )
-    values = shapes if shapes.imag.any() else shapes.real
     return ModeSet(
         frequencies=frequency,
         damping=damping,
-        shapes=values,
+        shapes=(shapes if shapes.imag.any() else shapes.real).T,
         labels=channels,
         norm=norm,
         source=str(table.get("source") or source),
@@ -154,21 +153,12 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     )
 
 
-def _shape(row: Mapping[str, Any]) -> Complex:
-    """(channel,) complex128; null is not a number."""
-    re = np.array(row.get("shape_re", ()), dtype=np.float64)
-    im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
-    if re.shape != im.shape:
-        raise ValueError(f"shape_re has {re.size} components, shape_im {im.size}")
-    return np.asarray(re + 1j * im)
-
-
 def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.nan) -> Float:
     """One number a mode; `default` where it is null or missing."""
     given = [row.get(key) for row in rows]
     for k, x in enumerate(given, start=1):
         if not (x is None or isinstance(x, int | float)):
-            raise ValueError(f"mode {k}: {key} is {x!r}; it must be a number")
+            raise DataError(f"mode {k}: {key} is {x!r}; it must be a number")
     return np.array([default if x is None else x for x in given], dtype=np.float64)
 
 
@@ -195,7 +185,7 @@ def write_modes(
     elif ext == ".csv":
         write_mode_table(path, modes, uncertainty)
     else:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, WRITTEN)}")
+        refuse_ending(path, WRITTEN)
 
 
 def read_modes(path: str | Path) -> ModeSet:
@@ -207,38 +197,27 @@ def read_modes(path: str | Path) -> ModeSet:
         If the file is missing, unreadable or holds no modes.
     """
     path = existing(path)
-    modes = _read(path)
-    with about(path):
-        for what, values in (
-            ("frequency", modes.frequencies),
-            ("damping", modes.damping),
-            ("shape", modes.shapes),
-        ):
-            refuse_large(values, what)
-    return modes
-
-
-def _read(path: Path) -> ModeSet:
     ext = path.suffix.lower()
     if ext == ".json":
         table = read_json(path)
         if not isinstance(table, dict):
             raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
-        return modes_from_json(table, str(path))
-    if ext in _HDF5:
-        return _read_h5(path)
-    if ext in _UFF:
-        return read_mode_sets(path)
-    if ext in _TABLES:
-        return read_mode_table(path)[0]
-    raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, READ)}")
-
-
-def _read_h5(path: Path) -> ModeSet:
-    with open_hdf5(path) as file:
-        modes = hdf5.load(file.get(GROUP, file))
-    if not isinstance(modes, ModeSet):
-        raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
+        modes = modes_from_json(table, str(path))
+    elif ext in _HDF5:
+        with open_hdf5(path) as file:
+            modes = hdf5.load(file.get(GROUP, file))
+        if not isinstance(modes, ModeSet):
+            raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
+    elif ext in _UFF:
+        modes = read_mode_sets(path)
+    elif ext in _TABLES:
+        modes = read_mode_table(path)[0]
+    else:
+        refuse_ending(path, READ)
+    with about(path):
+        refuse_large(modes.frequencies, "frequency")
+        refuse_large(modes.damping, "damping")
+        refuse_large(modes.shapes, "shape")
     return modes
 
 
@@ -254,18 +233,17 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
     if path.suffix.lower() in _TABLES:
         return read_mode_table(path)[1:]
     modes = read_modes(path)
+    nothing = np.full(len(modes), np.nan)
     if path.suffix.lower() == ".json":
         rows = read_json(path)["modes"]
-        try:
+        with about(path):
             return _column(rows, "std_frequency_hz"), _column(rows, "std_damping")
-        except ValueError as exc:
-            raise DataError(f"{path}: {exc}") from exc
     if path.suffix.lower() in _HDF5:
         with open_hdf5(path) as file:
             found = hdf5.load(file["uncertainty"]) if "uncertainty" in file else None
         if isinstance(found, Uncertainty) and found.frequency.size == len(modes):
             return found.frequency, found.damping
-    return np.full(len(modes), np.nan), np.full(len(modes), np.nan)
+    return nothing, nothing
 
 
 _WHOSE = r"(natural|nat\.?|modal|damped|undamped|resonance|resonant|critical)?\s*"
@@ -315,24 +293,25 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
         above 0.25.
     """
     rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
-    width = max(map(len, rows), default=0)
-    table = [r + [""] * (width - len(r)) for r in rows]
-    if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in table):
-        table = [list(c) for c in zip(*table, strict=True)]
-    labels = [r[0] for r in table]
-    found = {
-        label: r[1:] for label, r in zip(labels, table, strict=True) if label.lower() not in _BESIDE
-    }
-    kinds = {label: _kind(label) for label in found}
-    of = {kind: label for label, kind in kinds.items() if kind}
-    for label, kind in kinds.items():
-        if labels.count(label) > 1 or (kind and of[kind] != label):
+    if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in rows):
+        rows = [list(column) for column in zip_longest(*rows, fillvalue="")]
+    found: dict[str, list[str]] = {}
+    of: dict[str, str] = {}  # the row of each kind
+    channels = []
+    for label, *texts in rows:
+        if label.lower() in _BESIDE:
+            continue
+        kind = _kind(label)
+        if label in found or kind in of:
             why = (
-                f"`{label}` and `{of[kind]}` are both {kind}"
-                if kind
-                else f"`{label}` stands there twice"
+                f"`{of[kind]}` and `{label}` are both {kind}" if kind else f"`{label}` occurs twice"
             )
             raise DataError(f"{path}: {why}")
+        found[label] = texts
+        if kind:
+            of[kind] = label
+        else:
+            channels.append(label)
     if "frequency" not in of:
         raise DataError(
             f"{path}: no row or column `frequency [Hz]`; there are "
@@ -341,11 +320,19 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
     there = [i for i, text in enumerate(found[of["frequency"]]) if text]
     if not there:
         raise DataError(f"{path}: no mode below `{of['frequency']}`")
-    number = {label: _cell_values([r[i] for i in there], label, path) for label, r in found.items()}
+    number: dict[str, Complex] = {}
+    for label, texts in found.items():
+        texts = [*texts, *[""] * len(found[of["frequency"]])]
+        numbers = [_cell_value(texts[i], label, path) for i in there]
+        number[label] = np.array(numbers, dtype=np.complex128)
     nothing = np.full(len(there), np.nan)
-    f, std_f, zeta, std_z = (
-        _scaled(number[of[k]].real, of[k], k) if k in of else nothing
-        for k in ("frequency", "std frequency", "damping", "std damping")
+    f, std_f = (
+        number[of[k]].real * hertz(of[k]) if k in of else nothing
+        for k in ("frequency", "std frequency")
+    )
+    zeta, std_z = (
+        number[of[k]].real / (100 if "%" in of[k] else 1) if k in of else nothing
+        for k in ("damping", "std damping")
     )
     if not np.isfinite(f).all():
         raise DataError(f"{path}: `{of['frequency']}`: frequencies must be finite")
@@ -355,26 +342,23 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
             f"{path}: `{of['damping']}`: {known[0]:g} of critical? What is in percent has [%] in "
             "its title"
         )
-    channels = tuple(label for label, kind in kinds.items() if not kind)
-    shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))
     order = np.argsort(f, kind="stable")
-    values = shapes[:, order] if shapes.imag.any() else shapes.real[:, order]
-    return (
-        ModeSet(f[order], zeta[order], values, channels, source=path.name),
-        std_f[order],
-        std_z[order],
-    )
+    shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))[:, order]
+    values = shapes if shapes.imag.any() else shapes.real
+    modes = ModeSet(f[order], zeta[order], values, tuple(channels), source=path.name)
+    return modes, std_f[order], std_z[order]
 
 
 def write_mode_table(path: Path, modes: ModeSet, uncertainty: Uncertainty | None = None) -> None:
     """Write modes as CSV, a column a mode."""
-    rows: list[list[str]] = [["mode", *(str(i + 1) for i in range(len(modes)))]]
-    rows.append(["frequency [Hz]", *_texts(modes.frequencies)])
-    rows.append(["damping [%]", *_texts(100 * modes.damping)])
+    rows = [["mode", *(str(i + 1) for i in range(len(modes)))]]
+    numbers = {"frequency [Hz]": modes.frequencies, "damping [%]": 100 * modes.damping}
     if uncertainty is not None:
-        rows.append(["std frequency [Hz]", *_texts(uncertainty.frequency)])
-        rows.append(["std damping [%]", *_texts(100 * uncertainty.damping)])
-    rows += [[c, *_texts(row)] for c, row in zip(modes.channels, modes.shapes, strict=True)]
+        numbers["std frequency [Hz]"] = uncertainty.frequency
+        numbers["std damping [%]"] = 100 * uncertainty.damping
+    for title, values in (*numbers.items(), *zip(modes.channels, modes.shapes, strict=True)):
+        texts = (f"{x:.9g}".strip("()") if np.isfinite(x) else "" for x in values.tolist())
+        rows.append([title, *texts])
     with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows(rows)
 
@@ -390,35 +374,16 @@ def _kind(label: str) -> str:
     return f"std {kind}" if spread and kind else kind
 
 
-def _scaled(values: Float, label: str, kind: str) -> Float:
-    """In Hz, or as a fraction."""
-    if kind.endswith("frequency"):
-        return values * hertz(label)
-    return values / 100 if "%" in label else values
-
-
-def _cell_values(texts: Sequence[str], label: str, path: Path) -> Complex:
-    return np.array([_cell_value(t, label, path) for t in texts], dtype=np.complex128)
-
-
 def _cell_value(text: str, label: str, path: Path) -> complex:
     if not text:
         return complex(np.nan)
-    plain = text if "." in text else text.replace(",", ".")
+    plain = text.lower() if "." in text else text.lower().replace(",", ".")
     try:
-        value = complex(
-            re.sub(r"[\s()*]", "", plain.lower()).replace("i", "j").replace("jnf", "inf")
-        )
-        if np.isinf(value):
-            raise ValueError(text)
-        return value
-    except ValueError as exc:
+        value = complex(re.sub(r"[\s()*]", "", plain).replace("i", "j").replace("jnf", "inf"))
+    except ValueError:
+        value = complex(np.inf)
+    if np.isinf(value):
         raise DataError(
             f"{path}: {label} is {text!r}; it must be a number, such as 0.12 or 0.1+0.2j"
-        ) from exc
-
-
-def _texts(values: Float | Complex) -> list[str]:
-    """Cells; empty where there is no number."""
-    form = f".{9}g"
-    return [f"{x:{form}}".strip("()") if np.isfinite(x) else "" for x in values.tolist()]
+        )
+    return value

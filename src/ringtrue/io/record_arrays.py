@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import h5py
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Int
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.foreign.arrays import read_npy as read_array
 from ringtrue.io.foreign.door import read_apart
@@ -48,102 +46,97 @@ def read_npy(path: Path) -> RawTable:
     return without_time(numbered(data, None), path)
 
 
-def h5_table(file: h5py.Group, path: Path) -> tuple[h5py.Dataset, float | None, Int | None]:
-    """The 2-D data set of samples of an HDF5 file of others, unread, the rate, and places as of
-    `even_grid`.
+def read_h5_table(file: h5py.File, path: Path, group: str = "") -> RawTable:
+    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there
+    is none.
 
-    It is the only long one, or the first where none is long.
+    With `group`, the path of a group or of a data set, what stands there alone.
 
     Raises
     ------
     DataError
         If there is none, there are several long ones, or it announces far more than the file holds.
     """
-    found: list[h5py.Dataset] = []
-    file.visititems(
-        lambda _, o: found.append(o) if isinstance(o, h5py.Dataset) and o.ndim == 2 else None
+    part = file.get(group.strip("/")) if group else file
+    if part is None:
+        named: list[str] = []
+        file.visit(named.append)
+        raise DataError(f"{path}: no group {group!r}{did_you_mean(group, named)}")
+    if isinstance(part, h5py.Dataset):
+        check_stored(part, path)
+        rate = named_rate(_attributes(file, part.parent, part))
+        return without_time(numbered(columns_first(part[()], path), rate), path)
+    every: dict[str, h5py.Dataset] = {}
+    part.visititems(
+        lambda name, item: every.update({name: item}) if isinstance(item, h5py.Dataset) else None
     )
-    if not found:
-        raise DataError(f"{path}: no 2-D data set in the file")
-    long = [
-        d for d in found if d.dtype.kind in "fiu" and max(d.shape) >= max(LONG, 4 * min(d.shape))
-    ]
+    tables = [d for d in every.values() if d.ndim == 2]
+    scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1 and "/" not in k}
+    if not tables:
+        return _h5_vectors(part, every, scalars, path)
+    long = [d for d in tables if d.dtype.kind in "fiu"]
+    long = [d for d in long if max(d.shape) >= max(LONG, 4 * min(d.shape))]
     if len(long) > 1:
-        tables = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
+        shapes = "; ".join(f"{d.name.lstrip('/')} {d.shape}" for d in long[:8])
         raise DataError(
-            f"{path}: several tables of samples ({tables}): choose one with group (--group NAME)"
+            f"{path}: several tables of samples ({shapes}): choose one with group (--group NAME)"
         )
-    data = (long or found)[0]
+    data = (long or tables)[0]
     check_stored(data, path)
-    attrs = _attributes(file.file, file, data.parent, data)
-    scalars = {
-        k.lower(): v[()] for k, v in file.items() if isinstance(v, h5py.Dataset) and v.size == 1
+    samples = max(data.shape)
+    attributes = _attributes(file, part, data.parent, data)
+    times = {
+        k: v[()]
+        for k, v in data.parent.items()
+        if isinstance(v, h5py.Dataset) and v.name != data.name and v.size == samples and is_time(k)
     }
-    neighbours = {
-        k: v for k, v in data.parent.items() if isinstance(v, h5py.Dataset) and v.name != data.name
-    }
-    times = {k: v[()] for k, v in neighbours.items() if v.size == max(data.shape) and is_time(k)}
-    return data, *time_grid(times, max(data.shape), path, named_rate({**scalars, **attrs}))
-
-
-def read_h5_table(file: h5py.Group, path: Path, group: str = "") -> RawTable:
-    """The 2-D data set of samples of an HDF5 file of others, or all vectors of one length if there
-    is none.
-
-    With `group`, the path of a group or of a data set, what stands there alone.
-    """
-    if group:
-        return _h5_part(file, path, group)
-    if (table := _h5_vectors(file, path)) is not None:
-        return table
-    data, rate, rows = h5_table(file, path)
+    rate, rows = time_grid(times, samples, path, named_rate({**scalars, **attributes}))
     return without_time(replace(numbered(columns_first(data[()], path), rate), rows=rows), path)
 
 
-def _h5_part(file: h5py.Group, path: Path, group: str) -> RawTable:
-    part = file.get(group.strip("/"))
-    if part is None:
-        every: list[str] = []
-        file.visit(every.append)
-        raise DataError(f"{path}: no group {group!r}{did_you_mean(group, every)}")
-    if isinstance(part, h5py.Group):
-        return read_h5_table(part, path)
-    check_stored(part, path)
-    rate = named_rate(_attributes(file, part.parent, part))
-    return without_time(numbered(columns_first(part[()], path), rate), path)
-
-
-def _h5_vectors(file: h5py.Group, path: Path) -> RawTable | None:
-    """A file of one vector a channel; None if it has a 2-D data set or no vectors."""
-    every: dict[str, h5py.Dataset] = {}
-    file.visititems(
-        lambda name, o: every.update({name: o}) if isinstance(o, h5py.Dataset) and o.ndim else None
-    )
+def _h5_vectors(
+    group: h5py.Group,
+    every: Mapping[str, h5py.Dataset],
+    scalars: Mapping[str, Any],
+    path: Path,
+) -> RawTable:
+    """The vectors of one length, a channel each."""
     one = {k: v for k, v in every.items() if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1}
-    if not one or any(v.ndim == 2 for v in every.values()):
-        return None
-    for v in one.values():
-        check_stored(v, path)
-    samples = max(v.size for v in one.values())
-    short = {k.rpartition("/")[2]: v[()] for k, v in one.items() if v.size == samples}
-    attributes = [_attributes(v.parent, v) for v in one.values() if v.size == samples]
+    for vector in one.values():
+        check_stored(vector, path)
+    samples = max((v.size for v in one.values()), default=0)
+    one = {k: v for k, v in one.items() if v.size == samples}
+    signals = {k: v for k, v in one.items() if not is_time(k.rpartition("/")[2])}
+    if not signals:
+        raise DataError(f"{path}: no 2-D data set in the file")
+    attributes = [_attributes(v.parent, v) for v in one.values()]
     rates = [rate for each in attributes if (rate := named_rate(each))]
     if rates and max(rates) > (1 + SAME_RATE) * min(rates):
         raise DataError(
             f"{path}: {min(rates):g} to {max(rates):g} Hz: choose one of the groups (--group NAME)"
         )
-    attrs = {k: v for each in (_attributes(file), *attributes) for k, v in each.items()}
-    scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1}
-    rate, rows = time_grid(short, samples, path, named_rate({**scalars, **attrs}))
-    signals = {
-        k: v for k, v in one.items() if v.size == samples and not is_time(k.rpartition("/")[2])
-    }
-    if not signals:
-        return None
-    table = numbered(np.stack([v[()].astype(np.float64) for v in signals.values()]), rate)
+    stated = dict(scalars) | _attributes(group)
+    for each in attributes:
+        stated |= each
+    times = {k.rpartition("/")[2]: v[()] for k, v in one.items()}
+    rate, rows = time_grid(times, samples, path, named_rate(stated))
     alone = len({v.parent.name for v in signals.values()}) == 1
-    names = tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals)
-    return replace(table, names=names, units=tuple(_unit(v) for v in signals.values()), rows=rows)
+    units = []
+    for v in signals.values():
+        attributes_of_v = _attributes(v)
+        stored = attributes_of_v.get("unit", attributes_of_v.get("units", ""))
+        text = np.ravel(stored)[0] if np.size(stored) == 1 else ""
+        units.append(
+            known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
+        )
+    return RawTable(
+        data=np.stack([v[()].astype(np.float64) for v in signals.values()]),
+        rate=rate,
+        names=tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals),
+        units=tuple(units),
+        quantities=("",) * len(signals),
+        rows=rows,
+    )
 
 
 def _attributes(*objects: h5py.Group | h5py.Dataset) -> dict[str, Any]:
@@ -151,16 +144,7 @@ def _attributes(*objects: h5py.Group | h5py.Dataset) -> dict[str, Any]:
     return {k.lower(): v for o in objects for k, v in o.attrs.items()}
 
 
-def _unit(data: h5py.Dataset) -> str:
-    """Of an attribute `unit` or `units`; empty where there is none, or free text."""
-    stored = next((v for k, v in data.attrs.items() if k.lower() in ("unit", "units")), "")
-    text = np.ravel(stored)[0] if np.size(stored) == 1 else ""
-    return known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
-
-
-def h5_values(
-    path: Path, value: Callable[[str, h5py.Dataset], Any], kind: str = "HDF5"
-) -> dict[str, Any]:
+def h5_values(path: Path, value: Callable[[str, h5py.Dataset], Any]) -> dict[str, Any]:
     """What `value(name, data set)` makes of the data sets of a file, by `group.name`; None is left
     out.
 
@@ -175,7 +159,7 @@ def h5_values(
         if isinstance(item, h5py.Dataset) and (kept := value(name, item)) is not None:
             found[name.replace("/", ".")] = kept
 
-    with open_hdf5(path, f"{kind} file") as file:
+    with open_hdf5(path) as file:
         file.visititems(keep)
     return found
 
@@ -194,6 +178,7 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
 
 
 _PEEK = 1 << 16
+_OBJECTS = np.dtype(object)
 _NAMES = ("channels", "names", "labels", "channel_names", "ids", "name")
 _UNITS = ("units", "unit")
 # of one channel
@@ -215,30 +200,32 @@ def read_mat(path: Path) -> RawTable:
         If the file is damaged or holds no such variable.
     """
     values = mat_values(path)
-    arrays = [
-        v
-        for v in values.values()
-        if isinstance(v, np.ndarray) and v.ndim == 2 and v.dtype.kind in "fiu"
-    ]
-    if not arrays or max(a.size for a in arrays) < 2:
+    every = {k: v for k, v in values.items() if isinstance(v, np.ndarray)}
+    real = {k: v for k, v in every.items() if v.dtype.kind in "fiu"}
+    arrays = {k: v for k, v in real.items() if v.ndim == 2}
+    place = max(arrays, key=lambda k: arrays[k].size, default="")
+    if not place or arrays[place].size < 2:
         raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
+    largest = arrays[place]
     short = {k.rpartition(".")[2]: v for k, v in values.items()}
-    largest = max(arrays, key=lambda a: a.size)
-    place = next(k for k, v in values.items() if v is largest)
     samples = max(largest.shape)
     rate, rows = time_grid(short, samples, path, named_rate(short))
-    if min(largest.shape) == 1 and len(vectors := _vectors(values, samples)) > 1:
+    vectors = {
+        k: v for k, v in real.items() if v.size == samples and not is_time(k.rpartition(".")[2])
+    }
+    if min(largest.shape) == 1 and len(vectors) > 1:
         table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
-        table = replace(table, rows=rows)
         titles = tuple(_text_of_channel(values, k, _NAME) or k for k in vectors)
-        table = replace(table, names=titles if len(set(titles)) == len(titles) else tuple(vectors))
-        table = replace(table, units=tuple(_text_of_channel(values, k, _UNIT) for k in vectors))
+        if len(set(titles)) < len(titles):
+            titles = tuple(vectors)
+        units = tuple(_text_of_channel(values, k, _UNIT) for k in vectors)
+        table = replace(table, rows=rows, names=titles, units=units)
     else:
         table = without_time(replace(numbered(columns_first(largest, path), rate), rows=rows), path)
         table = replace(table, units=(_text_of_channel(values, place, _UNIT),) * len(table.units))
-    names = texts(values, _NAMES, table.data.shape[0]) or table.names
-    units = tuple(known(u) for u in texts(values, _UNITS, table.data.shape[0]) or table.units)
-    return replace(table, names=names, units=units)
+    count = table.data.shape[0]
+    units = tuple(known(u) for u in texts(values, _UNITS, count) or table.units)
+    return replace(table, names=texts(values, _NAMES, count) or table.names, units=units)
 
 
 def mat_values(path: Path) -> dict[str, Any]:
@@ -250,7 +237,7 @@ def mat_values(path: Path) -> dict[str, Any]:
         If the file is damaged.
     """
     if is_hdf5(path):
-        return _singly(h5_values(path, _value_73, "MATLAB 7.3"))
+        return _singly(h5_values(path, _value_73))
     found = read_apart("matlab", path, "MATLAB file")
     dense = {name: value for name, value in found.items() if not sparse.issparse(value)}
     return _singly(_flat(dense))
@@ -260,31 +247,20 @@ def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of an array of structures that holds numbers, each by itself: `ch_1.data`,
     `ch_2.data`.
     """
-    many = {k: v for k, v in values.items() if isinstance(v, np.ndarray) and v.dtype == object}
     split = {
         k.rpartition(".")[0]
-        for k, v in many.items()
-        if any(isinstance(x, np.ndarray) for x in v.flat)
+        for k, v in values.items()
+        if getattr(v, "dtype", None) == _OBJECTS and any(isinstance(x, np.ndarray) for x in v.flat)
     }
     out: dict[str, Any] = {}
     for key, value in values.items():
         stem, dot, field = key.rpartition(".")
-        if key not in many or not dot or stem not in split:
+        if dot and stem in split and getattr(value, "dtype", None) == _OBJECTS:
+            each = {f"{stem}_{i}.{field}": x for i, x in enumerate(value.flat, 1) if x is not None}
+            out |= _flat(each)
+        else:
             out[key] = value
-            continue
-        each = {f"{stem}_{i + 1}.{field}": x for i, x in enumerate(value.flat) if x is not None}
-        out |= _flat(each)
     return out
-
-
-def _vectors(values: Mapping[str, Any], samples: int) -> dict[str, Any]:
-    """Variables that hold a channel each: vectors of so many samples, times left out."""
-    found = {
-        k: v
-        for k, v in values.items()
-        if getattr(v, "size", 0) == samples and v.dtype.kind in "fiu"
-    }
-    return {k: v for k, v in found.items() if not is_time(k.rpartition(".")[2])}
 
 
 def _text_of_channel(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
@@ -292,16 +268,13 @@ def _text_of_channel(values: Mapping[str, Any], key: str, names: tuple[str, ...]
     `Channel_1_Data`, `_Header.Unit`.
     """
     stem = key.partition(".")[0] if "." in key else key.rpartition("_")[0]
-    found = [
+    found = {
         v.strip()
         for k, v in values.items()
-        if stem
-        and isinstance(v, str)
-        and re.match(rf"{re.escape(stem)}[._]", k)
-        and "x_values" not in k
-        if k.rpartition(".")[2].lower() in names
-    ]
-    return found[0] if len(set(found)) == 1 else ""
+        if stem and isinstance(v, str) and k.rpartition(".")[2].lower() in names
+        if k.startswith((f"{stem}.", f"{stem}_")) and "x_values" not in k
+    }
+    return found.pop() if len(found) == 1 else ""
 
 
 def _value_73(name: str, item: h5py.Dataset) -> Any:
@@ -339,16 +312,11 @@ def texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tupl
     letters.
     """
     for key, value in values.items():
-        if (
-            key.rpartition(".")[2].lower() in names
-            and isinstance(value, np.ndarray)
-            and value.size == count
-        ):
-            texts = [v if isinstance(v, str) else "" for v in value.ravel().tolist()]
-            if (all(texts) and len(set(texts)) == count) or key.rpartition(".")[
-                2
-            ].lower() in _UNITS:
-                return tuple(t.strip() for t in texts)
+        name = key.rpartition(".")[2].lower()
+        if name in names and isinstance(value, np.ndarray) and value.size == count:
+            texts = tuple(v.strip() if isinstance(v, str) else "" for v in value.ravel().tolist())
+            if name in _UNITS or (all(texts) and len(set(texts)) == count):
+                return texts
     return None
 
 

@@ -128,18 +128,16 @@ def record_group(file: h5py.File, path: str | Path) -> h5py.Group:
     return group
 
 
-def _column(
-    group: h5py.Group, name: str, kind: type, n: int, path: str | Path
-) -> list[object] | None:
+def _column(group: h5py.Group, name: str, kind: type, path: str | Path) -> list[Any]:
+    """A column of the channel table; empty where there is none."""
+    data = group["data"]
     table = group.get("channels")
-    raw = (
-        table[name]
-        if isinstance(table, h5py.Group) and name in table
-        else group["data"].attrs.get(name)
-    )
+    in_table = isinstance(table, h5py.Group) and name in table
+    raw = table[name][()] if in_table else data.attrs.get(name)
     if raw is None:
-        return None
-    values = np.atleast_1d(raw[()] if isinstance(raw, h5py.Dataset) else raw)
+        return []
+    values = np.atleast_1d(raw)
+    n = data.shape[0]
     if values.shape != (n,):
         raise DataError(
             f"{path}: channel table {name} has {values.size} rows, the data {n} channels"
@@ -160,25 +158,17 @@ def stored_info(group: h5py.Group, path: str | Path) -> RecordInfo:
     rate = group.attrs.get("rate", group["data"].attrs.get("rate"))
     if rate is None or not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: attribute rate is {rate}; it must be a positive number, Hz")
-    columns = {k: _column(group, k, kind, shape[0], path) for k, kind in TABLE.items()}
-    if columns["id"] is None:
+    rows: list[dict[str, Any]] = [{} for _ in range(shape[0])]
+    for name, kind in TABLE.items():
+        for row, value in zip(rows, _column(group, name, kind, path), strict=False):
+            row[name] = value
+    if "id" not in rows[0]:
         raise DataError(f"{path}: the channel table lacks `id`")
-    rows = [
-        dict(zip(columns, row, strict=True))
-        for row in zip(*_filled(columns, shape[0]), strict=True)
-    ]
-    channels = tuple(
-        RecordChannel(**{k: v for k, v in row.items() if v is not None}) for row in rows
-    )
+    channels = tuple(RecordChannel(**row) for row in rows)
     if len({c.id for c in channels}) != len(channels):
         raise DataError(f"{path}: a channel id occurs twice")
-    return RecordInfo(
-        channels, float(rate), int(shape[1]), str(group.attrs.get("source", "") or path)
-    )
-
-
-def _filled(columns: Mapping[str, list[object] | None], n: int) -> list[list[object] | list[None]]:
-    return [[None] * n if c is None else c for c in columns.values()]
+    source = str(group.attrs.get("source", "") or path)
+    return RecordInfo(channels, float(rate), int(shape[1]), source)
 
 
 def channel_positions(info: RecordInfo, channels: Sequence[str] | None, path: str | Path) -> Int:
@@ -197,17 +187,17 @@ def stored_samples(group: h5py.Group, info: RecordInfo, at: Int, samples: slice)
     data = group["data"]
     order = np.unique(at)
     raw = data[:, samples] if order.size == data.shape[0] else data[order, samples]
-    raw = raw[np.searchsorted(order, at)] if not np.array_equal(order, at) else raw
+    if not np.array_equal(order, at):
+        raw = raw[np.searchsorted(order, at)]
     rows = [info.channels[i] for i in at]
     scale = float(data.attrs.get("scale", 1.0)) * np.array([c.to_si for c in rows])
-    values = raw.astype(
-        np.float32 if raw.dtype.itemsize <= 4 and raw.dtype.kind == "f" else np.float64, copy=False
-    )
+    single = raw.dtype.itemsize <= 4 and raw.dtype.kind == "f"
+    values = raw.astype(np.float32 if single else np.float64, copy=False)
     values *= scale[:, None].astype(values.dtype)
     return TimeHistory(values, info.rate, tuple(c.channel() for c in rows), info.source)
 
 
-_RATE_NAMES = (
+_RATE_NAMES = (  # in letters and digits
     "rate",
     "fs",
     "samplingrate",
@@ -215,8 +205,11 @@ _RATE_NAMES = (
     "fsamp",
     "fsample",
     "sr",
-)  # in letters and digits
-_RATE_WORDS = ("samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq")
+    "samplefrequency",
+    "samplingfrequency",
+    "samplefreq",
+    "samplingfreq",
+)
 _STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
@@ -246,11 +239,8 @@ class RawTable:
         """The table with NaN in the rows that are missing."""
         if self.rows is None:
             return self
-        data = np.full(
-            (len(self.data), int(self.rows[-1]) + 1),
-            np.nan,
-            dtype=np.result_type(self.data, np.float32),
-        )
+        shape = len(self.data), int(self.rows[-1]) + 1
+        data = np.full(shape, np.nan, dtype=np.result_type(self.data, np.float32))
         data[:, self.rows] = self.data
         return replace(self, data=data, rows=None)
 
@@ -262,29 +252,29 @@ class RawTable:
         DataError
         """
         if self.rows is not None and self.rate is not None:
-            raise DataError(f"{path}: {uneven(np.diff(self.rows) / self.rate)}")
+            raise DataError(f"{path}: {uneven(self.rows / self.rate)}")
 
 
 def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
     """One table of the acquisitions of a file, one after the other, each with its start, s; `rows`
     holds their places.
 
-    None where they are no parts of one record: of other channels or rates, at one time, or half of
-    it between them.
+    None where there is one, or they are no parts of one record: of other channels or rates, at one
+    time, or half of it between them.
     """
+    if len(pieces) < 2:
+        return None
     pieces = sorted(pieces, key=lambda x: x[0])
+    start = np.array([start for start, _ in pieces])
     first = pieces[0][1]
-    rate = pieces[0][1].rate
     same = all(
-        (t.names, t.units, t.rate, t.rows) == (first.names, first.units, rate, None)
+        (t.names, t.units, t.rate, t.rows) == (first.names, first.units, first.rate, None)
         for _, t in pieces
     )
-    if rate is None or not same or not np.isfinite([start for start, _ in pieces]).all():
+    if first.rate is None or not same or not np.isfinite(start).all():
         return None
     size = np.array([t.data.shape[1] for _, t in pieces])
-    begin = np.round((np.array([start for start, _ in pieces]) - pieces[0][0]) * rate).astype(
-        np.int64
-    )
+    begin = np.round((start - start[0]) * first.rate).astype(np.int64)
     late = np.diff(begin) - size[:-1]
     if (late < -1).any() or begin[-1] + size[-1] > size.sum() / THIN:
         return None
@@ -324,33 +314,29 @@ def named_rate(values: Mapping[str, Any]) -> float | None:
     """The sampling rate (Hz) among named scalars: `fs`, `rate`, ... or a step of time such as
     `dt`.
     """
-    real = {k: float(np.ravel(v)[0]) for k, v in values.items() if _is_real(v) and np.size(v) == 1}
-    lower = {re.sub("[^a-z0-9]", "", k.lower()).removesuffix("hz"): x for k, x in real.items()}
-    for name in (*_RATE_NAMES, *_RATE_WORDS):
-        if name in lower:
-            return lower[name]
-    step = next((lower[name] for name in _STEP_NAMES if name in lower), None)
-    return None if step is None else 1 / step if step else 0.0
+    named = {}
+    for key, value in values.items():
+        if _is_real(value) and np.size(value) == 1:
+            plain = re.sub("[^a-z0-9]", "", key.lower()).removesuffix("hz")
+            named[plain] = float(np.ravel(value)[0])
+    for name in _RATE_NAMES:
+        if name in named:
+            return named[name]
+    step = next((named[name] for name in _STEP_NAMES if name in named), None)
+    return 1 / step if step else step
 
 
 def _is_real(value: Any) -> bool:
-    return (
-        getattr(
-            value, "dtype", np.asarray(value).dtype if np.isscalar(value) else np.dtype(object)
-        ).kind
-        in "fiu"
-    )
+    return np.asarray(value).dtype.kind in "fiu"
 
 
 def without_time(table: RawTable, path: Path) -> RawTable:
     """A table without names whose first row is a time (it rises in equal steps): the rate in its
     place.
     """
-    rate, rows = (
-        even_grid(in_seconds(table.data[0]), False, path)
-        if table.data.shape[0] > 1
-        else (None, None)
-    )
+    if table.data.shape[0] < 2:
+        return table
+    rate, rows = even_grid(in_seconds(table.data[0]), False, path)
     # 1 Hz: the column may as well number the samples
     if rate is None or rate <= 1 or table.data.shape[1] < 10:
         return table

@@ -85,70 +85,67 @@ def read_csv(path: Path) -> RawTable:
     top = header_rows(lines, delimiter, comma, width)
     head = [split_cells(x, delimiter) for x in lines[:top]]
     rows = without_headers(lines[top:], lines[:top], path)
-    body, clock = _clocked(rows, delimiter, path)
-    data = (
-        numbers(body, delimiter, comma, path)
-        if body and width > clock
-        else np.empty((0, len(body)))
-    )
-    names = (
-        column_titles(head, width, path) if head else commented_titles(comments, delimiter, width)
-    )
+    body, clock, stamps = _clocked(rows, delimiter, path)
+    data = np.empty((0, len(body)))
+    if body and width > clock:
+        data = numbers(body, delimiter, comma, path)
+    names = commented_titles(comments, delimiter, width)
+    if head:
+        names = column_titles(head, width, path)
     if names and len(names) - clock != len(data):
         raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
     rate = _stated_rate([*comments, *lines[:top]])
-    if clock:
-        t = _clock_times(rows, delimiter, clock, path)
-        by_clock, places = _rate_of(t, path)
-        data, names = _without_count(data, names[clock:])
-        return replace(_named(data, names, by_clock or rate), rows=places)
-    return _with_time(data, names, rate, path)
-
-
-def _clocked(lines: Sequence[str], delimiter: str, path: Path) -> tuple[Sequence[str], int]:
-    """The lines without the dates and times of day that stand first, and how many columns these
-    take.
-    """
-    if not lines:
-        return lines, 0
-    cells = split_cells(lines[0], delimiter)
-    clock = next((k for k, x in enumerate(cells[:3]) if not is_clock(x)), min(len(cells), 3))
-    if clock > 2 or not clock:
-        return lines, 0
-    out = []
-    for k, line in enumerate(lines):
-        rest = line.split(None if delimiter == " " else delimiter, clock)
-        if len(rest) <= clock:
-            raise DataError(f"{path}: row {k} of the samples has {len(rest)} cells: {line[:60]!r}")
-        out.append(rest[clock])
-    return out, clock
-
-
-def _clock_times(lines: Sequence[str], delimiter: str, columns: int, path: Path) -> Float:
-    """Seconds (row,) of lines that begin with dates and times of day."""
-    texts = [
-        " ".join(x.split(None if delimiter == " " else delimiter, columns)[:columns]) for x in lines
-    ]
+    if not clock:
+        return _with_time(data, names, rate, path)
     try:
-        return seconds([x.replace('"', "") for x in texts])
+        t = seconds(stamps)
     except ValueError as exc:
         raise DataError(f"{path}: {exc}") from exc
+    by_clock, places = _rate_of(t, path)
+    names = names[clock:]
+    # 0.9: share of the lines that go on from the one before, from one on or from where the logger
+    # was
+    numbered_lines = len(data) > 1 and names and names[0].lower() in _COUNTS
+    if numbered_lines and np.mean(np.diff(data[0]) == 1) > 0.9:
+        data = data[1:]
+        names = names[1:]
+    return replace(_named(data, names, by_clock or rate), rows=places)
+
+
+def _clocked(
+    lines: Sequence[str], delimiter: str, path: Path
+) -> tuple[Sequence[str], int, list[str]]:
+    """The lines without the dates and times of day that stand first, how many columns these take,
+    and these.
+    """
+    cells = split_cells(lines[0], delimiter) if lines else []
+    clock = next((k for k, x in enumerate(cells[:3]) if not is_clock(x)), len(cells))
+    if not 0 < clock < 3:
+        return lines, 0, []
+    body = []
+    stamps = []
+    for k, line in enumerate(lines):
+        *stamp, rest = line.split(None if delimiter == " " else delimiter, clock)
+        if len(stamp) < clock:
+            count = len(stamp) + 1
+            raise DataError(f"{path}: row {k} of the samples has {count} cells: {line[:60]!r}")
+        body.append(rest)
+        stamps.append(" ".join(stamp).replace('"', ""))
+    return body, clock, stamps
 
 
 def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
     """The rate of times that are even but for their rounding to whole seconds or less; as
     `even_grid`.
     """
-    if (
-        t.size > 2
-        and (np.diff(t) >= 0).all()
-        and (np.diff(t) == 0).any()
-        and (np.round(t) == t).all()
-    ):
-        step = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
-        even = np.abs(t - t[0] - step * np.arange(t.size)).max() < 1.5
+    step = np.diff(t)
+    whole = t.size > 2 and (step >= 0).all() and (step == 0).any() and (np.round(t) == t).all()
+    if whole:
+        mean = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
+        even = np.abs(t - t[0] - mean * np.arange(t.size)).max() < 1.5
         # 1e-3: relative deviation of a rate from times written with few digits
-        return (1 / step if even and step > 0 and 1 / (t.size**1.5 * step) < 1e-3 else None), None
+        told = even and mean > 0 and 1 / (t.size**1.5 * mean) < 1e-3
+        return (1 / mean if told else None), None
     return even_grid(t, True, path)
 
 
@@ -160,20 +157,6 @@ def _stated_rate(lines: Sequence[str]) -> float | None:
         if (found := _STEP.search(line)) and (step := float(found["x"].replace(",", "."))) > 0:
             return 1 / (step * SECONDS_PER[(found["u"] or "s").lower()])
     return None
-
-
-def _without_count(data: Float, names: list[str]) -> tuple[Float, list[str]]:
-    """Columns and names without a first one that numbers the lines, from one on or from where the
-    logger was.
-    """
-    # 0.9: share of the lines that go on from the one before
-    count = (
-        len(data) > 1
-        and bool(names)
-        and names[0].lower() in _COUNTS
-        and np.mean(np.diff(data[0]) == 1) > 0.9
-    )
-    return (data[1:], names[1:]) if count else (data, names)
 
 
 def _with_time(data: Float, names: Sequence[str], stated: float | None, path: Path) -> RawTable:
@@ -212,14 +195,11 @@ def _named(data: Float, names: Sequence[str], rate: float | None) -> RawTable:
     """
     if not names:
         return numbered(data, rate)
-    pairs = [
-        m if (m := BRACKETED_UNIT.match(n)) and (known(m[2]) or not m[2].strip()) else None
-        for n in names
-    ]
-    return RawTable(
-        data,
-        rate,
-        tuple(p[1] if p else n for p, n in zip(pairs, names, strict=True)),
-        tuple(p[2] if p else "" for p in pairs),
-        ("",) * len(names),
-    )
+    titles = []
+    units = []
+    for name in names:
+        found = BRACKETED_UNIT.match(name)
+        is_unit = found is not None and (known(found[2]) or not found[2].strip())
+        titles.append(found[1] if found and is_unit else name)
+        units.append(found[2] if found and is_unit else "")
+    return RawTable(data, rate, tuple(titles), tuple(units), ("",) * len(names))

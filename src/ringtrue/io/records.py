@@ -14,11 +14,12 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import atomic_write, ending_means, existing, read_text
+from ringtrue.io.files import atomic_write, ending_means, existing, refuse_twice
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frfs import holds_frfs
 from ringtrue.io.labview import (
     read_lvm,
+    read_lvm_pieces,
     read_lvm_segments,
     read_tdms,
     read_tdms_pieces,
@@ -48,6 +49,7 @@ from ringtrue.io.record_texts import read_csv
 from ringtrue.io.times import to_si
 from ringtrue.io.uff.functions import read_time, read_time_runs
 
+_UFF = (".uff", ".unv", ".58")
 _READERS = {
     ".npy": read_npy,
     ".csv": read_csv,
@@ -55,13 +57,13 @@ _READERS = {
     ".lvm": read_lvm,
     ".mat": read_mat,
     ".wav": read_wav,
+    **dict.fromkeys(_UFF, read_time),
 }
 _HDF5 = (".h5", ".hdf5")
 # Hz: a sample a day, and what no recorder of vibration reaches
 _SLOWEST = 1e-5
 _FASTEST = 1e9
 _LARGEST = 1e70  # fourth powers stay finite
-_UFF = (".uff", ".unv", ".58")
 _MAY_HOLD_FRFS = (
     ".csv",
     ".txt",
@@ -108,16 +110,9 @@ def write_record(
             data.resize(at + block.shape[1], axis=1)
             data[:, at:] = block
         for name, kind in TABLE.items():
-            _put_column(group, name, [getattr(c, name) for c in channels], kind)
-
-
-def _put_column(group: h5py.Group, name: str, values: Sequence[object], kind: type) -> None:
-    dtype = h5py.string_dtype() if kind is str else kind
-    group.create_dataset(
-        f"channels/{name}",
-        data=np.array(values, dtype=object if kind is str else kind),
-        dtype=dtype,
-    )
+            dtype = h5py.string_dtype() if kind is str else kind
+            values = [getattr(c, name) for c in channels]
+            group.create_dataset(f"channels/{name}", data=values, dtype=dtype)
 
 
 def record_info(path: str | Path) -> RecordInfo:
@@ -177,7 +172,6 @@ def read_record(
     path = existing(path)
     _check_rate_given(path, rate)
     history = _read(path, rate, channels, slice(start, stop), group, gaps)
-    _check_rate(history, path)
     refuse_bad_samples(history, path, check, gaps)
     return history
 
@@ -203,7 +197,6 @@ def read_runs(
     _check_rate_given(path, rate)
     found = tuple(_from_table(t, path, rate) for t in reader(path))
     for history in found:
-        _check_rate(history, path)
         refuse_bad_samples(history, path, False)
     return found
 
@@ -215,26 +208,13 @@ def _lvm_runs(path: Path) -> tuple[RawTable, ...]:
         return tuple(t for _, t in read_lvm_segments(path))
 
 
-def _lvm_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
-    """No segments of a file without headers, which is text."""
-    return read_lvm_segments(path) if read_text(path).lstrip().startswith("LabVIEW") else ()
-
-
-_PIECES = {".lvm": _lvm_pieces, ".tdms": read_tdms_pieces}
+_PIECES = {".lvm": read_lvm_pieces, ".tdms": read_tdms_pieces}
 _RUNS = {".lvm": _lvm_runs, ".tdms": read_tdms_runs, **dict.fromkeys(_UFF, read_time_runs)}
 
 
 def _check_rate_given(path: Path, rate: float | None) -> None:
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise DataError(f"{path}: rate {rate} Hz must be positive")
-
-
-def _check_rate(history: TimeHistory, path: Path) -> None:
-    if not _SLOWEST <= history.rate <= _FASTEST:
-        raise DataError(
-            f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to "
-            f"{_FASTEST:g}"
-        )
 
 
 def record_blocks(path: str | Path, samples: int) -> Iterator[TimeHistory]:
@@ -270,61 +250,39 @@ def _read(
     gaps: bool,
 ) -> TimeHistory:
     ext = path.suffix.lower()
-    if not group:
-        _refuse_frfs(path, ext)
     if group and ext not in (*_HDF5, ".tdms"):
         raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
     if ext in _HDF5:
         with open_hdf5(path) as file:
             own = find_record(file)
             if own is not None and not group:
-                return _read_own(own, path, rate, channels, samples)
-            table = read_h5_table(file, path, group)
-    elif gaps and not group and ext in _PIECES and (one := _joined(path, ext)) is not None:
-        table = one
-    elif ext == ".tdms":
-        table = read_tdms(path, group)
-    elif ext in _UFF:
-        table = read_time(path)
-    elif ext in _READERS:
-        table = _READERS[ext](path)
-    else:
-        known = did_you_mean(ext, [*_HDF5, *_UFF, *_READERS, ".tdms"])
-        raise DataError(f"{path}: no record{ending_means(path) or f': format {ext!r}{known}'}")
+                info = stored_info(own, path)
+                _agree(rate, info.rate, path, "the file")
+                check_stored(own["data"], path)
+                at = channel_positions(info, channels, path)
+                return stored_samples(own, info, at, samples)
+    if ext in _MAY_HOLD_FRFS and not group and holds_frfs(path):
+        raise DataError(f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs")
+    table = None
+    if gaps and not group and ext in _PIECES:
+        table = joined(_PIECES[ext](path))
+    if table is None:
+        table = _table(path, ext, group)
     history = _from_table(table.evened() if gaps else table, path, rate)
     history = history if channels is None else history.pick(channels)
     return replace(history, data=history.data[:, samples])
 
 
-def _refuse_frfs(path: Path, ext: str) -> None:
-    """A `DataError` where a file whose ending may be of both holds FRFs."""
+def _table(path: Path, ext: str, group: str) -> RawTable:
     if ext in _HDF5:
         with open_hdf5(path) as file:
-            if find_record(file) is not None:
-                return
-    if ext in _MAY_HOLD_FRFS and holds_frfs(path):
-        raise DataError(f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs")
-
-
-def _joined(path: Path, ext: str) -> RawTable | None:
-    """The acquisitions of a file, each with a start, as one table; None where it holds one, or
-    others.
-    """
-    pieces = _PIECES[ext](path)
-    return joined(pieces) if len(pieces) > 1 else None
-
-
-def _read_own(
-    group: h5py.Group,
-    path: Path,
-    rate: float | None,
-    channels: Sequence[str] | None,
-    samples: slice,
-) -> TimeHistory:
-    info = stored_info(group, path)
-    _agree(rate, info.rate, path, "the file")
-    check_stored(group["data"], path)
-    return stored_samples(group, info, channel_positions(info, channels, path), samples)
+            return read_h5_table(file, path, group)
+    if ext == ".tdms":
+        return read_tdms(path, group)
+    if ext in _READERS:
+        return _READERS[ext](path)
+    known = did_you_mean(ext, [*_HDF5, *_READERS, ".tdms"])
+    raise DataError(f"{path}: no record{ending_means(path) or f': format {ext!r}{known}'}")
 
 
 def _agree(asked: float | None, found: float, path: Path, where: str) -> None:
@@ -345,13 +303,9 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
             raise DataError(f"{path}: rate {table.rate} Hz must be positive")
         _agree(rate, table.rate, path, "its time column or header")
     table.check_whole(path)
-    if twice := sorted({n for n in table.names if table.names.count(n) > 1}):
-        raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
-    rows = [to_si(u if u else "", q) for u, q in zip(table.units, table.quantities, strict=True)]
-    channels = tuple(
-        Channel(name, quantity, unit)
-        for name, (quantity, _, unit) in zip(table.names, rows, strict=True)
-    )
+    refuse_twice(table.names, "channel", path)
+    rows = [to_si(u or "", q) for u, q in zip(table.units, table.quantities, strict=True)]
+    channels = tuple(Channel(n, row[0], row[2]) for n, row in zip(table.names, rows, strict=True))
     factor: Float = np.array([f for _, f, _ in rows])
     with np.errstate(over="ignore"):  # what is infinite then is refused
         data = table.data if (factor == 1).all() else table.data * factor[:, None]
@@ -361,8 +315,8 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
 def refuse_bad_samples(
     history: TimeHistory, path: Path, check: bool = True, gaps: bool = False
 ) -> None:
-    """Refuse a record of less than two samples and, if `check`, channels that are constant or not
-    finite.
+    """Refuse an odd rate, a record of less than two samples and, if `check`, channels that are
+    constant or not finite.
 
     With `gaps`, only those without a finite sample.
 
@@ -370,33 +324,37 @@ def refuse_bad_samples(
     ------
     DataError
     """
+    if not _SLOWEST <= history.rate <= _FASTEST:
+        raise DataError(
+            f"{path}: rate {history.rate:g} Hz cannot be right; allowed are {_SLOWEST:g} to "
+            f"{_FASTEST:g}"
+        )
     if history.data.shape[1] < 2:
         raise DataError(f"{path}: {history.data.shape[1]} samples; a record needs at least 2")
     if not check:
         return
-    low, high = (x.astype(np.float64) for x in (history.data.min(axis=1), history.data.max(axis=1)))
-    for i in np.flatnonzero(
-        np.isfinite(low) & np.isfinite(high) & (np.maximum(-low, high) > _LARGEST)
-    )[:1].tolist():
-        raise DataError(
-            f"{path}: channel {history.channels[i].id} reaches {max(-low[i], high[i]):.2g}: no "
-            "unit makes that"
-        )
+    data = history.data
+    low, high = (x.astype(np.float64) for x in (data.min(axis=1), data.max(axis=1)))
     bad = ~(np.isfinite(low) & np.isfinite(high))
-    for i in np.flatnonzero(bad) if gaps else ():
-        known = history.data[i, np.isfinite(history.data[i])]
-        bad[i] = not known.size
-        low[i], high[i] = (known.min(), known.max()) if known.size else (low[i], high[i])
-    if bad.any():
-        at = np.flatnonzero(bad)[:8]
-        lost = (~np.isfinite(history.data[at])).sum(axis=1).tolist()
-        counts = ", ".join(
-            f"{history.channels[i].id} ({n})" for i, n in zip(at.tolist(), lost, strict=True)
-        )
+    size = np.where(bad, 0.0, np.maximum(-low, high))
+    if size.max() > _LARGEST:
+        i = int((size > _LARGEST).argmax())
         raise DataError(
-            f"{path}: NaN or infinite samples in {counts} of {history.data.shape[1]} samples each; "
-            "leave "
-            "these channels out, or fill single samples in the file by interpolation"
+            f"{path}: channel {history.channels[i].id} reaches {size[i]:.2g}: no unit makes that"
+        )
+    if gaps:
+        for i in np.flatnonzero(bad).tolist():
+            known = data[i, np.isfinite(data[i])]
+            if known.size:
+                bad[i] = False
+                low[i] = known.min()
+                high[i] = known.max()
+    if bad.any():
+        lost = (~np.isfinite(data)).sum(axis=1).tolist()
+        counts = [f"{history.channels[i].id} ({lost[i]})" for i in np.flatnonzero(bad)[:8]]
+        raise DataError(
+            f"{path}: NaN or infinite samples in {', '.join(counts)} of {data.shape[1]} samples "
+            "each; leave these channels out, or fill single samples in the file by interpolation"
         )
     if (low == high).any():
         names = [c.id for c, b in zip(history.channels, low == high, strict=True) if b]

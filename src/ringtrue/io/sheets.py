@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import LINEAR, input_id, other_names
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about, did_you_mean
-from ringtrue.io.files import existing, read_text, refuse_large
+from ringtrue.io.files import existing, read_text, refuse_ending, refuse_large, refuse_twice
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import read_sheet, sheet_names
 from ringtrue.io.record_table import RecordChannel
@@ -74,61 +78,47 @@ class SensorSheet:
         sheet where the record has none. A record without names, of as many channels as the sheet
         has motions, has those in their order.
         """
-        rows = {c.id: c for c in self.channels}
         ids = [c.id for c in history.channels]
+        said: tuple[str, ...] = ()
         if names := self._in_order(ids):
-            named = tuple(replace(c, id=n) for c, n in zip(history.channels, names, strict=True))
-            scaled, notes = self.scaled(replace(history, channels=named))
             said = (
                 "channels without names are the motions of the sensor sheet in its order: "
-                f"{_some(names)}"
+                f"{_some(names)}",
             )
-            return scaled, (said, *notes)
-        history, turned = self._named(history)
-        lost = [c.id for c in history.channels if c.id not in rows and c.quantity == "unknown"]
-        notes = (f"without a unit, and not on the sensor sheet: {_some(lost)}",) if lost else ()
-        channels = list[Channel]()
-        factors = np.ones(len(history.channels))
-        for k, c in enumerate(history.channels):
-            row = rows.get(c.id)
-            if row is not None and c.quantity == "unknown" and row.has_scale:
-                factors[k], c = row.to_si, row.channel()
-            channels.append(replace(c, sensor=c.sensor or (row.sensor if row else "")))
-        notes = (*turned, *notes)
-        if tuple(channels) == history.channels:
-            return history, notes
-        changed = [
-            new.id
-            for old, new in zip(history.channels, channels, strict=True)
-            if old.quantity != new.quantity
-        ]
-        note = (
-            f"{len(changed)} channels without a unit taken as the sensor sheet says: "
-            f"{_some(changed)}"
-        )
-        data = history.data if (factors == 1).all() else history.data * factors[:, None]
-        return replace(history, data=data, channels=tuple(channels)), (
-            note,
-            *notes,
-        ) if changed else notes
-
-    def _named(self, history: TimeHistory) -> tuple[TimeHistory, tuple[str, ...]]:
-        """A record with the sheet's names of its motions, those of opposite sign turned, and which
-        were.
-        """
-        ids = [c.id for c in history.channels]
+            ids = list(names)
         named, sign = self.model.named(ids)
-        if list(named) == ids:
-            return history, ()
-        channels = tuple(
-            replace(c, id=name) for c, name in zip(history.channels, named, strict=True)
-        )
-        data = (
-            history.data
-            if (sign > 0).all()
-            else history.data * sign[:, None].astype(history.data.dtype)
-        )
-        return replace(history, data=data, channels=channels), other_names(ids, named, sign)
+        said += other_names(ids, named, sign)
+        rows = {c.id: c for c in self.channels}
+        channels = list[Channel]()
+        changed = []
+        lost = []
+        factors = np.array(sign, dtype=np.float64)
+        for k, (c, name) in enumerate(zip(history.channels, named, strict=True)):
+            row = rows.get(name)
+            sensor = c.sensor or (row.sensor if row else "")
+            if c.quantity == "unknown" and row is not None and row.has_scale:
+                factors[k] *= row.to_si
+                c = row.channel()
+                if c.quantity != "unknown":
+                    changed.append(name)
+            elif c.quantity == "unknown" and row is None:
+                lost.append(name)
+            channels.append(replace(c, id=name, sensor=sensor))
+        if changed:
+            said += (
+                f"{len(changed)} channels without a unit taken as the sensor sheet says: "
+                f"{_some(changed)}",
+            )
+        if lost:
+            said += (f"without a unit, and not on the sensor sheet: {_some(lost)}",)
+        if tuple(channels) == history.channels:
+            return history, said
+        data = history.data
+        if (np.abs(factors) != 1).any():
+            data = data * factors[:, None]
+        elif (factors < 0).any():
+            data = data * factors[:, None].astype(data.dtype)
+        return replace(history, data=data, channels=tuple(channels)), said
 
     def _in_order(self, ids: Sequence[str]) -> tuple[str, ...]:
         """The motions for a record without names; empty where it has names or another number of
@@ -139,11 +129,8 @@ class SensorSheet:
         """
         rows = self.model.channels
         bare = list(ids) == [f"ch{i + 1}" for i in range(len(rows))] and set(ids) != set(rows)
-        return (
-            rows
-            if bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows)
-            else ()
-        )
+        there = bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows)
+        return rows if there else ()
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
@@ -170,35 +157,34 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     path = Path(path)
     rows = _rows(path)
     points, xyz, groups = _points(rows, path)
-    directions = ("direction", "azimuth", "elevation")
-    used = [(i, r) for i, r in enumerate(rows, start=2) if any(r.get(d) for d in directions)]
-    axes = np.array([_axis(r, f"{path} row {i}") for i, r in used]).reshape(-1, 3)
-    channels = tuple(
-        _channel(r, a, f"{path} row {i}") for (i, r), a in zip(used, axes, strict=True)
-    )
+    axes = []
+    channels = []
+    for i, row in enumerate(rows, start=2):
+        if any(row.get(d) for d in ("direction", "azimuth", "elevation")):
+            where = f"{path} row {i}"
+            axes.append(_axis(row, where))
+            channels.append(_channel(row, axes[-1], where))
     ids = [c.id for c in channels]
-    if twice := sorted({c for c in ids if ids.count(c) > 1}):
-        raise DataError(f"{path}: channel {' '.join(twice[:8])} occurs twice")
+    refuse_twice(ids, "channel", path)
     pairs = _line_rows(path, lines)
     if lost := sorted({p for pair in pairs for p in pair} - set(points.tolist())):
         raise DataError(f"{path}: lines name points that are not there: {lost[:8]}")
     at = np.array([c.point for c in channels], dtype=np.int64)
-    moving = np.array([c.quantity != "force" for c in channels], dtype=np.bool_)
-    motion = np.flatnonzero(moving)
-    force = np.flatnonzero(~moving)
+    every_axis = np.array(axes).reshape(-1, 3)
+    forces = np.array([c.quantity == "force" for c in channels], dtype=np.bool_)
     model = TestModel(
         points=points,
         xyz=xyz,
-        channels=tuple(ids[i] for i in motion),
-        at=at[motion],
-        axes=axes[motion],
+        channels=tuple(c.id for c in channels if c.quantity != "force"),
+        at=at[~forces],
+        axes=every_axis[~forces],
         lines=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         groups=groups,
-        forces=tuple(input_id(ids[i]) for i in force),
-        force_at=at[force],
-        force_axes=axes[force],
+        forces=tuple(input_id(c.id) for c in channels if c.quantity == "force"),
+        force_at=at[forces],
+        force_axes=every_axis[forces],
     )
-    return SensorSheet(model, channels, orientation_notes(model))
+    return SensorSheet(model, tuple(channels), orientation_notes(model))
 
 
 def _some(ids: Sequence[str]) -> str:
@@ -212,49 +198,41 @@ def orientation_notes(model: TestModel) -> tuple[str, ...]:
     order = np.argsort(model.at, kind="stable")
     cuts = np.flatnonzero(np.diff(model.at[order])) + 1
     notes = []
+    parallel = np.cos(np.radians(1.0))
+    not_square = np.sin(np.radians(2.0))
     for group in np.split(order, cuts):  # few sensors share a point; a report line for each
-        notes += _point_notes(model, group)
+        if group.size < 2:
+            continue
+        point = int(model.at[group[0]])
+        names = [model.channels[i] for i in group]
+        axes = model.axes[group]
+        cosine = np.triu(axes @ axes.T, 1)
+        of_point = []
+        for i, j in np.argwhere(np.abs(cosine) > not_square).tolist():
+            what = "agree" if cosine[i, j] > 0 else "oppose each other"
+            if abs(cosine[i, j]) <= parallel:
+                what = "are not at right angles"
+            of_point.append(f"point {point}: {names[i]} and {names[j]} {what}")
+        if group.size == 3 and not of_point and np.linalg.det(axes) < 0:
+            of_point = [f"point {point}: {' '.join(names)} is a left-handed frame in this order"]
+        notes += of_point
     return tuple(notes)
 
 
-def _point_notes(model: TestModel, group: Int) -> list[str]:
-    if group.size < 2:
-        return []
-    point = int(model.at[group[0]])
-    names = [model.channels[i] for i in group]
-    axes = model.axes[group]
-    parallel = np.cos(np.radians(1.0))
-    not_square = np.sin(np.radians(2.0))
-    cosine = np.triu(axes @ axes.T, 1)
-    notes = [
-        f"point {point}: {names[i]} and {names[j]} "
-        f"{'agree' if cosine[i, j] > 0 else 'oppose each other'}"
-        for i, j in np.argwhere(np.abs(cosine) > parallel)
-    ]
-    skew = (np.abs(cosine) > not_square) & (np.abs(cosine) <= parallel)
-    notes += [
-        f"point {point}: {names[i]} and {names[j]} are not at right angles"
-        for i, j in np.argwhere(skew)
-    ]
-    if group.size == 3 and not notes and np.linalg.det(axes) < 0:
-        notes.append(f"point {point}: {' '.join(names)} is a left-handed frame in this order")
-    return notes
-
-
-def _rows(path: Path, sheet: str | None = None, columns: Sequence[str] = COLUMNS) -> list[Row]:
-    table = [r for r in cells(path, sheet) if any(r) and not r[0].startswith("#")]
+def _rows(path: Path) -> list[Row]:
+    table = [r for r in cells(path) if any(r) and not r[0].startswith("#")]
     if len(table) < 2:
         raise DataError(f"{path}: no rows below the header")
     head = [x.lower() for x in table[0]]
-    for name in head:
-        if name and name not in columns:
-            raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, columns)}")
-    if lost := [c for c in columns if c in REQUIRED and c not in head]:
+    for name in filter(None, head):
+        if name not in COLUMNS:
+            raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, COLUMNS)}")
+    if lost := [c for c in REQUIRED if c not in head]:
         raise DataError(
             f"{path}: the columns {', '.join(lost)} are missing; there are "
             f"{', '.join(filter(None, head))}"
         )
-    return [dict(zip(head, r + [""] * (len(head) - len(r)), strict=False)) for r in table[1:]]
+    return [dict(zip_longest(head, r[: len(head)], fillvalue="")) for r in table[1:]]
 
 
 def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
@@ -269,9 +247,7 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         return [[_text(v) for v in row] for row in read_sheet(path, sheet)]
     if path.suffix.lower() not in (".csv", ".txt"):
-        raise DataError(
-            f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, ['.csv', '.xlsx'])}"
-        )
+        refuse_ending(path, [".csv", ".xlsx"])
     lines = read_text(path).splitlines()
     first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
     # commas may be decimal: not more of them than of others
@@ -283,10 +259,11 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
 def _text(value: object) -> str:
     if value is None:
         return ""
+    if isinstance(value, datetime):
+        return str(value.date())
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
-    date = getattr(value, "date", None)
-    return str(date()) if callable(date) else str(value).strip()
+    return str(value).strip()
 
 
 def _number(row: Row, name: str, where: str, default: float | None = None) -> float:
@@ -321,57 +298,43 @@ def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...
     for i, row in enumerate(rows, start=2):
         where = f"{path} row {i}"
         p = _point(row, where)
-        if not (p in place and not any(row[c] for c in "xyz")):
+        if p not in place or any(row[c] for c in "xyz"):
             xyz = tuple(_number(row, c, where) for c in "xyz")
-            if p in place and max(abs(a - b) for a, b in zip(place[p], xyz, strict=True)) > 1e-9:
-                raise DataError(
-                    f"{where}: point {p} stands at {xyz}, before it stood at {place[p]}"
-                )
+            before = place.setdefault(p, xyz)
+            if np.abs(np.subtract(xyz, before)).max() > 1e-9:
+                raise DataError(f"{where}: point {p} stands at {xyz}, before it stood at {before}")
             place[p] = xyz
         group[p] = group.get(p, "") or row.get("group", "")
-    return (
-        np.array(list(place), dtype=np.int64),
-        np.array(list(place.values())),
-        tuple(group.values()),
-    )
+    points = np.array(list(place), dtype=np.int64)
+    return points, np.array(list(place.values())), tuple(group.values())
 
 
 def _axis(row: Row, where: str) -> Float:
     """Unit vector of a row, (3,)."""
     if not row.get("direction"):
-        return _angles(np.radians([_number(row, c, where, 0.0) for c in ("azimuth", "elevation")]))
+        return _angles([_number(row, c, where, 0.0) for c in ("azimuth", "elevation")])
     text = row["direction"].strip().upper()
-    if text.lstrip("+-") in _AXES and len(text) <= 2:
+    if re.fullmatch(r"[+-]?[XYZ]", text):
         return np.array(_AXES[text[-1]]) * (-1.0 if text[0] == "-" else 1.0)
     try:
-        vector = np.array(
-            [float(x) for x in text.strip("()[]").replace(",", " ").replace(";", " ").split()]
-        )
+        vector = np.array([float(x) for x in re.sub(r"[,;]", " ", text.strip("()[]")).split()])
     except ValueError:
         vector = np.zeros(0)
     if vector.size == 2:
-        return _angles(np.radians(vector))
+        return _angles(vector)
     length = float(np.linalg.norm(vector))
     if vector.size != 3 or not np.isfinite(length) or length == 0:
         raise DataError(
             f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, a vector `0.5 0 "
-            "0.87`, "
-            "or azimuth and elevation in degrees"
+            "0.87`, or azimuth and elevation in degrees"
         )
     return np.asarray(vector / length)
 
 
-def _angles(a: Float) -> Float:
-    return np.array([np.cos(a[1]) * np.cos(a[0]), np.cos(a[1]) * np.sin(a[0]), np.sin(a[1])])
-
-
-def _default_id(point: int, axis: Float) -> str:
-    """`101+Z`; a skewed sensor is named after its nearest axis, with an `s` for skewed:
-    `101+Zs`.
-    """
-    k = int(np.abs(axis).argmax())
-    skewed = "" if abs(axis[k]) > 1 - 1e-9 else "s"
-    return f"{point}{'+' if axis[k] > 0 else '-'}{'XYZ'[k]}{skewed}"
+def _angles(degrees: ArrayLike) -> Float:
+    azimuth, elevation = np.radians(degrees)
+    flat = np.cos(elevation)
+    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
 
 
 def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
@@ -379,13 +342,18 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
     get = defaultdict(str, row)
     sensitivity = _number(row, "sensitivity", where, 1.0)
     full_scale = _number(row, "range", where, float("inf"))
+    # 101+Z; a skewed sensor is named after its nearest axis, with an s for skewed: 101+Zs
+    k = int(np.abs(axis).argmax())
+    skewed = "" if abs(axis[k]) > 1 - 1e-9 else "s"
+    default_id = f"{point}{'+' if axis[k] > 0 else '-'}{'XYZ'[k]}{skewed}"
     with about(where):
         quantity = to_si(get["unit"], get["quantity"])[0]
         if quantity in LINEAR:
             raise DataError(
                 f"{quantity}: a sheet is of translations; name rotations 101+RX, without a sheet"
             )
-        default_id = ("F:" if quantity == "force" else "") + _default_id(point, axis)
+        if quantity == "force":
+            default_id = f"F:{default_id}"
         return RecordChannel(
             id=get["channel"] or default_id,
             point=point,
@@ -401,7 +369,7 @@ def _channel(row: Row, axis: Float, where: str) -> RecordChannel:
 def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
     table: list[list[str]] = []
     if lines is not None:
-        table = cells(Path(lines), None)
+        table = cells(Path(lines))
     elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in sheet_names(path):
         table = cells(path, "lines")
     pairs = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, freeze_fields
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import existing, read_text, refuse_large
+from ringtrue.io.files import existing, read_text, refuse_large, refuse_twice
 from ringtrue.io.foreign.door import door
 
 COLUMNS = ("case", "channel", "load", "deflection")
@@ -56,25 +56,22 @@ def read_statics(path: str | Path) -> StaticTests:
     """
     path = existing(path)
     with door(path, "CSV table"):
-        reader = csv.DictReader(StringIO(read_text(path), newline=""))
-        heads = [h.strip().lower() for h in reader.fieldnames or ()]
+        table = csv.reader(StringIO(read_text(path), newline=""))
+        heads = [h.strip().lower() for h in next(table, [])]
         for h in heads:
             if h not in COLUMNS:
                 raise DataError(f"{path}: column {h!r}{did_you_mean(h, COLUMNS)}")
-        if twice := sorted({h for h in heads if heads.count(h) > 1}):
-            raise DataError(f"{path}: column {twice[0]!r} stands there twice")
+        refuse_twice(heads, "column", path)
         if lost := [c for c in COLUMNS if c not in heads]:
             raise DataError(
                 f"{path}: no column {lost[0]!r}; a table of static tests has {', '.join(COLUMNS)}"
             )
-        rows = [
-            (
-                reader.line_num,
-                dict(zip(heads, (str(v or "").strip() for v in r.values()), strict=False)),
-            )
-            for r in reader
-        ]
-    return _tests(path, [(n, r) for n, r in rows if any(r.values())])
+        rows = []
+        for cells in table:
+            row = dict.fromkeys(heads, "") | dict(zip(heads, map(str.strip, cells), strict=False))
+            if any(row.values()):
+                rows.append((table.line_num, row))
+    return _tests(path, rows)
 
 
 def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:

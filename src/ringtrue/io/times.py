@@ -21,53 +21,58 @@ from ringtrue.errors import DataError, did_you_mean
 G = 9.80665  # standard gravity, m/s^2
 _INCH = 0.0254
 _DEGREE = float(np.pi / 180)
-_UNITS: dict[str, tuple[Quantity, float, str]] = {
-    "m/s^2": ("acceleration", 1.0, "m/s^2"),
-    "mm/s^2": ("acceleration", 1e-3, "m/s^2"),
-    "g": ("acceleration", G, "m/s^2"),
-    "mg": ("acceleration", 1e-3 * G, "m/s^2"),
-    "ug": ("acceleration", 1e-6 * G, "m/s^2"),
-    "in/s^2": ("acceleration", _INCH, "m/s^2"),
-    "ft/s^2": ("acceleration", 12 * _INCH, "m/s^2"),
-    "cm/s^2": ("acceleration", 1e-2, "m/s^2"),
-    "gal": ("acceleration", 1e-2, "m/s^2"),
-    "m/s": ("velocity", 1.0, "m/s"),
-    "cm/s": ("velocity", 1e-2, "m/s"),
-    "mm/s": ("velocity", 1e-3, "m/s"),
-    "um/s": ("velocity", 1e-6, "m/s"),
-    "nm/s": ("velocity", 1e-9, "m/s"),
-    "in/s": ("velocity", _INCH, "m/s"),
-    "ft/s": ("velocity", 12 * _INCH, "m/s"),
-    "m": ("displacement", 1.0, "m"),
-    "cm": ("displacement", 1e-2, "m"),
-    "in": ("displacement", _INCH, "m"),
-    "ft": ("displacement", 12 * _INCH, "m"),
-    "mil": ("displacement", 1e-3 * _INCH, "m"),
-    "mm": ("displacement", 1e-3, "m"),
-    "um": ("displacement", 1e-6, "m"),
-    "nm": ("displacement", 1e-9, "m"),
-    "n": ("force", 1.0, "N"),
-    "kn": ("force", 1e3, "N"),
-    "lbf": ("force", 4.4482216152605, "N"),
-    "rad": ("rotation", 1.0, "rad"),
-    "mrad": ("rotation", 1e-3, "rad"),
-    "urad": ("rotation", 1e-6, "rad"),
-    "rad/s": ("angular velocity", 1.0, "rad/s"),
-    "mrad/s": ("angular velocity", 1e-3, "rad/s"),
-    "deg/s": ("angular velocity", _DEGREE, "rad/s"),
-    "rad/s^2": ("angular acceleration", 1.0, "rad/s^2"),
-    "deg/s^2": ("angular acceleration", _DEGREE, "rad/s^2"),
-    "n*m": ("moment", 1.0, "N*m"),
-    "kn*m": ("moment", 1e3, "N*m"),
-    "n*mm": ("moment", 1e-3, "N*m"),
-    "lbf*in": ("moment", 4.4482216152605 * _INCH, "N*m"),
-    "lbf*ft": ("moment", 4.4482216152605 * 12 * _INCH, "N*m"),
-    "strain": ("strain", 1.0, "strain"),
-    "ustrain": ("strain", 1e-6, "strain"),
-    "v": ("unknown", 1.0, "V"),
-    "mv": ("unknown", 1e-3, "V"),
-    "pa": ("unknown", 1.0, "Pa"),
+_POUND = 4.4482216152605  # N
+_FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
+    "acceleration": {
+        "m/s^2": 1.0,
+        "mm/s^2": 1e-3,
+        "g": G,
+        "mg": 1e-3 * G,
+        "ug": 1e-6 * G,
+        "in/s^2": _INCH,
+        "ft/s^2": 12 * _INCH,
+        "cm/s^2": 1e-2,
+        "gal": 1e-2,
+    },
+    "velocity": {
+        "m/s": 1.0,
+        "cm/s": 1e-2,
+        "mm/s": 1e-3,
+        "um/s": 1e-6,
+        "nm/s": 1e-9,
+        "in/s": _INCH,
+        "ft/s": 12 * _INCH,
+    },
+    "displacement": {
+        "m": 1.0,
+        "cm": 1e-2,
+        "in": _INCH,
+        "ft": 12 * _INCH,
+        "mil": 1e-3 * _INCH,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "nm": 1e-9,
+    },
+    "force": {"n": 1.0, "kn": 1e3, "lbf": _POUND},
+    "rotation": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6},
+    "angular velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE},
+    "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
+    "moment": {
+        "n*m": 1.0,
+        "kn*m": 1e3,
+        "n*mm": 1e-3,
+        "lbf*in": _POUND * _INCH,
+        "lbf*ft": _POUND * 12 * _INCH,
+    },
+    "strain": {"strain": 1.0, "ustrain": 1e-6},
+    "unknown": {"v": 1.0, "mv": 1e-3, "pa": 1.0},
 }
+_UNITS = {
+    unit: (quantity, factor)
+    for quantity, factors in _FACTORS.items()
+    for unit, factor in factors.items()
+}
+_SI = {**UNIT, "strain": "strain", "v": "V", "mv": "V", "pa": "Pa"}  # of a quantity or a unit
 _MOMENTS = {  # as they are also written
     f"{a}{by}{b}": moment
     for moment, *ways in (
@@ -102,6 +107,7 @@ _SAME = {
     "dps": "deg/s",
     **dict.fromkeys(("um/m", "uε", "ue", "ustr", "uepsilon", "microstrain"), "ustrain"),
 }
+_PLAIN = str.maketrans({"·": "*", "²": "^2", "µ": "u", "μ": "u"})
 _AXES = {  # to Hz or s
     **dict.fromkeys(("rad/s", "rad/sec", "rads/s", "rad/second"), 0.5 / np.pi),
     **dict.fromkeys(("rpm", "1/min", "cpm"), 1 / 60),
@@ -130,25 +136,20 @@ def to_si(unit: str, quantity: str = "") -> tuple[Quantity, float, str]:
     allowed = get_args(Quantity)
     if quantity and quantity not in allowed:
         raise DataError(f"quantity {quantity!r}{did_you_mean(quantity, allowed)}")
-    text = "N*m" if unit.strip() in ("Nm", "NM") else unit
-    text = (
-        text.strip()
-        .lower()
-        .replace("·", "*")
-        .replace("²", "^2")
-        .replace("µ", "u")
-        .replace("μ", "u")
-    )
+    text = unit.strip()
+    text = "n*m" if text in ("Nm", "NM") else text.lower().translate(_PLAIN)
     if not text:
         return quantity or "unknown", 1.0, UNIT.get(quantity, "")  # type: ignore[return-value]
     text = text.replace("/sec", "/s").replace("/s/s", "/s^2")
     text = _SAME.get(text, text[:-1] + "^2" if text.endswith("/s2") else text)
     if text not in _UNITS:
         raise DataError(f"unit {unit!r}{did_you_mean(text, _UNITS)}")
-    kind, factor, si = _UNITS[text]
-    if quantity not in ("", "unknown", kind) and kind != "unknown":
+    kind, factor = _UNITS[text]
+    if kind == "unknown":  # as volts, of any quantity
+        return quantity or kind, factor, _SI[text]  # type: ignore[return-value]
+    if quantity not in ("", "unknown", kind):
         raise DataError(f"unit {unit!r} is {kind}, the channel says {quantity}")
-    return (kind if kind != "unknown" else quantity or "unknown"), factor, si  # type: ignore[return-value]
+    return kind, factor, _SI[kind]
 
 
 def known(unit: str) -> str:
@@ -167,10 +168,9 @@ def axis_factor(unit: str) -> float:
 
 def hertz(title: str) -> float:
     """The factor to Hz of what is titled as frequencies, such as `f [kHz]` or `omega`."""
-    unit = _OF_LINES.search(title)
-    return axis_factor(
-        "rad/s" if unit and unit[1].lower() == "omega" else unit[1] if unit else "Hz"
-    )
+    found = _OF_LINES.search(title)
+    unit = found[1].lower() if found else "Hz"
+    return axis_factor("rad/s" if unit == "omega" else unit)
 
 
 _DAY = r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
@@ -195,23 +195,20 @@ def seconds(texts: Sequence[str]) -> Float:
     ValueError
         If one is none.
     """
-    found = [_CLOCK.match(x) for x in texts]
-    if bad := [
-        x
-        for x, m in zip(texts, found, strict=True)
-        if m is None or (m["a"] is None and m["h"] is None)
-    ]:
-        raise ValueError(f"{bad[0]!r} is no date or time")
-    parts = [m for m in found if m is not None]
-    hours = np.array([_hour(m) for m in parts])
+    for text in texts:
+        if not is_clock(text):
+            raise ValueError(f"{text!r} is no date or time")
+    parts = [m for text in texts if (m := _CLOCK.match(text))]
+    hours = np.array([second_of_day(text) for text in texts])
     night = np.concatenate([[0], np.cumsum(np.diff(hours) < -43200)])
     days = night if parts[0]["a"] is None else _days(parts)
     return np.asarray((days - days[0]) * 86400.0 + (hours - hours[0]))
 
 
-def _hour(m: re.Match[str]) -> float:
-    """Seconds of the day."""
-    if m["h"] is None:
+def second_of_day(text: str) -> float:
+    """Seconds of the day of a date or time of day; 0 where there is no clock."""
+    m = _CLOCK.match(text)
+    if m is None or m["h"] is None:
         return 0.0
     h = int(m["h"])
     if m["half"]:
@@ -267,27 +264,25 @@ def in_seconds(t: Float) -> Float:
     return t if unit == 1.0 else np.asarray((t - t[0]) * unit)
 
 
-def even_rate(t: Float, named: bool, path: Path) -> float | None:
-    """The rate of a time column; None if an unnamed column is not one."""
+def even_rate(t: Float, path: Path) -> float | None:
+    """The rate of a column of times (row,); None where they are not even, of which `uneven` says
+    how.
+    """
     step = np.diff(t)
     rises = step.any() and np.isfinite(step).all() and (step >= 0).all()
     if not rises or not ((step > 0).all() or _rounded(t)):
-        if named:
-            raise DataError(f"{path}: {_not_rising(t)}")
         return None
     mean = float(step.mean())
     if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
+        off = float(np.abs(t - _line(t)).max()) / mean
         # 0.5: of a step: each time still has a place of its own on the even grid
-        if t.size >= LONG and (off := float(np.abs(t - _line(t)).max()) / mean) < 0.5:
-            log.warning(
-                "%s: times jitter by up to %.2g of a step: taken for the stamps of even samples",
-                path,
-                off,
-            )
-            return _shortest_rate(t, mean)
-        if named:
-            raise DataError(f"{path}: {uneven(step)}")
-        return None
+        if t.size < LONG or off >= 0.5:
+            return None
+        log.warning(
+            "%s: times jitter by up to %.2g of a step: taken for the stamps of even samples",
+            path,
+            off,
+        )
     return _shortest_rate(t, mean)
 
 
@@ -301,25 +296,14 @@ def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | No
     """The rate of a time column as `even_rate`, and where rows are missing the place of each,
     (row,) int64.
     """
-    rate = even_rate(t, False, path)
-    if rate is None and (found := _with_missing(t, path)) is not None:
+    rate = even_rate(t, path)
+    if rate is not None:
+        return rate, None
+    if (found := _with_missing(t, path)) is not None:
         return found
-    return even_rate(t, named, path) if rate is None else rate, None
-
-
-def _not_rising(t: Float) -> str:
-    """Where a column of times does not rise."""
-    if t.size < 2:
-        return "the time column has fewer than 2 rows"
-    if not np.isfinite(t).all():
-        return f"the time column has no number at row {int((~np.isfinite(t)).argmax()) + 1}"
-    step = np.diff(t)
-    at = int((step <= 0).argmax())
-    what = f"goes back by {-step[at]:g} s" if step[at] < 0 else "stands still"
-    return (
-        f"the time column does not rise: it {what} behind row {at + 1}, "
-        f"{np.count_nonzero(step <= 0)} times in all"
-    )
+    if named:
+        raise DataError(f"{path}: {uneven(t)}")
+    return None, None
 
 
 def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
@@ -330,7 +314,7 @@ def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
     if step.size < 2 or not np.isfinite(step).all() or not (step > 0).all():
         return None
     parts = np.split(t, np.flatnonzero(step > 1.5 * np.median(step)) + 1)
-    rate = even_rate(max(parts, key=len), False, path)
+    rate = even_rate(max(parts, key=len), path)
     if rate is None or len(parts) == 1:
         return None
     first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
@@ -354,10 +338,23 @@ def _shortest_rate(t: Float, step: float) -> float:
     return next((r for r in rates if abs(k[-1] / r - (t[-1] - t[0])) <= off), 1 / step)
 
 
-def uneven(step: Float) -> str:
-    """What is wrong with steps of time: gaps between stretches of even ones, or no even ones at
-    all.
+def uneven(t: Float) -> str:
+    """What is wrong with a column of times: it does not rise, or its steps are uneven, with gaps
+    between stretches of even ones or without.
     """
+    if t.size < 2:
+        return "the time column has fewer than 2 rows"
+    if not np.isfinite(t).all():
+        return f"the time column has no number at row {int(np.isfinite(t).argmin()) + 1}"
+    step = np.diff(t)
+    falls = step <= 0
+    if falls.any() and not ((step >= 0).all() and step.any() and _rounded(t)):
+        at = int(falls.argmax())
+        what = f"goes back by {-step[at]:g} s" if step[at] < 0 else "stands still"
+        return (
+            f"the time column does not rise: it {what} behind row {at + 1}, "
+            f"{np.count_nonzero(falls)} times in all"
+        )
     usual = float(np.median(step))
     odd = np.abs(step - usual) > 0.05 * usual
     gaps = np.flatnonzero(odd & (step > 1.5 * usual))
@@ -365,10 +362,9 @@ def uneven(step: Float) -> str:
         rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
         more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
         return (
-            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file "
-            "there, each part with its "
-            "header: the parts are records of their own. An ambient record may lack up to half "
-            "of its rows (gaps=True)"
+            f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, "
+            "each part with its header: the parts are records of their own. An ambient record may "
+            "lack up to half of its rows (gaps=True)"
         )
     at = int(np.abs(step - step.mean()).argmax())
     return (
@@ -381,13 +377,10 @@ def _rounded(t: Float) -> bool:
     line = _line(t)
     top = max(float(np.abs(t).max()), 1e-300)
     decade = np.floor(np.log10(np.maximum(np.abs(t), 1e-12 * top) * (1 + 1e-12)))
-    units = [np.full(t.size, 10.0**-k) for k in range(1, 7)] + [
-        10.0 ** (decade + 1 - k) for k in range(3, 10)
-    ]
-    for unit in units:  # so many decimals, or so many digits
-        if (
-            np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top
-            and np.abs(t - line).max() <= 0.75 * unit.max()
-        ):
+    decimals = [np.full(t.size, 10.0**-k) for k in range(1, 7)]
+    digits = [10.0 ** (decade + 1 - k) for k in range(3, 10)]
+    for unit in (*decimals, *digits):
+        written = np.abs(np.round(t / unit) * unit - t).max() < 1e-9 * top
+        if written and np.abs(t - line).max() <= 0.75 * unit.max():
             return True
     return False

@@ -57,15 +57,13 @@ def read_npz(path: str | Path) -> dict[str, Any_]:
         arrays = {name: part for name, part in parts.items() if isinstance(part, np.ndarray)}
         for part in arrays.values():
             if part.dtype.kind == "U":
-                _check_characters(part)
+                # Python ends in a SystemError on characters that there are not, wherever shown
+                codes = np.frombuffer(
+                    part.tobytes(), np.dtype("u4").newbyteorder(part.dtype.byteorder)
+                )
+                if (codes > sys.maxunicode).any():
+                    raise ValueError("a text with characters that there are not")
         return arrays
-
-
-def _check_characters(texts: Any_) -> None:
-    """Python ends in a SystemError on characters that there are not, wherever they are shown."""
-    codes = np.frombuffer(texts.tobytes(), np.dtype("u4").newbyteorder(texts.dtype.byteorder))
-    if (codes > sys.maxunicode).any():
-        raise ValueError("a text with characters that there are not")
 
 
 def compressed_matrix(
@@ -99,26 +97,15 @@ def check_compressed(
         If an index leaves the matrix, or the starts of the rows (columns) do not rise to the number
         of values.
     """
-    _check_shape(shape)
+    _check_parts(data, (indices, starts), shape)
     lines, across = shape if kind == "csr" else shape[::-1]
-    if (
-        any(part.dtype.kind not in "iu" for part in (indices, starts))
-        or data.dtype.kind not in "fciub"
-    ):
-        raise DataError(
-            f"indices of {indices.dtype}, values of {data.dtype}: a sparse matrix has integers "
-            "and numbers"
-        )
     if starts.size != lines + 1 or indices.size != data.size:
         raise DataError(
             f"{starts.size} starts, {indices.size} indices and {data.size} values for {shape}"
         )
     if starts[0] != 0 or starts[-1] != data.size or (starts[1:] < starts[:-1]).any():
         raise DataError(f"the starts of rows or columns do not rise from 0 to {data.size}")
-    if indices.size and not (indices.min() >= 0 and indices.max() < across):
-        raise DataError(
-            f"indices {indices.min()} to {indices.max()} for a matrix of {shape[0]} x {shape[1]}"
-        )
+    _check_range(indices, across, shape)
 
 
 def triplet_matrix(
@@ -132,32 +119,33 @@ def triplet_matrix(
         If an index leaves the matrix, or there are not as many of each.
     """
     data, rows, columns = (np.ravel(part) for part in (data, rows, columns))
-    if (
-        any(part.dtype.kind not in "iu" for part in (rows, columns))
-        or data.dtype.kind not in "fciub"
-    ):
-        raise DataError(
-            f"rows of {rows.dtype}, values of {data.dtype}: a sparse matrix has integers and "
-            "numbers"
-        )
     if not rows.size == columns.size == data.size or (shape is None and not data.size):
         raise DataError(f"{rows.size} rows, {columns.size} columns and {data.size} values")
     shape = shape or (int(rows.max()) + 1, int(columns.max()) + 1)
-    _check_shape(shape)
+    _check_parts(data, (rows, columns), shape)
     _check_rows(shape, data.size)
-    for name, found, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
-        if found.size and not (found.min() >= 0 and found.max() < size):
-            raise DataError(
-                f"{name}s {found.min()} to {found.max()} for a matrix of {shape[0]} x {shape[1]}"
-            )
+    _check_range(rows, shape[0], shape)
+    _check_range(columns, shape[1], shape)
     return sparse.csr_array((data, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
 
 
-def _check_shape(shape: tuple[int, int]) -> None:
+def _check_parts(data: Any_, indices: tuple[Any_, Any_], shape: tuple[int, int]) -> None:
+    if data.dtype.kind not in "fciub" or any(part.dtype.kind not in "iu" for part in indices):
+        raise DataError(
+            f"indices of {indices[0].dtype}, values of {data.dtype}: a sparse matrix has integers "
+            "and numbers"
+        )
     if len(shape) != 2 or not all(0 <= n < _ROWS for n in shape):
         raise DataError(
             f"a matrix of {' x '.join(map(str, shape))}; it must have less than {_ROWS} rows and "
             "columns"
+        )
+
+
+def _check_range(indices: Any_, size: int, shape: tuple[int, int]) -> None:
+    if indices.size and not (indices.min() >= 0 and indices.max() < size):
+        raise DataError(
+            f"indices {indices.min()} to {indices.max()} for a matrix of {shape[0]} x {shape[1]}"
         )
 
 

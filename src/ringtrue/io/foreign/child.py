@@ -8,7 +8,8 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -61,31 +62,25 @@ def serve() -> None:
             answer: tuple[str, Any] = ("done", parse(path))
         except DAMAGE as exc:
             answer = ("failed", f"{type(exc).__name__}: {' '.join(str(exc).split())[:200]}")
-        _no_limit()
+        _limit(0, 0)
         pickle.dump(answer, answers, protocol=5)
         answers.flush()
 
 
 def _limit(seconds: float, memory: int) -> None:
     """So that a parser without end does not outlive a parent that was killed, nor takes the
-    machine's memory.
+    machine's memory; none for `seconds` 0, while this process waits or imports a parser.
     """
     if resource is None:
         return
-    signal.alarm(int(seconds) + _LATER)
-    if _PAGES.exists():
-        now = int(_PAGES.read_text().split()[0]) * resource.getpagesize()
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        most = now + memory if hard == resource.RLIM_INFINITY else min(now + memory, hard)
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-
-
-def _no_limit() -> None:
-    """Waiting for the next file and importing its parser have no limit."""
-    if resource is not None:
-        signal.alarm(0)
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    signal.alarm(int(seconds) + _LATER if seconds else 0)
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    most = hard
+    if seconds and _PAGES.exists():
+        most = int(_PAGES.read_text().split()[0]) * resource.getpagesize() + memory
+        if hard != resource.RLIM_INFINITY:
+            most = min(most, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
 
 
 def _matrix_market(path: str) -> Any:
@@ -114,8 +109,11 @@ def _plain(value: Any) -> Any:
         return sparse.csr_array(cast(Any, value))
     if type(value) is not np.ndarray:
         return None
-    if value.dtype.names:
-        return _structure(value)
+    if value.dtype.names and value.size <= 1:
+        only = value.reshape(-1)
+        return {name: _plain(only[0][name]) for name in value.dtype.names} if value.size else None
+    if value.dtype.names:  # of several structures, each field as an object array of its values
+        return {name: _plain(value[name].ravel()) for name in value.dtype.names}
     if value.dtype.kind == "O":
         cells = np.empty(value.shape, dtype=object)
         for k, cell in enumerate(value.flat):
@@ -126,23 +124,6 @@ def _plain(value: Any) -> Any:
     if value.dtype.kind == "b":
         return value.astype(np.uint8)
     return value.astype(value.dtype.newbyteorder("="), order="F", copy=False)
-
-
-def _structure(value: Any) -> dict[str, Any] | None:
-    """Fields of a structure; of an array of several, each field as an object array of its
-    values.
-    """
-    names = value.dtype.names
-    if value.size == 1:
-        only = value.reshape(-1)[0]
-        return {name: _plain(only[name]) for name in names}
-    if not value.size:
-        return None
-    fields: dict[str, Any] = {}
-    for name in names:
-        fields[name] = np.empty(value.size, dtype=object)
-        fields[name][:] = [_plain(one) for one in value[name].flat]
-    return fields
 
 
 def _hdf5(path: str) -> str:
@@ -168,12 +149,19 @@ def _hdf5(path: str) -> str:
         while todo:
             item = todo.pop()
             try:
-                address = _address(item)
+                with _damage(f"the header of {item.name} is damaged"):
+                    address = int(h5py.h5o.get_info(item.id).addr)
                 if address in seen:
                     continue
                 seen.add(address)
-                for name in _attributes(item):
-                    _read_attribute(item, name)
+                with _damage(f"the attributes of {item.name} cannot be listed"):
+                    names = list(item.attrs)
+                for name in names:
+                    try:
+                        item.attrs[name]  # it may be of a type that numpy does not have
+                    except (OSError, TypeError, ValueError) as exc:
+                        if "alloc" in str(exc):
+                            raise MemoryError(str(exc)) from exc
                 if isinstance(item, h5py.Group):
                     todo += _children(item, outside)
                 elif not isinstance(item, h5py.Dataset):
@@ -196,35 +184,15 @@ def _hdf5(path: str) -> str:
     return outside[0] if outside else ""
 
 
-def _address(item: Any) -> int:
-    """Where an object stands; of a damaged header HDF5 may not come back in reading an
-    attribute.
-    """
-    import h5py
-
-    try:
-        return int(h5py.h5o.get_info(item.id).addr)
-    except DAMAGE as exc:
-        raise _Damaged(f"the header of {item.name} is damaged: {exc}") from exc
-
-
-def _attributes(item: Any) -> list[str]:
-    """Names of the attributes; where they cannot be listed, HDF5 may not come back from reading one
-    by its name.
+@contextmanager
+def _damage(what: str) -> Iterator[None]:
+    """Of a damaged header, or attributes that cannot be listed, HDF5 may not come back in reading
+    an attribute.
     """
     try:
-        return list(item.attrs)
+        yield
     except DAMAGE as exc:
-        raise _Damaged(f"the attributes of {item.name} cannot be listed: {exc}") from exc
-
-
-def _read_attribute(item: Any, name: str) -> None:
-    """Read an attribute, which may be of a type that numpy does not have."""
-    try:
-        item.attrs[name]
-    except (OSError, TypeError, ValueError) as exc:
-        if "alloc" in str(exc):
-            raise MemoryError(str(exc)) from exc
+        raise _Damaged(f"{what}: {exc}") from exc
 
 
 def _children(group: h5py.Group, outside: list[str]) -> list[h5py.Group | h5py.Dataset]:

@@ -80,17 +80,6 @@ def door(
         raise error(f"{path}: not a readable {kind}, or damaged ({cause}): {advice}") from exc
 
 
-def check_size(path: Path, most: int, kind: str, error: type[InputError] = DataError) -> None:
-    """Refuse a file of more than `most` bytes.
-
-    Raises
-    ------
-    InputError
-    """
-    if (size := path.stat().st_size) > most:
-        raise error(f"{path}: {size / MEGABYTE:.0f} MB; a {kind} may have {most / MEGABYTE:.0f} MB")
-
-
 _SECONDS = 5.0  # for any file
 _RATE = 5 * MEGABYTE  # bytes a second that a parser reads at least
 _MEMORY = 512 * MEGABYTE  # for any file
@@ -117,9 +106,7 @@ class _Child:
         self.process.stdout.read(1)  # it is there: its start is no time of a parser
 
     def ask(self, parser: str, path: Path, seconds: float, memory: int) -> tuple[str, Any]:
-        """`done` with the value, `failed` with what the parser said, `ended` with `late` or
-        nothing.
-        """
+        """`done` with the value, else `failed` with why not, in words."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         watch = threading.Timer(seconds, self._stop)
@@ -130,14 +117,15 @@ class _Child:
             watch.start()
             answer: tuple[str, Any] = pickle.load(self.process.stdout)
             return answer
-        except (EOFError, BrokenPipeError, pickle.UnpicklingError):
-            return "ended", "late" if self.late else ""
-        except (
-            BaseException
-        ):  # of Ctrl-C, too: what is left of this answer must not be taken for the next one
+        except BaseException as exc:
+            # of Ctrl-C, too: what is left of this answer must not be taken for the next one
             self.process.kill()
             self.process.wait()
-            raise
+            if not isinstance(exc, (EOFError, BrokenPipeError, pickle.UnpicklingError)):
+                raise
+            if self.late:
+                return "failed", f"its parser did not come back in {seconds:.0f} s"
+            return "failed", "its parser ended its process"
         finally:
             watch.cancel()
 
@@ -173,21 +161,12 @@ def read_apart(parser: str, path: str | Path, kind: str, advice: str = EXPORT_AG
     path = existing(path)
     size = path.stat().st_size
     seconds = _SECONDS + size / _RATE
-    memory = _MEMORY + _TIMES * size
     child = _running()
     with child.lock:
-        how, value = child.ask(parser, path, seconds, memory)
-        if how == "ended":
-            _forget(child)
+        how, value = child.ask(parser, path, seconds, _MEMORY + _TIMES * size)
     if how == "done":
         return value
-    if how == "failed":
-        cause = value
-    elif value == "late":
-        cause = f"its parser did not come back in {seconds:.0f} s"
-    else:
-        cause = "its parser ended its process"
-    raise DataError(f"{path}: not a readable {kind}, or damaged ({cause}): {advice}")
+    raise DataError(f"{path}: not a readable {kind}, or damaged ({value}): {advice}")
 
 
 def tried_apart(parser: str, path: Path, kind: str, advice: str) -> Any:
@@ -224,12 +203,6 @@ def _running() -> _Child:
             _close()
             _child = _Child()
         return _child
-
-
-def _forget(child: _Child) -> None:
-    with _choose:
-        if _child is child:
-            _close()
 
 
 @atexit.register

@@ -16,8 +16,8 @@ import struct
 import tomllib
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,6 @@ from ringtrue.io.files import existing, read_text
 from ringtrue.io.foreign.door import (
     EXPORT_AGAIN,
     MEGABYTE,
-    check_size,
     door,
     need_not_try,
     tried_apart,
@@ -95,43 +94,51 @@ def read_json(path: str | Path, error: type[InputError] = DataError) -> Any:
         Of the class `error`: the file is missing or not JSON, its lists are nested more than
         `DEEPEST` deep, or an integer has more than 64 bits.
     """
-    path = existing(path)
-    check_size(path, LARGEST, "JSON file", error)
-    return json_value(read_text(path), path, error)
+    return json_value(_limited_text(path, error), path, error)
 
 
 def json_value(text: str, path: str | Path, error: type[InputError] = DataError) -> Any:
     """The value of a JSON text; `path` names it in errors, as `read_json` has them."""
-    with door(path, "JSON text", error, "open it in an editor"):
-        try:
-            return _bounded(json.loads(text), path, error)
-        except json.JSONDecodeError as exc:
-            raise error(f"{path}:{exc.lineno}: not JSON: {exc.msg}") from exc
-        except RecursionError as exc:
-            raise _too_deep(path, error) from exc
+    return _value(json.loads, "JSON", text, path, error)
 
 
 def read_toml(path: str | Path, error: type[InputError] = DataError) -> dict[str, Any]:
     """The tables of a TOML file; limits and errors as `read_json` has them."""
-    path = existing(path)
-    check_size(path, LARGEST, "TOML file", error)
-    return toml_value(read_text(path), path, error)
+    return toml_value(_limited_text(path, error), path, error)
 
 
 def toml_value(text: str, path: str | Path, error: type[InputError] = DataError) -> dict[str, Any]:
     """The tables of a TOML text; `path` names it in errors, as `read_json` has them."""
-    with door(path, "TOML text", error, "open it in an editor"):
+    table: dict[str, Any] = _value(tomllib.loads, "TOML", text, path, error)
+    return table
+
+
+def _limited_text(path: str | Path, error: type[InputError]) -> str:
+    path = existing(path)
+    if (size := path.stat().st_size) > LARGEST:
+        raise error(
+            f"{path}: {size / MEGABYTE:.0f} MB; a file of settings or modes may have "
+            f"{LARGEST / MEGABYTE:.0f} MB"
+        )
+    return read_text(path)
+
+
+def _value(
+    parse: Callable[[str], Any], kind: str, text: str, path: str | Path, error: type[InputError]
+) -> Any:
+    """What a parser makes of a text, if it is not too deep and its integers are not too wide."""
+    deep = error(
+        f"{path}: lists or tables nested more than {DEEPEST} deep: this is no file of settings "
+        "or modes"
+    )
+    with door(path, f"{kind} text", error, "open it in an editor"):
         try:
-            table: dict[str, Any] = _bounded(tomllib.loads(text), path, error)
-            return table
-        except tomllib.TOMLDecodeError as exc:
-            raise error(f"{path}: not TOML: {exc}") from exc
+            value = parse(text)
+        except (json.JSONDecodeError, tomllib.TOMLDecodeError) as exc:
+            line = f":{exc.lineno}" if isinstance(exc, json.JSONDecodeError) else ""
+            raise error(f"{path}{line}: not {kind}: {exc}") from exc
         except RecursionError as exc:
-            raise _too_deep(path, error) from exc
-
-
-def _bounded(value: Any, path: str | Path, error: type[InputError]) -> Any:
-    """The value, if it is not too deep and its integers are not too wide."""
+            raise deep from exc
     level = [value]
     for _ in range(DEEPEST):
         inside: list[Any] = []
@@ -148,14 +155,7 @@ def _bounded(value: Any, path: str | Path, error: type[InputError]) -> Any:
         if not inside:
             return value
         level = inside
-    raise _too_deep(path, error)
-
-
-def _too_deep(path: str | Path, error: type[InputError]) -> InputError:
-    return error(
-        f"{path}: lists or tables nested more than {DEEPEST} deep: this is no file of settings "
-        "or modes"
-    )
+    raise deep
 
 
 MOST_CELLS = 1_000_000  # of a sheet: 1,000 channels and 1,000 modes; 5 s
@@ -214,16 +214,12 @@ def _opened(path: str | Path) -> Iterator[Any]:
         with zipfile.ZipFile(path) as archive:
             for part in archive.infolist():
                 if part.filename.lower().endswith((".xml", ".rels")) and part.file_size > _UNPACKED:
-                    size = (
-                        f"{part.file_size / MEGABYTE:.0f} MB, the file "
-                        f"{path.stat().st_size / MEGABYTE:.1f} MB"
+                    raise DataError(
+                        f"{path}: {part.filename} unfolds to {part.file_size / MEGABYTE:.0f} MB, "
+                        f"the file {path.stat().st_size / MEGABYTE:.1f} MB: {_SAVE_AGAIN}"
                     )
-                    raise DataError(f"{path}: {part.filename} unfolds to {size}: {_SAVE_AGAIN}")
-        book = load_workbook(path, read_only=True, data_only=True)
-        try:
+        with closing(load_workbook(path, read_only=True, data_only=True)) as book:
             yield book
-        finally:
-            book.close()
 
 
 _TAGS = (b"TDSm", b"TDSh")
@@ -255,26 +251,26 @@ def _check_segments(raw: bytes, path: Path) -> None:
     """The chain of segments and their counts of objects, before nptdms believes them."""
     at = 0
     seen = 0
-    while at + _LEAD_IN.size <= len(raw):
-        tag, mask, _, after, data_at = _LEAD_IN.unpack_from(raw, at)
-        if tag not in _TAGS:
-            break
+    while at + _LEAD_IN.size <= len(raw) and raw[at : at + 4] in _TAGS:
         seen += 1
+        mask = int.from_bytes(raw[at + 4 : at + 8], "little")
         order = ">" if mask & 64 else "<"
-        if order == ">":
-            after, data_at = struct.unpack_from(">QQ", raw, at + 12)
-        if after != _OPEN_END and (data_at > after or at + _LEAD_IN.size + data_at > len(raw)):
+        after, data_at = struct.unpack_from(f"{order}QQ", raw, at + 12)
+        begin = at + _LEAD_IN.size
+        if after == _OPEN_END:
+            after = len(raw)
+        elif data_at > after or begin + data_at > len(raw):
             raise DataError(
                 f"{path}: segment {seen} has its samples {data_at} bytes on, past its end: the "
                 "file is cut"
             )
-        if mask & 2 and at + _LEAD_IN.size + 4 <= len(raw):
-            (objects,) = struct.unpack_from(f"{order}I", raw, at + _LEAD_IN.size)
+        if mask & 2 and begin + 4 <= len(raw):
+            (objects,) = struct.unpack_from(f"{order}I", raw, begin)
             if objects > min(_TOO_MANY, len(raw)):
                 raise DataError(
                     f"{path}: segment {seen} announces {objects} objects: the file is damaged"
                 )
-        at = at + _LEAD_IN.size + after if after != _OPEN_END else len(raw)
+        at = begin + after
     if not seen:
         raise DataError(f"{path}: not a TDMS file")
 

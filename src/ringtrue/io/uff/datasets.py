@@ -60,20 +60,17 @@ def reals(text: bytes, widths: Sequence[int], count: int) -> Float:
         If there are fewer, or a field is no number.
     """
     text = text.replace(b"\x00", b" ").translate(_D)
-    values = _free(text)
-    if values is None or not _fits(values.size, count, len(widths)):
-        values = _free(_TOUCHING.sub(b" ", text))
-    if values is None or not _fits(values.size, count, len(widths)):
-        values = _fixed(text, widths)
+    per_line = len(widths)
+    for tried in (text, _TOUCHING.sub(b" ", text)):
+        values = _free(tried)
+        if values is not None and count <= values.size <= count + per_line:
+            return values[:count]
+    values = _fixed(text, widths)
     if values.size < count:
         raise DataError(
             f"{values.size} numbers where {count} are announced; the file is cut or damaged"
         )
     return values[:count]
-
-
-def _fits(size: int, count: int, per_line: int) -> bool:
-    return count <= size <= count + per_line
 
 
 def _free(text: bytes) -> Float | None:
@@ -87,24 +84,17 @@ def _free(text: bytes) -> Float | None:
 
 
 def _fixed(text: bytes, widths: Sequence[int]) -> Float:
-    ends = np.cumsum(widths).tolist()
-    bounds = list(zip([0, *ends[:-1]], ends, strict=True))
     lines = text.decode("latin-1").splitlines()
     # a loop over fields: only files whose columns touch come here, 1 µs a field
-    return np.array(
-        [parse_real(x[a:b]) for x in lines for a, b in bounds if x[a:b].strip()], dtype=np.float64
-    )
+    return np.array([parse_real(x) for line in lines for x in words(line, widths) if x], float)
 
 
 def numbers(line: str, widths: Sequence[int]) -> list[float]:
     """The numbers of one line by its columns, or by blanks where there are as many words as
     columns.
     """
-    words = line.split()
-    if len(words) == len(widths):
-        return [parse_real(x) for x in words]
-    ends = np.cumsum(widths).tolist()
-    return [parse_real(line[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    free = line.split()
+    return [parse_real(x) for x in (free if len(free) == len(widths) else words(line, widths))]
 
 
 def integers(lines: Sequence[str], width: int = 10) -> Int:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.io.files import atomic_write
 from ringtrue.io.times import axis_factor
-from ringtrue.io.uff.datasets import LINE, DataSet, numbers, parse_int, reals, row, words
+from ringtrue.io.uff.datasets import LINE, DataSet, numbers, parse_int, reals, words
 
 # function types
 TIME = 1
@@ -43,30 +42,11 @@ _FORM = {"ordinate": 10, "count": 10, "even": 10, "first": 13, "step": 13, "z": 
 _AXIS = {"data type": 10, "length": 5, "force": 5, "temperature": 5, "label": 21, "unit": 21}
 
 
-class _Ordinate(NamedTuple):
-    """How the ordinates are stored."""
-
-    is_complex: bool
-    is_double: bool
-
-    def widths(self, even: bool) -> tuple[int, ...]:
-        """Columns of the numbers of a line of text; the abscissa of uneven data is single."""
-        if not self.is_double:
-            return (13,) * 6
-        if even:
-            return (20,) * 4
-        return (13, 20, 20) if self.is_complex else (13, 20, 13, 20)
-
-    def per_point(self, even: bool) -> int:
-        """Numbers of a point."""
-        return 1 + self.is_complex + (not even)
-
-
-_ORDINATES = {  # by the ordinate type of line 7
-    2: _Ordinate(is_complex=False, is_double=False),
-    4: _Ordinate(is_complex=False, is_double=True),
-    5: _Ordinate(is_complex=True, is_double=False),
-    6: _Ordinate(is_complex=True, is_double=True),
+_ORDINATES = {  # by the ordinate type of line 7: whether they are complex, and double
+    2: (False, False),
+    4: (False, True),
+    5: (True, False),
+    6: (True, True),
 }
 
 
@@ -125,53 +105,54 @@ def read_function(block: DataSet) -> UffFunction:
     DataError
         If the header or the samples are damaged or cut.
     """
-    lines = _head(block)
-    kind, response, reference, names = _ends(row(lines, 5))
-    values = numbers(row(lines, 6), tuple(_FORM.values()))
+    body = b""
+    if block.binary is None:
+        lines, body = _split_lines(block.text, _HEADER)
+    else:
+        lines = block.text.splitlines()
+    head = [line.decode("latin-1") for line in lines]
+    if len(head) < _HEADER:
+        raise DataError(f"the header of data set 58 has {len(head)} of {_HEADER} lines")
+    kind, response, reference, names = _ends(head[5])
+    values = numbers(head[6], tuple(_FORM.values()))
     if not np.isfinite(values).all():
-        raise DataError(
-            f"the line of the form has values that are not finite: {row(lines, 6).strip()!r}"
-        )
+        raise DataError(f"the line of the form has values that are not finite: {head[6].strip()!r}")
     form = dict(zip(_FORM, values, strict=True))
     count = int(form["count"])
     even = form["even"] != 0
-    ordinate = _ORDINATES.get(int(form["ordinate"]))
-    if ordinate is None or count < 1:
+    ordinate = int(form["ordinate"])
+    if ordinate not in _ORDINATES or count < 1:
         raise DataError(
-            f"ordinate type {int(form['ordinate'])} with {count} points; types are 2, 4, 5, 6 "
-            "with 1 or more"
+            f"ordinate type {ordinate} with {count} points; types are 2, 4, 5, 6 with 1 or more"
         )
-    table = _samples(block, ordinate, count, even).reshape(count, -1)
+    is_complex, is_double = _ORDINATES[ordinate]
+    size = 1 + is_complex + (not even)  # numbers of a point
+    if block.binary is not None:
+        table = _stored(block, is_double, even, count, size)
+    else:
+        widths: tuple[int, ...] = (13,) * 6
+        if is_double and even:
+            widths = (20,) * 4
+        elif is_double:  # the abscissa of uneven data is single
+            widths = (13, 20, 20) if is_complex else (13, 20, 13, 20)
+        table = reals(body, widths, count * size).reshape(count, size)
     if even:
         x = form["first"] + form["step"] * np.arange(count, dtype=np.float64)
     else:
         x = table[:, 0].copy()
         table = table[:, 1:]
-    y = table[:, 0] + 1j * table[:, 1] if ordinate.is_complex else table[:, 0].copy()
-    axes = tuple(_axis(words(line, tuple(_AXIS.values()))) for line in lines[7:11])
-    x = x * axis_factor(axes[0].unit)
-    texts = tuple(line.strip() for line in lines[:5])
+    axes = tuple(_axis(words(line, tuple(_AXIS.values()))) for line in head[7:11])
     return UffFunction(
         kind=kind,
-        ids=texts,
+        ids=tuple(line.strip() for line in head[:5]),
         response=response,
         reference=reference,
         names=names,
-        x=x,
-        y=y,
+        x=x * axis_factor(axes[0].unit),
+        y=table[:, 0] + 1j * table[:, 1] if is_complex else table[:, 0].copy(),
         even=even,
         axes=axes,
     )
-
-
-def _head(block: DataSet) -> list[str]:
-    text = (
-        block.text if block.binary is not None else b"\n".join(_split_lines(block.text, _HEADER)[0])
-    )
-    lines = text.decode("latin-1").splitlines()
-    if len(lines) < _HEADER:
-        raise DataError(f"the header of data set 58 has {len(lines)} of {_HEADER} lines")
-    return lines
 
 
 def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
@@ -187,27 +168,44 @@ def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     return lines, text[at:]
 
 
+def _stored(block: DataSet, is_double: bool, even: bool, count: int, size: int) -> Float:
+    """The numbers of a 58b, (count, size)."""
+    raw = block.binary or b""
+    order = ">" if block.big_endian else "<"
+    number = np.dtype(f"{order}f{8 if is_double else 4}")
+    abscissa = number
+    if is_double and not even and len(raw) < count * size * 8:
+        abscissa = np.dtype(f"{order}f4")  # the abscissa of uneven double data is single
+    point = np.dtype([("first", abscissa), ("others", number, (size - 1,))])
+    if len(raw) < count * point.itemsize:
+        raise DataError(
+            f"{len(raw)} bytes of samples where {count * point.itemsize} are announced; the file "
+            "is cut"
+        )
+    table = np.frombuffer(raw, point, count)
+    return np.column_stack([table["first"], table["others"]]).astype(np.float64)
+
+
 def _ends(line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
     """Function type, response, reference and the names of both."""
-    fields = dict(zip(_ENDS, words(line, tuple(_ENDS.values())), strict=True))
+    free = line.split()
+    texts = words(line, tuple(_ENDS.values()))
     try:
-        for name in ("kind", "number", "version", "load case"):
-            parse_int(fields[name])
-        response = _end(fields, "response")
-        reference = _end(fields, "reference")
+        return _parsed_ends(texts)
     except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
-        free = line.split()
         if len(free) != len(_ENDS):
             raise
-        fields = dict(zip(_ENDS, free, strict=True))
-        response = _end(fields, "response")
-        reference = _end(fields, "reference")
-    names = fields["response name"], fields["reference name"]
-    return parse_int(fields["kind"]), response, reference, names
+        return _parsed_ends(free)
 
 
-def _end(fields: Mapping[str, str], end: str) -> tuple[int, int]:
-    return parse_int(fields[f"{end} node"]), parse_int(fields[f"{end} direction"])
+def _parsed_ends(
+    texts: Sequence[str],
+) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
+    number = {n: parse_int(t) for n, t in zip(_ENDS, texts, strict=True) if "name" not in n}
+    response, reference = (
+        (number[f"{end} node"], number[f"{end} direction"]) for end in ("response", "reference")
+    )
+    return number["kind"], response, reference, (texts[4], texts[7])
 
 
 def _axis(fields: Sequence[str]) -> Axis:
@@ -216,36 +214,6 @@ def _axis(fields: Sequence[str]) -> Axis:
     except DataError:
         return Axis(0, (0, 0, 0), "", "")
     return Axis(kind, (exponents[0], exponents[1], exponents[2]), fields[4], fields[5])
-
-
-def _samples(block: DataSet, ordinate: _Ordinate, count: int, even: bool) -> Float:
-    """The numbers as they are stored, flat."""
-    per_point = ordinate.per_point(even)
-    wanted = count * per_point
-    if block.binary is None:
-        return reals(_split_lines(block.text, _HEADER)[1], ordinate.widths(even), wanted)
-    order = ">" if block.big_endian else "<"
-    if ordinate.is_double and not even and len(block.binary) < wanted * 8:
-        # the abscissa of uneven double data is single
-        return _mixed(block.binary, order, per_point - 1, count)
-    size = 8 if ordinate.is_double else 4
-    if len(block.binary) < wanted * size:
-        raise DataError(
-            f"{len(block.binary)} bytes of samples where {wanted * size} are announced; the file "
-            "is cut"
-        )
-    return np.frombuffer(block.binary, f"{order}f{size}", wanted).astype(np.float64)
-
-
-def _mixed(raw: bytes, order: str, ordinates: int, count: int) -> Float:
-    point = np.dtype([("x", f"{order}f4"), ("y", f"{order}f8", (ordinates,))])
-    if len(raw) < count * point.itemsize:
-        raise DataError(
-            f"{len(raw)} bytes of samples where {count * point.itemsize} are announced; the file "
-            "is cut"
-        )
-    table = np.frombuffer(raw, point, count)
-    return np.asarray(np.column_stack([table["x"], table["y"]]), dtype=np.float64).ravel()
 
 
 _CODE = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
@@ -261,25 +229,26 @@ def write_frf_sets(path: str | Path, frfs: FrfSet) -> None:
     """
     outputs = DofSet.parse(c.id for c in frfs.outputs)
     inputs = DofSet.parse(c.id for c in frfs.inputs)
+    ends = [
+        [f"{'NONE':<10}{n:10d}{d:4d}" for n, d in zip(dofs.node, dofs.direction, strict=True)]
+        for dofs in (outputs, inputs)
+    ]
     with atomic_write(path) as part, part.open("wb") as file:
-        for j in range(len(inputs)):
-            for i, channel in enumerate(frfs.outputs):
-                points = _point_fields(outputs, i) + " " + _point_fields(inputs, j)
+        for j, reference in enumerate(ends[1]):
+            for i, (channel, response) in enumerate(zip(frfs.outputs, ends[0], strict=True)):
                 # a motion about an axis has the code of one along it: the direction says which
                 motion = _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
-                codes = (FREQUENCY_AXIS, motion, _CODE["force"], 0)
-                head = ["FRF", *("NONE",) * 4, f"{FRF:5d}{0:10d}{0:5d}{0:10d} {points}"]
-                file.write(_data_set(head, codes, frfs.freqs, frfs.data[:, i, j]))
+                h = frfs.data[:, i, j]
                 coherence = frfs.coherence[:, i, j]
+                sets: list[tuple[str, int, tuple[int, ...], Any_]] = [
+                    ("FRF", FRF, (FREQUENCY_AXIS, motion, _CODE["force"], 0), h)
+                ]
                 if np.isfinite(coherence).all():
-                    head[0] = "Coherence"
-                    head[5] = f"{COHERENCE:5d}{0:10d}{0:5d}{0:10d} {points}"
-                    codes = (FREQUENCY_AXIS, 0, 0, 0)
-                    file.write(_data_set(head, codes, frfs.freqs, coherence))
-
-
-def _point_fields(dofs: DofSet, i: int) -> str:
-    return f"{'NONE':<10}{dofs.node[i]:10d}{dofs.direction[i]:4d}"
+                    sets.append(("Coherence", COHERENCE, (FREQUENCY_AXIS, 0, 0, 0), coherence))
+                for title, kind, codes, y in sets:
+                    points = f"{kind:5d}{0:10d}{0:5d}{0:10d} {response} {reference}"
+                    head = [title, *("NONE",) * 4, points]
+                    file.write(_data_set(head, codes, frfs.freqs, y))
 
 
 def _data_set(head: Sequence[str], codes: Sequence[int], x: Float, y: Any_) -> bytes:

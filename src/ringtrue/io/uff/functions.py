@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.channels import (
     ANGULAR,
     FORCES,
@@ -22,18 +22,16 @@ from ringtrue.core.channels import (
     SI_UNIT,
     UNIT,
     as_motion,
-    base_motion,
-    channel,
 )
 from ringtrue.core.dofs import NAMES
-from ringtrue.core.signals import Channel, FrfSet, Quantity, shared_lines
+from ringtrue.core.signals import FrfSet, Quantity, shared_lines
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import atomic_write, functions_held, sets_held
 from ringtrue.io.foreign.parsers import write_sets
-from ringtrue.io.frf_tables import known_lines, say_accelerances
+from ringtrue.io.frf_tables import frf_set, say_accelerances
 from ringtrue.io.record_table import RawTable
-from ringtrue.io.times import even_rate, known, to_si
+from ringtrue.io.times import even_rate, known, to_si, uneven
 from ringtrue.io.uff.datasets import DataSet, parse_real, row, scan
 from ringtrue.io.uff.function58 import (
     COHERENCE,
@@ -109,9 +107,9 @@ _QUANTITY: dict[int, Quantity] = {
     13: "force",
 }
 _DIGITS = 5  # after the first, of a step
-_UNNAMED = ("", "NONE")
 _SKEWED = re.compile(r"\d+[+-][XYZ]s\d*")
 _NO_REFERENCE = "in1"
+_WITHOUT_LENGTH = ("strain", "unknown", *(ANGULAR[motion] for motion in SI_UNIT))
 
 
 def read_functions(path: str | Path) -> tuple[UffFunction, ...]:
@@ -129,9 +127,8 @@ def _functions(path: str | Path) -> tuple[tuple[UffFunction, ...], Units | None]
     blocks = scan(path)
     sets = [b for b in blocks if b.kind == 58]
     if not sets:
-        raise DataError(
-            f"{path}: no records and no FRFs (data set 58); {sets_held(b.kind for b in blocks)}"
-        )
+        held = sets_held(b.kind for b in blocks)
+        raise DataError(f"{path}: no records and no FRFs (data set 58); {held}")
     with about(path):
         units = [read_units(b) for b in blocks if b.kind == 164]
         return tuple(read_function(b) for b in sets), units[0] if units else None
@@ -148,64 +145,56 @@ def read_time(path: Path) -> RawTable:
     """The time functions of a universal file as (channel, sample); all must have one rate and
     length.
     """
-    functions, units = _functions(path)
-    return _time_table(_time_functions(functions, path), units, path)
+    return _time_table(*_time_functions(path), path)
 
 
 def read_time_runs(path: Path) -> tuple[RawTable, ...]:
     """A table for each acquisition where every channel comes as often: triggered blows, one after
     the other.
     """
-    functions, units = _functions(path)
-    found = _time_functions(functions, path)
-    keys = [(*f.response, _signal(f, units)[0]) for f in found]
-    times = {keys.count(k) for k in dict.fromkeys(keys)}
-    if len(set(keys)) < 2 or len(times) > 1 or times == {1} or _titles(found):
+    found, units = _time_functions(path)
+    channels: dict[object, list[UffFunction]] = {}
+    for f in found:
+        channels.setdefault((*f.response, _signal(f, units)[0]), []).append(f)
+    times = {len(each) for each in channels.values()}
+    if len(channels) < 2 or len(times) > 1 or times == {1} or _titles(found):
         return (_time_table(found, units, path),)
-    seen: dict[object, int] = {}
-    runs: list[list[UffFunction]] = [[] for _ in range(times.pop())]
-    for key, f in zip(keys, found, strict=True):
-        seen[key] = seen.get(key, -1) + 1
-        runs[seen[key]].append(f)
-    return tuple(_time_table(r, units, path) for r in runs)
+    runs = zip(*channels.values(), strict=True)
+    return tuple(_time_table(run, units, path) for run in runs)
 
 
-def _time_functions(functions: Sequence[UffFunction], path: Path) -> list[UffFunction]:
-    found = [
-        f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == (0, TIME_AXIS)
-    ]
+def _time_functions(path: Path) -> tuple[list[UffFunction], Units | None]:
+    functions, units = _functions(path)
+    unstated = (0, TIME_AXIS)
+    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == unstated]
     if not found:
         raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
-    return found
+    return found, units
 
 
 def _time_table(found: Sequence[UffFunction], units: Units | None, path: Path) -> RawTable:
     rates = [_rate(f, path) for f in found]
-    if max(rates) - min(rates) > 1e-4 * max(rates):
-        raise DataError(
-            f"{path}: different rates, {min(rates):g} to {max(rates):g} Hz; split the file"
-        )
+    low = min(rates)
+    high = max(rates)
+    if high - low > 1e-4 * high:
+        raise DataError(f"{path}: different rates, {low:g} to {high:g} Hz; split the file")
     length = min(f.y.size for f in found)
     kinds, factors = zip(*(_signal(f, units) for f in found), strict=True)
     data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
-    return RawTable(
-        data, rates[0], _names(found, kinds), tuple(UNIT.get(k, "") for k in kinds), tuple(kinds)
-    )
+    names = _names(found, kinds)
+    return RawTable(data, rates[0], names, tuple(UNIT.get(k, "") for k in kinds), kinds)
 
 
 def _rate(f: UffFunction, path: Path) -> float:
     if not f.even:
-        return even_rate(f.x, True, path) or 0.0
+        rate = even_rate(f.x, path)
+        if rate is None:
+            raise DataError(f"{path}: {uneven(f.x)}")
+        return rate
     step = float(f.x[-1] - f.x[0]) / (f.x.size - 1) if f.x.size > 1 else 0.0
     if not (np.isfinite(step) and step > 0):
         raise DataError(f"{path}: step of time {step}; it must be positive")
-    return _plain_rate(step)
-
-
-def _plain_rate(step: float) -> float:
-    """The rate of fewest digits whose step is the given one to the six digits that data set 58
-    holds.
-    """
+    # of fewest digits whose step is the given one to the six digits that data set 58 holds
     unit = 10.0 ** (np.floor(np.log10(step)) - _DIGITS)
     rates = (float(f"{1 / step:.{k}e}") for k in range(_DIGITS + 1))
     return next((r for r in rates if abs(1 / r - step) <= 0.5001 * unit), 1 / step)
@@ -213,35 +202,26 @@ def _plain_rate(step: float) -> float:
 
 def _factor(quantity: str, units: Units | None) -> float:
     """To SI: data set 164 holds file units per SI unit."""
-    if units is None:
+    if units is None or quantity in _WITHOUT_LENGTH:
         return 1.0
-    bare = ("strain", "unknown", *(ANGULAR[motion] for motion in SI_UNIT))
-    one: dict[str, float] = {
-        "force": units.force,
-        "moment": units.force * units.length,
-        **dict.fromkeys(bare, 1.0),
-    }
-    return 1 / one.get(quantity, units.length)
+    if quantity == "force":
+        return 1 / units.force
+    if quantity == "moment":
+        return 1 / (units.force * units.length)
+    return 1 / units.length
 
 
 def _names(functions: Sequence[UffFunction], kinds: Sequence[str]) -> tuple[str, ...]:
     """Point and direction of each; a force at the point of a response is `F:101+Z`."""
     if titles := _titles(functions):
         return tuple(titles)
-    names = [_name(f) for f in functions]
-    if len(set(names)) == len(names):
-        return tuple(names)
-    named = [f"F:{n}" if k in FORCES else n for n, k in zip(names, kinds, strict=True)]
-    if len(set(named)) == len(named):
-        return tuple(named)
+    # a skewed sensor, for which there is no code, has its name as first line of text
+    names = [f.ids[0] if _SKEWED.fullmatch(f.ids[0]) else label(*f.response) for f in functions]
+    marked = [f"F:{n}" if k in FORCES else n for n, k in zip(names, kinds, strict=True)]
+    for tried in (names, marked):
+        if len(set(tried)) == len(tried):
+            return tuple(tried)
     return tuple(f"{n}#{i + 1}" for i, n in enumerate(names))
-
-
-def _name(function: UffFunction) -> str:
-    """Of a skewed sensor, for which there is no code, the name that `write_time` keeps as first
-    line of text.
-    """
-    return function.ids[0] if _SKEWED.fullmatch(function.ids[0]) else label(*function.response)
 
 
 def _titles(functions: Sequence[UffFunction]) -> list[str]:
@@ -251,7 +231,7 @@ def _titles(functions: Sequence[UffFunction]) -> list[str]:
     if any(f.response[0] for f in functions):
         return []
     for texts in zip(*((f.names[0], f.axes[1].label, f.ids[0]) for f in functions), strict=True):
-        if len(set(texts)) == len(texts) and not set(_UNNAMED) & {t.upper() for t in texts}:
+        if len(set(texts)) == len(texts) and not _unnamed(texts):
             return list(texts)
     return []
 
@@ -278,10 +258,8 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     functions, units = _functions(path)
     frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
     if not frfs:
-        raise DataError(
-            f"{path}: no FRFs (58, function type 4 or 5); "
-            f"{functions_held(f.kind for f in functions)}"
-        )
+        held = functions_held(f.kind for f in functions)
+        raise DataError(f"{path}: no FRFs (58, function type 4 or 5); {held}")
     ends = _ends(frfs)
     kept = [k for k, both in enumerate(ends) if not set(both) & set(leave_out)]
     if not kept:
@@ -295,38 +273,38 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     frfs = _on_shared_lines(frfs, ends, path)
     freqs = frfs[0].x
     motions, factors = zip(*(_si(f, units) for f in frfs), strict=True)
-    kind = _one_kind(motions, ends, path)
+    for motion, (out, _) in zip(motions, ends, strict=True):
+        if motion == "force":
+            raise DataError(
+                f"{path}: the response {out} is a force; an FRF here is motion over force"
+            )
+    kind = max(dict.fromkeys(motions), key=motions.count)
     if kind == "unknown":
         say_accelerances(path)
-    outputs, inputs = _channels(ends, kind)
-    scaled = (
+    outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*ends, strict=True))
+    values = [
         as_motion(np.where(np.isfinite(f.y), f.y, np.nan) * x, freqs, m, kind)
         for f, m, x in zip(frfs, motions, factors, strict=True)
-    )
-    data = _place(
-        [replace(f, y=y) for f, y in zip(frfs, scaled, strict=True)], ends, freqs, outputs, inputs
-    )
+    ]
+    data = _place(values, ends, outputs, inputs, freqs)
     absent = np.asarray(np.isnan(data).all(axis=0))
     if absent.any():
         rows, columns = _whole(absent)
         _warn_left_out(absent, (rows, columns), (outputs, inputs), path)
         data = data[:, rows][:, :, columns]
-        outputs = tuple(outputs[k] for k in rows)
-        inputs = tuple(inputs[k] for k in columns)
-    coherences = list(filter(None, (_on_lines(f, freqs) for f in functions if f.kind == COHERENCE)))
-    coherence = _place(coherences, _ends(coherences), freqs, outputs, inputs).real
+        outputs = [outputs[k] for k in rows]
+        inputs = [inputs[k] for k in columns]
+    coherences = [f for f in functions if f.kind == COHERENCE]
+    at_lines = [shared_lines([f.x, freqs]) for f in coherences]
+    usable = [
+        (f, at[0])
+        for f, at in zip(coherences, at_lines, strict=True)
+        if at and at[0].size == freqs.size
+    ]
+    both = _ends([f for f, _ in usable])
+    coherence = _place([f.y[at] for f, at in usable], both, outputs, inputs, freqs).real
     based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
-    at = known_lines(data, freqs, [c.id for c in outputs], [c.id for c in inputs], path)
-    return FrfSet(
-        data=data[at],
-        freqs=freqs[at],
-        outputs=outputs,
-        inputs=tuple(base_motion(c.id) if c.id in based else c for c in inputs),
-        coherence=np.ascontiguousarray(coherence[at]),
-        averages=np.full(len(inputs), np.nan),
-        kind="receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
-        source=str(path),
-    )
+    return frf_set(data, freqs, (outputs, inputs), kind, path, coherence, based)
 
 
 def _whole(absent: Bool) -> tuple[Int, Int]:
@@ -348,43 +326,24 @@ def _whole(absent: Bool) -> tuple[Int, Int]:
 def _warn_left_out(
     absent: Bool,
     kept: tuple[Int, Int],
-    channels: tuple[Sequence[Channel], Sequence[Channel]],
+    names: tuple[Sequence[str], Sequence[str]],
     path: str | Path,
 ) -> None:
-    rows, columns = kept
-    outputs, inputs = channels
-    o, i = (int(k) for k in np.argwhere(absent)[0])
+    o, i = np.argwhere(absent)[0].tolist()
     why = (
-        f"{path}: no values from {inputs[i].id} to {outputs[o].id} ({int(absent.sum())} pairs "
-        "are absent)"
+        f"{path}: no values from {names[1][i]} to {names[0][o]} ({int(absent.sum())} pairs are "
+        "absent)"
     )
-    left = [c.id for k, c in enumerate(outputs) if k not in rows]
-    without = [c.id for k, c in enumerate(inputs) if k not in columns]
     # 0.6: of the functions, that must be left where some pairs are absent
-    if rows.size * columns.size < 0.6 * int((~absent).sum()):
-        raise DataError(
-            f"{why}; without gaps {rows.size} responses and {columns.size} references are left"
-        )
+    if kept[0].size * kept[1].size < 0.6 * int((~absent).sum()):
+        left = f"{kept[0].size} responses and {kept[1].size} references"
+        raise DataError(f"{why}; without gaps {left} are left")
     lost = [
-        f"{what} {' '.join(ids)}"
-        for what, ids in (("response", left), ("reference", without))
-        if ids
+        f"{what} {' '.join(np.delete(np.array(ids), rows).tolist())}"
+        for what, ids, rows in zip(("response", "reference"), names, kept, strict=True)
+        if rows.size < len(ids)
     ]
     log.warning("%s; left out: %s", why, ", ".join(lost))
-
-
-def _one_kind(
-    motions: Sequence[Quantity], ends: Sequence[tuple[str, str]], path: str | Path
-) -> Quantity:
-    """The quantity of most functions; a force is none."""
-    if wrong := dict.fromkeys(
-        out for m, (out, _) in zip(motions, ends, strict=True) if m == "force"
-    ):
-        raise DataError(
-            f"{path}: the response {' '.join([*wrong][:8])} is a force; an FRF here is motion "
-            "over force"
-        )
-    return max(dict.fromkeys(motions), key=motions.count)
 
 
 def _si(f: UffFunction, units: Units | None) -> tuple[Quantity, float]:
@@ -397,27 +356,21 @@ def _si(f: UffFunction, units: Units | None) -> tuple[Quantity, float]:
     over = f.axes[1]
     under = f.axes[2]
     about, turned = (abs(end[1]) > 3 for end in (f.response, f.reference))
+    if _on_base(f):
+        base = _QUANTITY.get(under.data_type, "unknown")
+        what, size = _motion(over, over.unit, units, about)
+        _, moved = _motion(under, under.unit, units, turned)
+        what = LINEAR.get(what, what)
+        same = base == "unknown" or what in ("unknown", base)
+        return "acceleration" if same else what, size / moved
     text = over.unit.strip()
     tail = under.unit.strip()
-    base = _QUANTITY.get(under.data_type, "unknown")
-    if _on_base(f):
-        (what, size), (_, moved) = (
-            _motion(over, text, units, about),
-            _motion(under, tail, units, turned),
-        )
-        what = LINEAR.get(what, what)
-        return "acceleration" if what in (
-            "unknown",
-            base,
-        ) or base == "unknown" else what, size / moved
     if not _acts(tail) and _acts(text.rpartition("/")[2]):
         text, _, tail = text.rpartition("/")
     quantity, motion = _motion(over, text, units, about)
-    force = (
-        to_si(tail.strip("() "))[1]
-        if _acts(tail)
-        else _factor("moment" if turned else "force", units)
-    )
+    force = _factor("moment" if turned else "force", units)
+    if _acts(tail):
+        force = to_si(tail.strip("() "))[1]
     return LINEAR.get(quantity, quantity), motion / force
 
 
@@ -465,16 +418,16 @@ def _references(functions: Sequence[UffFunction], responses: Sequence[str]) -> l
         return [label(*f.reference) for f in functions]
     entities = [f.names[1] for f in functions]
     directions = [f"{_NO_REFERENCE}{label(*f.reference)[1:]}" for f in functions]
-    alone = len(set(responses)) == len(functions)
-    for names in (entities, directions):
-        pairs = set(zip(responses, names, strict=True))
-        if (
-            not alone
-            and len(pairs) == len(functions)
-            and not set(_UNNAMED) & {n.upper() for n in names}
-        ):
-            return names
+    if len(set(responses)) < len(functions):
+        for names in (entities, directions):
+            pairs = set(zip(responses, names, strict=True))
+            if len(pairs) == len(functions) and not _unnamed(names):
+                return names
     return [_NO_REFERENCE] * len(functions)
+
+
+def _unnamed(texts: Iterable[str]) -> bool:
+    return bool({"", "NONE"} & {text.upper() for text in texts})
 
 
 def _on_shared_lines(
@@ -496,36 +449,22 @@ def _on_shared_lines(
     return out
 
 
-def _on_lines(f: UffFunction, freqs: Float) -> UffFunction | None:
-    """The function at some lines; None where it lacks one of them."""
-    at = shared_lines([f.x, freqs])
-    return replace(f, x=freqs, y=f.y[at[0]]) if at and at[0].size == freqs.size else None
-
-
-def _channels(
-    ends: Sequence[tuple[str, str]], kind: Quantity
-) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    outputs, inputs = (dict.fromkeys(both[k] for both in ends) for k in (0, 1))
-    return tuple(channel(n, kind) for n in outputs), tuple(channel(n, "force") for n in inputs)
-
-
 def _place(
-    functions: Sequence[UffFunction],
+    values: Sequence[Any_],
     ends: Sequence[tuple[str, str]],
+    outputs: Sequence[str],
+    inputs: Sequence[str],
     freqs: Float,
-    outputs: Sequence[Channel],
-    inputs: Sequence[Channel],
 ) -> Complex:
-    row = {c.id: i for i, c in enumerate(outputs)}
-    column = {c.id: i for i, c in enumerate(inputs)}
+    """Functions (f,) by response and reference, (f, out, in); those of one pair are averaged, NaN
+    where there is none.
+    """
     data = np.full((freqs.size, len(outputs), len(inputs)), np.nan, dtype=np.complex128)
     times = np.zeros(data.shape[1:])
-    # a pair measured several times is averaged
-    for f, (out, ref) in zip(functions, ends, strict=True):
-        if out in row and ref in column:
-            at = row[out], column[ref]
-            data[:, *at] = (
-                f.y if not times[at] else data[:, *at] + (f.y - data[:, *at]) / (times[at] + 1)
-            )
+    for y, (out, ref) in zip(values, ends, strict=True):
+        if out in outputs and ref in inputs:
+            at = outputs.index(out), inputs.index(ref)
+            mean = data[:, *at] if times[at] else 0.0
             times[at] += 1
+            data[:, *at] = mean + (y - mean) / times[at]
     return data

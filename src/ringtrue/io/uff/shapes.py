@@ -65,52 +65,39 @@ def read_shape55(block: DataSet) -> StoredShape:
     head = integers([row(lines, 5)])
     if head.size < 6:
         raise DataError(f"data set 55: record 6 has {head.size} of 6 integers")
-    analysis = int(head[1])
-    kind = int(head[4])
-    width = int(head[5])
-    counts = integers([row(lines, 6)])
-    whole, real, at = _specific(lines, counts)
-    frequency, mass, viscous, hysteretic = (
-        ([*real, 0.0, 0.0, 0.0, 0.0])[:4] if analysis != COMPLEX else (0.0,) * 4
-    )
-    pole = complex(*real[:2]) if analysis == COMPLEX and len(real) > 1 else 0j
-    number = whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0
-    nodes, values = _values(lines[at:], width, kind in (5, 6))
-    return StoredShape(
-        analysis=analysis,
-        number=number,
-        frequency=frequency,
-        mass=mass,
-        viscous=viscous,
-        hysteretic=hysteretic,
-        pole=pole,
-        nodes=nodes,
-        values=values,
-        name=row(lines, 0).strip(),
-    )
-
-
-def _specific(lines: Sequence[str], counts: Int) -> tuple[list[int], list[float], int]:
-    """Integers and reals of the analysis, and the line after them; both may go over several
-    lines.
-    """
-    if counts.size < 2 or not (0 <= counts[0] <= 80 and 0 <= counts[1] <= 80):
+    _, analysis, _, _, kind, width = head[:6].tolist()
+    # integers and reals of the analysis; both may go over several lines
+    counts = integers([row(lines, 6)]).tolist()
+    if len(counts) < 2 or not (0 <= counts[0] <= 80 and 0 <= counts[1] <= 80):
         raise DataError(
-            f"data set 55: record 7 begins with {counts[:2].tolist()}, counts of integers and reals"
+            f"data set 55: record 7 begins with {counts[:2]}, counts of integers and reals"
         )
-    n_int = int(counts[0])
-    n_real = int(counts[1])
-    whole = counts[2:].tolist()
+    (n_int, n_real), whole = counts[:2], counts[2:]
     at = 7
     while len(whole) < n_int:
         more = integers([row(lines, at)]).tolist()
         if not more:
             raise DataError("data set 55: integers of record 7 are missing")
-        whole = whole + more
-        at = at + 1
-    used = -(-n_real // 6)
-    real = _line_reals([row(lines, at + k) for k in range(used)], n_real)
-    return whole, real, at + used
+        whole += more
+        at += 1
+    end = at - (-n_real // 6)
+    row(lines, end - 1)
+    real = [*_line_reals(lines[at:end], n_real), *[0.0] * 4]
+    is_complex = analysis == COMPLEX
+    frequency, mass, viscous, hysteretic = (0.0,) * 4 if is_complex else real[:4]
+    nodes, values = _values(lines[end:], width, kind in (5, 6))
+    return StoredShape(
+        analysis=analysis,
+        number=whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0,
+        frequency=frequency,
+        mass=mass,
+        viscous=viscous,
+        hysteretic=hysteretic,
+        pole=complex(*real[:2]) if is_complex and n_real > 1 else 0j,
+        nodes=nodes,
+        values=values,
+        name=row(lines, 0).strip(),
+    )
 
 
 def _line_reals(lines: Sequence[str], count: int) -> list[float]:
@@ -125,24 +112,20 @@ def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, An
     count = width * (2 if is_complex else 1)
     if not 0 < width <= 1000:
         raise DataError(f"{width} values at a node; it must be 1 or more")
-    rows = -(-count // 6)
-    if len(lines) % (1 + rows):
+    size = 1 - (-count // 6)  # lines of a node
+    if len(lines) % size:
         raise DataError(
-            f"{len(lines)} lines of values, not a multiple of {1 + rows} a node: the file is cut "
-            "or damaged"
+            f"{len(lines)} lines of values, not a multiple of {size} a node: the file is cut or "
+            "damaged"
         )
-    nodes = np.array([_node(x) for x in lines[:: 1 + rows]], dtype=np.int64)
-    body = [x for i, x in enumerate(lines) if i % (1 + rows)]
-    text = "\n".join(body).encode("latin-1", "replace")
+    numbers = [integers([line]) for line in lines[::size]]
+    for line, found in zip(lines[::size], numbers, strict=True):
+        if not found.size:
+            raise DataError(f"line {line.strip()[:40]!r} must be the number of a node")
+    nodes = np.array([found[0] for found in numbers], dtype=np.int64)
+    text = "\n".join(x for i, x in enumerate(lines) if i % size).encode("latin-1", "replace")
     values = reals(text, (13,) * 6, nodes.size * count).reshape(nodes.size, count)
     return nodes, (values[:, ::2] + 1j * values[:, 1::2] if is_complex else values)
-
-
-def _node(line: str) -> int:
-    found = integers([line])
-    if not found.size:
-        raise DataError(f"line {line.strip()[:40]!r} must be the number of a node")
-    return int(found[0])
 
 
 def read_shape2414(block: DataSet) -> StoredShape | None:
@@ -156,21 +139,19 @@ def read_shape2414(block: DataSet) -> StoredShape | None:
     head = integers([row(lines, 8)])
     if head.size < 6:
         raise DataError(f"data set 2414: record 9 has {head.size} of 6 integers")
+    _, analysis, _, _, kind, width = head[:6].tolist()
     specific = integers([row(lines, 9)]).tolist()
     first = _line_reals([row(lines, 11)], 6)
     second = _line_reals([row(lines, 12)], 6)
-    nodes, values = _values(lines[13:], int(head[5]), int(head[4]) in (5, 6))
-    analysis = int(head[1])
-    pole = complex(second[0], second[1]) if analysis == COMPLEX else 0j
-    number = int(specific[5]) if len(specific) > 5 else 0
+    nodes, values = _values(lines[13:], width, kind in (5, 6))
     return StoredShape(
         analysis=analysis,
-        number=number,
+        number=specific[5] if len(specific) > 5 else 0,
         frequency=first[1],
         mass=first[3],
         viscous=first[4],
         hysteretic=first[5],
-        pole=pole,
+        pole=complex(second[0], second[1]) if analysis == COMPLEX else 0j,
         nodes=nodes,
         values=values,
         name=row(lines, 1).strip(),
@@ -187,18 +168,18 @@ def read_shapes(path: str | Path) -> tuple[StoredShape, ...]:
     """
     with about(path):
         blocks = scan(path)
-        found = [
-            read_shape55(b) if b.kind == 55 else read_shape2414(b)
-            for b in blocks
-            if b.kind in (55, 2414)
-        ]
-        shapes = tuple(s for s in found if s is not None)
+        shapes = []
+        for block in blocks:
+            if block.kind == 55:
+                shapes.append(read_shape55(block))
+            elif block.kind == 2414 and (shape := read_shape2414(block)) is not None:
+                shapes.append(shape)
         if not shapes:
             held = sets_held(b.kind for b in blocks)
             raise DataError(
                 f"{path}: no mode shapes (data set 55 or 2414 with values at nodes); {held}"
             )
-        return shapes
+        return tuple(shapes)
 
 
 def read_mode_sets(path: str | Path) -> ModeSet:
@@ -221,25 +202,22 @@ def read_mode_sets(path: str | Path) -> ModeSet:
         raise DataError(f"{path}: {width} values at a node; modes have 1 to 6")
     shapes = np.stack([s.values.ravel() for s in sets], axis=1)
     labels = tuple(label(int(p), k + 1) for p in first.nodes for k in range(width))
-    frequency, damping = np.array([_pole(s) for s in sets]).T
+    frequency = np.array([s.frequency for s in sets])
+    # an absent or zero damping is unknown
+    damping = np.array([s.viscous or s.hysteretic / 2 or np.nan for s in sets])
+    for k, s in enumerate(sets):
+        if s.analysis == COMPLEX:
+            frequency[k] = abs(s.pole) / (2 * np.pi)
+            damping[k] = -s.pole.real / abs(s.pole) if s.pole else np.nan
     order = np.argsort(frequency, kind="stable")
-    norm = Norm.MASS if all(s.mass == 1 for s in sets) else Norm.UNSCALED
     return ModeSet(
         frequencies=frequency[order],
         damping=damping[order],
         shapes=shapes[:, order],
         labels=labels,
-        norm=norm,
+        norm=Norm.MASS if all(s.mass == 1 for s in sets) else Norm.UNSCALED,
         source=str(path),
     )
-
-
-def _pole(s: StoredShape) -> tuple[float, float]:
-    """Frequency (Hz) and damping ratio; an absent or zero damping is unknown."""
-    if s.analysis == COMPLEX:
-        size = abs(s.pole)
-        return size / (2 * np.pi), -s.pole.real / size if size else float("nan")
-    return s.frequency, s.viscous or s.hysteretic / 2 or float("nan")
 
 
 def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
