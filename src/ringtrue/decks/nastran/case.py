@@ -201,15 +201,13 @@ def _matrices(name: str, found: Mapping[str, str]) -> tuple[tuple[float, str], .
     for part in found[name].split(",") if name in found else ():
         term = _TERM.fullmatch(part.strip())
         try:
-            made.append(
-                (real(term[1]) if term and term[1] else 1.0, term[2].upper() if term else "")
-            )
+            if term is None:
+                raise ValueError(part)
+            made.append((real(term[1] or "1."), term[2].upper()))
         except ValueError:
-            term = None
-        if term is None:
             raise DeckError(
                 f"{name} = {found[name]}: allowed are names of DMIG matrices, as in 1.5*KA, KB"
-            )
+            ) from None
     return tuple(made)
 
 
@@ -245,14 +243,12 @@ def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
     """The choice of a deck without case control: its only SPC and MPC set, or the one that unites
     others.
     """
-    return replace(case, spc=_only(tables, "SPC"), mpc=_only(tables, "MPC"))
-
-
-def _only(tables: Mapping[str, Table], kind: str) -> int:
-    add = CONSTRAINTS[kind][0]
-    united: list[int] = np.unique(tables[add].ids).tolist() if add in tables else []
-    every = united or sets(tables, kind)
-    return every[0] if len(every) == 1 else 0
+    only = []
+    for kind in ("SPC", "MPC"):
+        add = CONSTRAINTS[kind][0]
+        every = np.unique(tables[add].ids).tolist() if add in tables else sets(tables, kind)
+        only.append(every[0] if len(every) == 1 else 0)
+    return replace(case, spc=only[0], mpc=only[1])
 
 
 def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool
 from ringtrue.decks.nastran.cards import Cards
@@ -15,12 +14,16 @@ from ringtrue.decks.nastran.lexer import Card, Reader, is_real
 from ringtrue.errors import DeckError
 from ringtrue.model.case_control import ModalDamping
 from ringtrue.model.frames import positions
-from ringtrue.model.model import Model, Ragged, Table, card_error
+from ringtrue.model.model import Model, Ragged, Table, card_error, stacked
 
 DEFAULTS: Mapping[str, str] = MappingProxyType(
     {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 )
-_GRID = {"CP": 1, "CD": 5, "PS": 6}  # places of the data fields, from 0
+_PLAIN = {  # places of the data fields, from 0
+    "GRID": {"CP": 1, "CD": 5, "PS": 6},
+    "CBAR": {"PID": 1, "OFFT": 7},
+    "CBEAM": {"PID": 1, "OFFT": 7},
+}
 _VECTOR = {"X1": 4, "X2": 5, "X3": 6}
 _SCALAR = tuple(f"C{kind}{i}" for kind in ("ELAS", "MASS", "DAMP") for i in (3, 4))
 
@@ -58,43 +61,29 @@ def fill(default: str, tables: Mapping[str, Table], found: Cards) -> dict[str, T
     table = tables[card]
     if made:
         r = Reader(made[0], found.deck.files)
-        table = _grid(table, r, found) if card == "GRID" else _bars(table, r, found)
+        for name, at in _PLAIN[card].items():
+            if r.text(at):
+                value: int | str = r.text(at) if name in ("PS", "OFFT") else r.whole(at, name)
+                blank = _blank(found, card, at)
+                table = table.with_column(name, np.where(blank, value, table[name]))
+        if card != "GRID":
+            table = _oriented(table, r, found)
     if card == "GRID":
         table = table.with_column("PS", np.where(table["PS"] == "0", "", table["PS"]))
     return {card: table}
 
 
-def _grid(table: Table, r: Reader, found: Cards) -> Table:
-    for name, at in _GRID.items():
-        if r.text(at):
-            value: int | str = r.text(at) if name == "PS" else r.whole(at, name)
-            table = table.with_column(name, np.where(_blank(found, "GRID", at), value, table[name]))
-    return table
-
-
-def _bars(table: Table, r: Reader, found: Cards) -> Table:
-    """PID, orientation and OFFT; an orientation is taken field by field, a node G0 only where all
-    three are blank.
-    """
-    card = table.card
-    if r.text(1):
-        table = table.with_column(
-            "PID", np.where(_blank(found, card, 1), r.whole(1, "PID"), table["PID"])
-        )
-    blank = {name: _blank(found, card, at) for name, at in _VECTOR.items()}
+def _oriented(table: Table, r: Reader, found: Cards) -> Table:
+    """An orientation is taken field by field, a node G0 only where all three are blank."""
+    blank = {name: _blank(found, table.card, at) for name, at in _VECTOR.items()}
     text = r.text(4)
     if text and not is_real(np.array([text.encode("latin-1")]))[0]:
         none = np.all(list(blank.values()), axis=0)
-        table = table.with_column("G0", np.where(none, r.whole(4, "G0"), table["G0"]))
-    else:
-        for name, at in _VECTOR.items():
-            if r.text(at):
-                mine = blank[name] & (table["G0"] == 0)
-                table = table.with_column(name, np.where(mine, r.real(at, name), table[name]))
-    if r.text(7):
-        table = table.with_column(
-            "OFFT", np.where(_blank(found, card, 7), r.text(7), table["OFFT"])
-        )
+        return table.with_column("G0", np.where(none, r.whole(4, "G0"), table["G0"]))
+    for name, at in _VECTOR.items():
+        if r.text(at):
+            mine = blank[name] & (table["G0"] == 0)
+            table = table.with_column(name, np.where(mine, r.real(at, name), table[name]))
     return table
 
 
@@ -109,39 +98,27 @@ def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:
     """SPOINT with a row for each scalar point that only a scalar element names; it needs no card of
     its own.
     """
-    ids = [np.empty(0, dtype=np.int64)]
-    file = [np.empty(0, dtype=np.int64)]
-    line = [np.empty(0, dtype=np.int64)]
-    for card in _SCALAR:
-        if card in tables:
-            t = tables[card]
-            ids += [t["S1"], t["S2"]]
-            file += [t.file, t.file]
-            line += [t.line, t.line]
-    every = np.concatenate(ids)
-    named: list[NDArray[np.int64]] = [tables["GRID"].ids] if "GRID" in tables else []
-    named += [tables["SPOINT"].ragged("ID").values] if "SPOINT" in tables else []
+    named = [tables[card] for card in _SCALAR if card in tables]
+    if not named:
+        return {}
+    every = np.concatenate([t[name] for t in named for name in ("S1", "S2")])
+    file, line = (
+        np.concatenate([getattr(t, name) for t in named for _ in range(2)])
+        for name in ("file", "line")
+    )
     points, at = np.unique(every, return_index=True)
-    new = (points > 0) & ~np.isin(points, np.concatenate([*named, np.empty(0, dtype=np.int64)]))
+    new = points > 0
+    if "GRID" in tables:
+        new &= ~np.isin(points, tables["GRID"].ids)
+    old = tables.get("SPOINT")
+    if old:
+        new &= ~np.isin(points, old.ragged("ID").values)
     if not new.any():
         return {}
-    points = points[new]
     at = at[new]
-    old = tables.get("SPOINT")
-    before = (
-        old.ragged("ID")
-        if old
-        else Ragged(np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
-    )
-    offsets = np.concatenate([before.offsets, before.offsets[-1] + np.arange(1, points.size + 1)])
-    where = [np.concatenate(x)[at] for x in (file, line)]
-    if old:
-        where = [np.concatenate([a, b]) for a, b in zip((old.file, old.line), where, strict=True)]
-    return {
-        "SPOINT": Table(
-            "SPOINT", {"ID": Ragged(np.concatenate([before.values, points]), offsets)}, *where
-        )
-    }
+    ids = Ragged(points[new], np.arange(at.size + 1))
+    implied = Table("SPOINT", {"ID": ids}, file[at], line[at])
+    return {"SPOINT": stacked(old, implied) if old else implied}
 
 
 _RATIO = {"": 0.5, "G": 0.5, "CRIT": 1.0, "Q": 0.5}  # of a value, of Q of its inverse

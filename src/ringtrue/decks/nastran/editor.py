@@ -55,7 +55,7 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
             groups.setdefault(find(change), []).append(change)
     for card, mine in groups.items():
         _edit_card(found, contents, _CardChanges(card, tuple(mine)))
-    data = [c.joined() for c in contents]
+    data = [b"".join(lines) for lines in contents]
     if new:
         masses = []
         for change in new:
@@ -105,13 +105,17 @@ def refuse_unwritable(model: Model, parameters: ParameterSet) -> None:
         raise InputError(f"[[candidate]] {why}")
 
 
-def _loaded(model: Model) -> tuple[Cards, list[Path], list[_FileLines]]:
+def _loaded(model: Model) -> tuple[Cards, list[Path], list[list[bytes]]]:
     """The cards of the deck, its files, and what is in them."""
+    found = cards(load(_files(model)[0]))
+    files = [Path(f) for f in found.deck.files]
+    return found, files, [_lines_of(f.read_bytes()) for f in files]
+
+
+def _files(model: Model) -> tuple[str, ...]:
     if not model.files:
         raise InputError("this model was not read from a deck, so there is none to edit")
-    found = cards(load(model.files[0]))
-    files = [Path(f) for f in found.deck.files]
-    return found, files, [_FileLines(f.read_bytes()) for f in files]
+    return model.files
 
 
 def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
@@ -128,8 +132,14 @@ def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) ->
     InputError
         If `file` is none of the deck's files.
     """
-    files = [Path(f) for f in model.files]
-    number = _number(files, Path(file))
+    files = [Path(f) for f in _files(model)]
+    wanted = Path(file)
+    candidates = (wanted.resolve(), (files[0].parent / wanted).resolve())
+    number = next((i for i, f in enumerate(files) if f in candidates), -1)
+    if number < 0:
+        raise InputError(
+            f"{file} is not a file of the deck; its files are {', '.join(model.files)}"
+        )
     data = [f.read_bytes() for f in files]
     data[number] = _inserted(data[number], text)
     return _write(files, data, Path(out_dir))
@@ -147,18 +157,6 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
             old_lines, new_lines = (x.decode("latin-1").splitlines() for x in (before, after))
             parts += difflib.unified_diff(old_lines, new_lines, a.name, b.name, lineterm="")
     return "\n".join(parts) + ("\n" if parts else "")
-
-
-def _number(files: Sequence[Path], wanted: Path) -> int:
-    if not files:
-        raise InputError("this model was not read from a deck, so there is none to edit")
-    candidates = (wanted.resolve(), (files[0].parent / wanted).resolve())
-    for i, f in enumerate(files):
-        if f in candidates:
-            return i
-    raise InputError(
-        f"{wanted} is not a file of the deck; its files are {', '.join(str(f) for f in files)}"
-    )
 
 
 def _inserted(data: bytes, text: str) -> bytes:
@@ -181,7 +179,7 @@ def refuse_copy(model: Model, out_dir: str | Path) -> None:
         If the copy would include files of the deck itself: an INCLUDE has an absolute path.
     """
     _, files, contents = _loaded(model)
-    _copies(files, [c.joined() for c in contents], Path(out_dir))
+    _copies(files, [b"".join(lines) for lines in contents], Path(out_dir))
 
 
 def _write(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list[Path]:
@@ -228,18 +226,11 @@ def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list
     return targets
 
 
-class _FileLines:
+def _lines_of(data: bytes) -> list[bytes]:
     """The lines of a file, each with its line ending."""
-
-    def __init__(self, data: bytes) -> None:
-        self.lines = (
-            data.splitlines(keepends=True)
-            if b"\n" not in data
-            else re.findall(rb"[^\n]*\n|[^\n]+", data)
-        )
-
-    def joined(self) -> bytes:
-        return b"".join(self.lines)
+    if b"\n" in data:
+        return re.findall(rb"[^\n]*\n|[^\n]+", data)
+    return data.splitlines(keepends=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,11 +296,11 @@ def _taken(model: Model, change: FieldChange, row: int) -> str:
     return f"{other.other} {number}" if other and number > other.other_default else ""
 
 
-def _edit_card(found: Cards, contents: Sequence[_FileLines], group: _CardChanges) -> None:
+def _edit_card(found: Cards, contents: Sequence[list[bytes]], group: _CardChanges) -> None:
     name = found.name[group.card].decode()
     rows = found.raw_of[found.head[group.card] + np.arange(found.count[group.card])]
     at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
-    lines = [_Line(contents[f].lines[n - 1]) for f, n in at]
+    lines = [_Line(contents[f][n - 1]) for f, n in at]
     given = {(c.id, c.field): c.value for c in group.changes}
     for change in group.changes:
         if change.card != name:
@@ -330,9 +321,9 @@ def _edit_card(found: Cards, contents: Sequence[_FileLines], group: _CardChanges
             _set(lines, at_next, real(text) if change.field.startswith("T") else text)
         _set(lines, place, _typed(change))
     for i, (f, n) in enumerate(at):
-        contents[f].lines[n - 1] = lines[i].whole
+        contents[f][n - 1] = lines[i].whole
     f, n = at[-1]
-    contents[f].lines[n - 1] += b"".join(x.whole for x in lines[len(at) :])
+    contents[f][n - 1] += b"".join(x.whole for x in lines[len(at) :])
 
 
 def _inherits(

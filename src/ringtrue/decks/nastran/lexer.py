@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -110,17 +111,10 @@ def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool
     value = np.where(c[0] == _MINUS, -value, value)
     for i in np.flatnonzero(good & ~exact).tolist():  # rare: more digits than a double holds
         try:
-            value[i] = float(_plain(cells[i], c[:, i], mark[:, i]))
+            value[i] = real(cells[i].decode("latin-1"))
         except ValueError:  # a zero byte among the digits
             good[i] = False
     return value, good & np.isfinite(value)
-
-
-def _plain(cell: bytes, c: NDArray[np.uint8], mark: Bool) -> bytes:
-    if not mark.any():
-        return bytes(cell)
-    at = int(mark.argmax())
-    return bytes(cell[:at]) + b"E" + bytes(cell[at + 1 :] if c[at] in (_E, _D) else cell[at:])
 
 
 def real(text: str) -> float:
@@ -181,7 +175,7 @@ def split_line(line: bytes) -> LineFields:
     columns = _columns(data)
     first = bytes(b for b, at in zip(data, columns, strict=True) if at < 8).strip().upper()
     width = 16 if b"*" in first else 8
-    edges = [_at(columns, 8 + k * width, end) for k in range(64 // width + 1)]
+    edges = [bisect_left(columns, 8 + k * width) for k in range(64 // width + 1)]
     spans = tuple(pairwise(edges))
     return LineFields("large" if width == 16 else "small", _name(first), spans, end)
 
@@ -210,10 +204,6 @@ def _columns(data: bytes) -> list[int]:
         columns.append(at)
         at = (at // 8 + 1) * 8 if b == 9 else at + 1
     return columns
-
-
-def _at(columns: list[int], column: int, end: int) -> int:
-    return next((i for i, c in enumerate(columns) if c >= column), end)
 
 
 Files = Sequence[str]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.arrays import Any_
 from ringtrue.decks.nastran.beams import dimensions
 from ringtrue.decks.nastran.cards import Cards, cards
 from ringtrue.decks.nastran.case import (
@@ -112,8 +112,10 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
             "BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER")
         )
     found = cards(deck)
+    for at, name in _stopping(found):
+        path, line = found.place(at)
+        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
     path = deck.files[0]
-    _refuse(found)
     model, skipped = _model(found)
     for card, (why, place) in skipped.items():
         raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
@@ -165,30 +167,18 @@ def survey(path: str | Path) -> Survey:
     return Survey(model, counts, unsupported, tuple(faults))
 
 
-def _stops(name: str, more: tuple[str, ...]) -> bool:
-    """Whether a card must not be passed over; `more`: beginnings of names that case control makes
-    count.
-    """
-    return name not in SPECIAL and (is_unsupported(name) or name[0] == "/" or name.startswith(more))
-
-
 def _stopping(found: Cards) -> list[tuple[int, str]]:
     """The first card of each name that must not be passed over, in order."""
     names, first, _ = found.kinds()
-    more = stiffening(found.deck.top)
-    out = [(at, name.decode()) for at, name in zip(first.tolist(), names.tolist(), strict=True)]
-    out = [(at, name) for at, name in out if _stops(name, more)]
-    cut = [
-        (at, "BOLT") for at in found.named("BOLT").tolist() if b"TOP" in found.fields(at)
-    ]  # MSC's; NX lists elements
+    more = stiffening(found.deck.top)  # beginnings of names that case control makes count
+    out = []
+    for at, name in zip(first.tolist(), (n.decode() for n in names.tolist()), strict=True):
+        stops = is_unsupported(name) or name[0] == "/" or name.startswith(more)
+        if stops and name not in SPECIAL:
+            out.append((at, name))
+    # MSC's; NX lists elements
+    cut = [(at, "BOLT") for at in found.named("BOLT").tolist() if b"TOP" in found.fields(at)]
     return sorted([*out, *cut[:1]])
-
-
-def _refuse(found: Cards) -> None:
-    if stopping := _stopping(found):
-        at, name = stopping[0]
-        path, line = found.place(at)
-        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
 
 
 def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[int]]:
@@ -240,7 +230,10 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     if "SPOINT" in tables and "GRID" not in tables:
         tables["GRID"] = empty("GRID")
     if b"SPC1" in names:  # a THRU passes over points that are not there
-        tables["SPC1"] = make_table(found, "SPC1", _points(tables))
+        points = [tables[n].ids for n in ("GRID",) if n in tables]
+        points += [tables[n].ragged("ID").values for n in ("SPOINT",) if n in tables]
+        there = np.unique(np.concatenate([*points, np.empty(0, dtype=np.int64)]))
+        tables["SPC1"] = make_table(found, "SPC1", there)
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     refuse_magnitudes(tables.values(), found.deck.files)
     for group in _ONE_NUMBER:
@@ -264,13 +257,6 @@ def _params(found: Cards) -> dict[str, int | float | str]:
         out[name] = value(text)
         refuse_parameter(name, out[name], found.deck.files[card.file], card.line)
     return out | params(found.deck.top)
-
-
-def _points(tables: Mapping[str, Table]) -> Int:
-    scalar = (
-        tables["SPOINT"].ragged("ID").values if "SPOINT" in tables else np.empty(0, dtype=np.int64)
-    )
-    return np.union1d(tables["GRID"].ids if "GRID" in tables else scalar, scalar)
 
 
 def _unique(table: Table, files: tuple[str, ...]) -> Table:
@@ -307,15 +293,15 @@ def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
     """Refuse an SPOINT with the number of a GRID: which of the two a card names would be open."""
     if "SPOINT" in tables and "GRID" in tables:
         points = tables["SPOINT"]
-        grid = tables["GRID"]
-        ids = points.ragged("ID")
-        if (both := np.flatnonzero(np.isin(ids.values, grid.ids))).size:
-            node = ids.values[both[0]]
-            row = int(ids.owner[both[0]])
-            path = files[points.file[row]]
-            line = int(points.line[row])
+        ids, owner = points.entries("ID")
+        both = np.flatnonzero(np.isin(ids, tables["GRID"].ids))
+        if both.size:
+            row = int(owner[both[0]])
             raise DeckError(
-                f"{node} is the number of a GRID, too", path=path, line=line, card="SPOINT"
+                f"{ids[both[0]]} is the number of a GRID, too",
+                path=files[points.file[row]],
+                line=int(points.line[row]),
+                card="SPOINT",
             )
 
 
@@ -355,14 +341,13 @@ def _dangling(model: Model, lost: Missing) -> DeckError:
 def _misnamed(model: Model) -> Iterator[DeckError]:
     """Lists of components with more than the digits 1 to 6, the first of each field."""
     for table in model.tables.values():
-        for name in (
-            s.name for s in columns(table.card) if s.kind == "c" and s.name in table.columns
-        ):
-            column = table.columns[name]
-            text = column.values if isinstance(column, Ragged) else column
+        for name in (s.name for s in columns(table.card) if s.kind == "c"):
+            if name not in table.columns:
+                continue
+            text, owner = table.entries(name)
             bad = np.flatnonzero((np.char.strip(text, "123456") != "") & (text != "0"))
             if bad.size:
-                row = int(column.owner[bad[0]] if isinstance(column, Ragged) else bad[0])
+                row = int(owner[bad[0]])
                 yield DeckError(
                     f"{str(text[bad[0]])!r} is no list of components; allowed are the digits 1 "
                     "to 6",

@@ -18,37 +18,31 @@ from ringtrue.model.model import Ragged, Table
 
 Cells = NDArray[np.bytes_]
 _KINDS = {"i": "an integer", "f": "a real"}
-_OWN_PROPERTY = frozenset(  # a blank PID is the element's own number
-    (
-        *(
-            "CROD",
-            "CTUBE",
-            "CBAR",
-            "CBEAM",
-            "CVISC",
-            "CBUSH",
-            "CTRIA3",
-            "CQUAD4",
-            "CTRIAR",
-            "CQUADR",
-            "CTRIA6",
-        ),
-        *(
-            "CQUAD8",
-            "CELAS1",
-            "CELAS3",
-            "CMASS1",
-            "CMASS3",
-            "CDAMP1",
-            "CDAMP3",
-            "CSHEAR",
-            "CBUSH1D",
-            "CGAP",
-            "CBEND",
-            "CFAST",
-        ),
-    )
-)
+_OWN_PROPERTY = {  # a blank PID is the element's own number
+    "CROD",
+    "CTUBE",
+    "CBAR",
+    "CBEAM",
+    "CVISC",
+    "CBUSH",
+    "CTRIA3",
+    "CQUAD4",
+    "CTRIAR",
+    "CQUADR",
+    "CTRIA6",
+    "CQUAD8",
+    "CELAS1",
+    "CELAS3",
+    "CMASS1",
+    "CMASS3",
+    "CDAMP1",
+    "CDAMP3",
+    "CSHEAR",
+    "CBUSH1D",
+    "CGAP",
+    "CBEND",
+    "CFAST",
+}
 _SURPLUS = {"PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"}
 
 
@@ -154,18 +148,15 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
             return np.full(rows.size, str(spec.default))
         return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
     given = cell != b""
-    parse = integers if spec.kind == "i" else reals
-    if not given.any():
-        return np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
     full = bool(given.all())
-    values, good = parse(cell if full else cell[given])
+    values, good = (integers if spec.kind == "i" else reals)(cell if full else cell[given])
     if not good.all():
         at = np.flatnonzero(given)[~good][0]
         text = cell[at].decode("latin-1")
         raise fault(cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name)
     if full:
         return values
-    out = np.full(rows.size, spec.default, dtype=np.int64 if spec.kind == "i" else np.float64)
+    out = np.full(rows.size, spec.default, dtype=values.dtype)
     out[given] = values
     return out
 
@@ -222,19 +213,15 @@ def refuse_magnitudes(tables: Iterable[Table], files: tuple[str, ...]) -> None:
         if table.card in METHODS:  # a large limit of the band stands for none
             continue
         for spec in columns(table.card):
-            if (
-                spec.kind != "f"
-                or spec.name not in table.columns
-                or spec.name in _LIMITS.get(table.card, ())
-            ):
+            allowable = spec.name in _LIMITS.get(table.card, ())
+            if spec.kind != "f" or spec.name not in table.columns or allowable:
                 continue
-            column = table.columns[spec.name]
-            values = column.values if isinstance(column, Ragged) else column
+            values, owner = table.entries(spec.name)
             size = np.abs(values)
             wild = np.flatnonzero((size > LARGEST) | ((size < 1 / LARGEST) & (size > 0)))
             if not wild.size:
                 continue
-            row = int(column.owner[wild[0]] if isinstance(column, Ragged) else wild[0])
+            row = int(owner[wild[0]])
             raise DeckError(
                 f"{values[wild[0]]:g} {_ALLOWED}",
                 path=files[table.file[row]],

@@ -58,7 +58,11 @@ def _read(file: h5py.File) -> RecordedModes:
         motion = np.stack([part[c] for c in _COMPONENTS], axis=1).astype(np.float64)
         rows.append((part["ID"].astype(np.int64), np.isin(part["ID"], scalar_points), motion))
     lam = domains["TIME_FREQ_EIGR"].astype(np.float64)
-    return gathered(lam, _masses(file, domains["MODE"], lam), rows, _frames(file))
+    grid = file.get("NASTRAN/INPUT/NODE/GRID")
+    frames: dict[int, int] = {}
+    if grid is not None:
+        frames = dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
+    return gathered(lam, _masses(file, domains["MODE"], lam), rows, frames)
 
 
 def _domains(domains: Any, used: Int) -> Any:
@@ -87,14 +91,6 @@ def _masses(file: h5py.File, modes: Int, lam: Any) -> Any:
             ]
             mass[k] = same["MASS"][0] if same.size else np.nan
     return mass
-
-
-def _frames(file: h5py.File) -> dict[int, int]:
-    at = "NASTRAN/INPUT/NODE/GRID"
-    if at not in file:
-        return {}
-    grid = file[at][()]
-    return dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
 
 
 READERS = {

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered
-from ringtrue.errors import DataError
+from ringtrue.errors import DataError, about
 from ringtrue.io.files import existing
+from ringtrue.io.foreign.door import door
 
 # approach code; words a node of a real result
 _MODES = 2
@@ -64,21 +65,24 @@ class Op2Table:
     order: str
     word: int
 
+    def _words(self, data: bytes, kind: str, size: int) -> NDArray[Any]:
+        return np.frombuffer(data[: len(data) // size * size], f"{self.order}{kind}{size}")
+
     def ints(self, data: bytes) -> Int:
         """The words as integers, (k,) int64."""
-        return np.frombuffer(
-            data[: len(data) // self.word * self.word], f"{self.order}i{self.word}"
-        ).astype(np.int64)
+        return self._words(data, "i", self.word).astype(np.int64)
 
     def floats(self, data: bytes) -> Float:
         """The words as reals, (k,) float64."""
-        return np.frombuffer(
-            data[: len(data) // self.word * self.word], f"{self.order}f{self.word}"
-        ).astype(np.float64)
+        return self._words(data, "f", self.word).astype(np.float64)
 
     def doubles(self, data: bytes) -> Float:
         """Double-precision reals, (k,) float64."""
-        return np.frombuffer(data[: len(data) // 8 * 8], f"{self.order}f8").astype(np.float64)
+        return self._words(data, "f", 8).astype(np.float64)
+
+    def bodies(self) -> list[bytes]:
+        """The data of the records behind the header."""
+        return [b"".join(record.blocks) for record in self.records[1:]]
 
 
 class _Op2File:
@@ -93,15 +97,18 @@ class _Op2File:
             else np.empty(0, dtype=np.uint8)
         )
         head = self.data[:4].tobytes()
-        found = {(4).to_bytes(4, o): (o, 4) for o in ("little", "big")}
-        found |= {(8).to_bytes(4, o): (o, 8) for o in ("little", "big")}
-        if head not in found:
+        found = [
+            (order, word)
+            for order in "<>"
+            for word in (4, 8)
+            if head == np.array(word, f"{order}i4").tobytes()
+        ]
+        if not found:
             raise DataError(
                 f"{path}: not an OP2 file (it begins with {head!r}; expected is a record of 4 or "
                 "8 bytes)"
             )
-        name, self.word = found[head]
-        self.order = "<" if name == "little" else ">"
+        self.order, self.word = found[0]
 
     def fail(self, why: str) -> DataError:
         return DataError(
@@ -125,10 +132,20 @@ class _Op2File:
         return int(self.data[at : at + 4].view(f"{self.order}i4")[0])
 
     def key(self) -> int:
+        return int(self.integers(1)[0])
+
+    def integers(self, count: int) -> Int:
+        """A record of so many words."""
         data = self.block()
-        if len(data) != self.word:
-            raise self.fail(f"a key of {len(data)} bytes")
-        return int(np.frombuffer(data, f"{self.order}i{self.word}")[0])
+        if len(data) != count * self.word:
+            raise self.fail(f"a record of {len(data)} bytes for {count} integers")
+        return np.frombuffer(data, f"{self.order}i{self.word}").astype(np.int64)
+
+    def expect(self, *keys: int) -> None:
+        """Pass over keys that the format has here."""
+        for wanted in keys:
+            if (key := self.key()) != wanted:
+                raise self.fail(f"key {key} in place of {wanted}")
 
     def text(self, data: bytes) -> str:
         if self.word == 8:  # four characters in a word of eight bytes
@@ -144,29 +161,21 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
     DataError
         If the file is missing, not an OP2, cut off or damaged.
     """
-    path = existing(path)
-    file = _Op2File(path)
+    file = _Op2File(existing(path))
     key = file.key()
     if key == 3:  # the date, the tape code and a label come first
         file.block()
-        if file.key() != 7:
-            raise file.fail("a broken file header")
+        file.expect(7)
         file.block()
-        if file.key() != 2:
-            raise file.fail("a broken file header")
+        file.expect(2)
         _name(file)
-        if file.key() != 0:
-            raise file.fail("a broken file header")
-        if file.at >= file.data.size:
-            return
-        key = file.key()
+        file.expect(0)
+        key = file.key() if file.at < file.data.size else 0
     while key:
         if key != 2:
             raise file.fail(f"a table name of {key} words")
         yield _table(file)
-        if file.at >= file.data.size:
-            return
-        key = file.key()
+        key = file.key() if file.at < file.data.size else 0
 
 
 def _name(file: _Op2File) -> str:
@@ -185,14 +194,14 @@ def _name(file: _Op2File) -> str:
 
 def _table(file: _Op2File) -> Op2Table:
     name = _name(file)
-    if file.key() <= 0:
-        raise file.fail(f"table {name} without a trailer")
-    trailer = np.frombuffer(file.block(), f"{file.order}i{file.word}").astype(np.int64)
+    file.expect(7)
+    trailer = file.integers(7)
     records = []
     key = file.key()
     while key:
-        if key > 0 or file.key() != 1:
+        if key > 0:
             raise file.fail(f"table {name}: a broken record key")
+        file.expect(1)
         flag = file.key()
         blocks = []
         while (key := file.key()) > 0:
@@ -231,23 +240,16 @@ def read_op2(path: str | Path) -> RecordedModes:
             if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
                 shapes.append(table)
     if not shapes:
-        but = (
-            f" but those of {', '.join(dict.fromkeys(others))}, which are not of the whole "
-            "structure"
-            if others
-            else ""
-        )
+        but = ""
+        if others:
+            named = ", ".join(dict.fromkeys(others))
+            but = f" but those of {named}, which are not of the whole structure"
         raise DataError(
             f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; "
             "ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1"
         )
-    try:
+    with about(path), door(path, "OP2 file"):
         return _gather(shapes, lama, frames)
-    except (
-        DataError,
-        ValueError,
-    ) as e:  # a table without a pair of records, an identification cut short
-        raise DataError(f"{path}: {e}") from e
 
 
 def _gather(
@@ -257,7 +259,7 @@ def _gather(
     values = []
     rows = []
     for table in shapes:
-        data = [b"".join(r.blocks) for r in table.records[1:]]
+        data = table.bodies()
         for ident, body in zip(data[::2], data[1::2], strict=True):
             mode = int(table.ints(ident)[4])
             if modes and mode <= modes[-1]:  # the next subcase
@@ -281,10 +283,10 @@ def _eigenvectors(table: Op2Table) -> bool:
     """
     if len(table.records) < 3:
         return False
-    words = table.ints(b"".join(table.records[1].blocks))
-    if words.size < 10:
-        return False
-    return bool(words[0] // 10 == _MODES and words[1] == _EIGENVECTORS and words[9] == _REAL)
+    words = table.ints(table.bodies()[0])
+    return words.size >= 10 and bool(
+        words[0] // 10 == _MODES and words[1] == _EIGENVECTORS and words[9] == _REAL
+    )
 
 
 def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
@@ -303,11 +305,11 @@ def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]
 
 def _lama(table: Op2Table) -> tuple[Float, Float] | None:
     """Eigenvalues and modal masses; words: mode, order, λ, ω, f, mass, stiffness."""
-    data = [b"".join(r.blocks) for r in table.records[1:]]
+    data = table.bodies()
     if len(data) < 2 or len(data[1]) % (7 * table.word):
         return None
-    code = table.ints(data[0][: 2 * table.word]).tolist()
-    if code[0] // 10 != _MODES or code[1] != _EIGENVALUES:
+    words = table.ints(data[0])
+    if words[0] // 10 != _MODES or words[1] != _EIGENVALUES:
         return None
     rows = table.floats(data[1]).reshape(-1, 7)
     return rows[:, 2], rows[:, 5]
@@ -317,14 +319,12 @@ def _frames(table: Op2Table) -> dict[int, int]:
     """The displacement frame of each GRID; coordinates are single or (in newer files) double
     precision.
     """
-    for record in table.records[1:]:
-        data = b"".join(record.blocks)
+    for data in table.bodies():
         words = table.ints(data)
         if tuple(words[:2].tolist()) == _GRID_KEY:
             body = words[3:]
-            width, cd = (
-                (8, 5) if table.word == 8 or words[2] in (1, 0) or body.size % 11 else (11, 8)
-            )
+            double = table.word == 4 and words[2] not in (1, 0) and body.size % 11 == 0
+            width, cd = (11, 8) if double else (8, 5)
             if body.size % width == 0:
                 rows = body.reshape(-1, width)
                 return dict(zip(rows[:, 0].tolist(), rows[:, cd].tolist(), strict=True))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +59,7 @@ def read_f06(path: str | Path) -> RecordedModes:
 
 def _mapped(path: Path) -> Bytes:
     """The bytes of a file without reading it whole: printed files of hundreds of MB are common."""
-    if not path.stat().st_size:
+    if not path.is_file() or not path.stat().st_size:
         return b""
     with path.open("rb") as file:
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -127,9 +126,8 @@ def _floats(words: list[list[bytes]]) -> Float:
     text = np.array(words, dtype=np.bytes_).reshape(-1, 6)
     try:
         return text.astype(np.float64)
-    except ValueError:  # an exponent of three digits stands without its E
-        flat = [re.sub(rb"(?<=[\d.])([-+]\d)", rb"E\1", w) for row in words for w in row]
-        return np.array(flat, dtype=np.bytes_).reshape(-1, 6).astype(np.float64)
+    except ValueError:
+        return np.array([_real(word) for row in words for word in row]).reshape(-1, 6)
 
 
 def _eigenvalues(data: Bytes, before: int) -> dict[int, tuple[float, float]]:
@@ -152,42 +150,37 @@ def _eigenvalues(data: Bytes, before: int) -> dict[int, tuple[float, float]]:
 def _real(text: bytes) -> float:
     try:
         return float(text.rstrip(b"*"))  # MYSTRAN marks negative ones
-    except ValueError:
+    except ValueError:  # an exponent of three digits stands without its E
         return float(re.sub(rb"(?<=[\d.])([-+]\d)", rb"E\1", text))
 
 
 def sturm_counts(path: str | Path) -> tuple[tuple[float, int], ...]:
     """Trial frequencies (Hz) and the number of modes below each, as Nastran's Lanczos method
-    counted them.
+    counted them; () if there is no file.
     """
-    path = Path(path)
-    if not path.is_file():
-        return ()
-    return tuple(sorted((_real(m[1]), int(m[2])) for m in _STURM.finditer(_mapped(path))))
+    found = _STURM.finditer(_mapped(Path(path)))
+    return tuple(sorted((_real(m[1]), int(m[2])) for m in found))
 
 
-def fatal_messages(path: str | Path, limit: int = 5) -> tuple[str, ...]:
-    """The fatal messages of a printed file, with the lines that follow each; () if there are none
-    or no file.
+def fatal_messages(path: str | Path) -> tuple[str, ...]:
+    """The first five fatal messages of a printed file, with the lines that follow each; () if there
+    are none or no file.
     """
-    path = Path(path)
-    if not path.is_file():
-        return ()
-    found = [text.decode("latin-1") for text in islice(_fatal(_mapped(path)), limit)]
-    return tuple("\n".join(line.strip() for line in f.splitlines() if line.strip()) for f in found)
-
-
-def _fatal(data: Bytes) -> Iterator[bytes]:
-    """Fatal messages; only pieces that hold one of their words are looked through line by line."""
+    data = _mapped(Path(path))
+    out: list[str] = []
     start = 0
-    while start < len(data):
+    while start < len(data) and len(out) < 5:
         end = data.find(b"\n", start + _PIECE) + 1 or len(data)
         piece = data[start : end + _HEAD]  # with the lines that follow the last one
         upper = piece.upper()
+        # only pieces that hold one of the words are looked through line by line
         if any(word in upper for word in _FATAL_WORDS):
-            matches = _FATAL.finditer(piece)
-            yield from (m.group() for m in matches if m.start() < end - start)
+            for found in _FATAL.finditer(piece):
+                if found.start() < end - start:
+                    lines = map(str.strip, found[0].decode("latin-1").splitlines())
+                    out.append("\n".join(filter(None, lines)))
         start = end
+    return tuple(out[:5])
 
 
 _EIGENVALUE = re.compile(r"\$EIGENVALUE *= *(\S+) +MODE *= *(\d+)")
@@ -252,15 +245,14 @@ def _points(rows: list[str]) -> tuple[Int, Bool, Float]:
     if len(first) != len(second) or any(r[:6] != "-CONT-" for r in second):
         raise DataError("a point without its second line: the file is cut off?")
     head = np.array([(r[:10], r[10:18].strip()) for r in first])
-    motion = np.array(
-        [[_cell(r, k) for r in pair for k in range(3)] for pair in zip(first, second, strict=True)]
-    )
+    cells = [
+        line[at : at + 18].strip() or "0"
+        for pair in zip(first, second, strict=True)
+        for line in pair
+        for at in (18, 36, 54)
+    ]
+    motion = np.array([float(cell) for cell in cells]).reshape(-1, 6)
     scalar = head[:, 1] == "S"
     motion[scalar, 1:] = 0.0
     keep = scalar | (head[:, 1] == "G")
     return head[keep, 0].astype(np.int64), scalar[keep], motion[keep]
-
-
-def _cell(row: str, k: int) -> float:
-    text = row[18 * (k + 1) : 18 * (k + 2)].strip()
-    return float(text) if text else 0.0

@@ -137,28 +137,22 @@ def to_mode_set(
         defines.
     """
     found = _basic(found, model)
-    shapes, norm = _scaled(found, mass_normalised)
     order = np.argsort(found.eigenvalues, kind="stable")
     lam = found.eigenvalues[order]
-    frequencies = np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi)
+    motion = found.motion
+    mass = found.modal_mass
+    if (mass > 0).all():
+        mass_normalised = True
+        motion = motion * np.where(np.abs(mass - 1) < SCALE, 1.0, 1 / np.sqrt(mass))
     dofs, rows = _labels(found)
-    flat = shapes.reshape(-1, lam.size)[rows]
     return ModeSet(
-        frequencies=frequencies,
+        frequencies=np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi),
         damping=np.zeros(lam.size),
-        shapes=flat[:, order],
+        shapes=motion.reshape(-1, lam.size)[rows][:, order],
         labels=dofs,
-        norm=norm,
+        norm=Norm.MASS if mass_normalised else Norm.UNSCALED,
         source=source,
     )
-
-
-def _scaled(found: RecordedModes, mass_normalised: bool) -> tuple[Float, Norm]:
-    mass = found.modal_mass
-    if not (mass > 0).all():
-        return found.motion, Norm.MASS if mass_normalised else Norm.UNSCALED
-    factor = np.where(np.abs(mass - 1) < SCALE, 1.0, 1 / np.sqrt(mass))
-    return found.motion * factor, Norm.MASS
 
 
 def _labels(found: RecordedModes) -> tuple[DofSet, Int]:

@@ -100,23 +100,19 @@ def _op2(path: Path) -> Sensitivities:
             "no DSCM2 and DSCMCOL: ask for DSAPRT(EXPORT,END=SENS) = ALL and PARAM,POST,-1"
         )
     columns = found["DSCMCOL"]
-    words = [columns.ints(b"".join(r.blocks)) for r in columns.records[1:]]
+    words = [columns.ints(body) for body in columns.bodies()]
     first = (
         words[0].reshape(-1, _WORDS)
         if words and words[0].size % _WORDS == 0
         else np.empty((0, _WORDS), np.int64)
     )
     values = matrix(found["DSCM2"]).T
-    return _labelled(first, values[: len(first)], _variables(found.get("DESTAB"), values.shape[1]))
-
-
-def _variables(destab: Op2Table | None, count: int) -> Int:
-    """External ids of the design variables; words of DESTAB: internal id, id, label, bounds."""
-    if destab is not None:
-        ids = [int(destab.ints(b"".join(r.blocks))[1]) for r in destab.records[1:]]
-        if len(ids) == count:
-            return np.array(ids, dtype=np.int64)
-    return np.arange(1, count + 1)
+    variables = np.arange(1, values.shape[1] + 1)
+    if destab := found.get("DESTAB"):  # words: internal id, id, label, bounds
+        ids = [int(destab.ints(body)[1]) for body in destab.bodies()]
+        if len(ids) == variables.size:
+            variables = np.array(ids, dtype=np.int64)
+    return _labelled(first, values[: len(first)], variables)
 
 
 def _labelled(columns: Int, values: Float, variables: Int) -> Sensitivities:
@@ -137,7 +133,7 @@ _PAIR = re.compile(
 def _f06(path: Path) -> Sensitivities:
     """The matrix DSCM2 as it is printed without FORMATTED, else the formatted blocks."""
     lines = path.read_text(encoding="latin-1").splitlines()
-    return _matrix(lines) if any(_MATRIX.search(line) for line in lines) else _blocks(lines)
+    return _matrix(lines) if any(map(_MATRIX.search, lines)) else _blocks(lines)
 
 
 _MATRIX = re.compile(r"MATRIX\s+DSCM2\s.*?(\d+)\s+COLUMN\s+X\s+(\d+)\s+ROW")
@@ -199,30 +195,27 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
 
 def _blocks(lines: Sequence[str]) -> Sensitivities:
     """Printed blocks: a response, then pairs of design variable and coefficient in columns."""
-    rows: list[tuple[int, int, int]] = []
+    rows: list[list[int]] = []
     values: list[dict[int, float]] = []
     for line in lines:
         head = _RESPONSE.search(line)
         if head:
-            rows.append((int(head[1]), 0, 0))
+            rows.append([int(head[1]), 0, 0])
             values.append({})
         where = _GRID.search(line)
         if where and rows:
-            rows[-1] = (rows[-1][0], int(where[1]), int(where[2]))
+            rows[-1][1:] = int(where[1]), int(where[2])
         if rows and not head and not where and "VALUE" not in line:
             values[-1] |= {int(v): _real(x) for v, _, x in _PAIR.findall(line)}
     variables = sorted({v for row in values for v in row})
-    if not rows or not variables:
+    if not variables:
         raise DataError("no printed design sensitivities: ask for DSAPRT(FORMATTED,END=SENS) = ALL")
-    lost = next(
-        ((r[0], v) for r, row in zip(rows, values, strict=True) for v in variables if v not in row),
-        None,
-    )
-    if lost:
-        raise DataError(
-            f"response {lost[0]} has no coefficient of design variable {lost[1]}: the file is "
-            "cut off?"
-        )
+    for (response, _, _), row in zip(rows, values, strict=True):
+        if lost := [v for v in variables if v not in row]:
+            raise DataError(
+                f"response {response} has no coefficient of design variable {lost[0]}: the file "
+                "is cut off?"
+            )
     labels = np.array(rows, dtype=np.int64)
     table = np.array([[row[v] for v in variables] for row in values])
     return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], np.array(variables), table)
