@@ -27,7 +27,7 @@ from ringtrue.core.channels import (
     base_motion,
     channel,
 )
-from ringtrue.core.signals import FrfSet, Quantity
+from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
 from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.files import atomic_write
@@ -80,11 +80,11 @@ def known_lines(
 def frf_set(
     h: Complex,
     freqs: Float,
-    names: tuple[Sequence[str], Sequence[str]],
+    ends: tuple[Sequence[str], Sequence[Channel]],
     kind: Quantity,
     path: str | Path,
+    *,
     coherence: Float | None = None,
-    based: Collection[str] = (),
 ) -> FrfSet:
     """FRFs of a file at the lines that have values.
 
@@ -92,34 +92,37 @@ def frf_set(
     ----------
     h : (f, out, in) complex128, SI
     freqs : (f,) float64, Hz
-    names : (outputs, inputs)
+    ends : (names of the responses, references)
     kind : str
         Quantity of the responses; the FRFs of a strain are receptances, those of none known
         accelerances.
     path : path
     coherence : (f, out, in) float64, optional
-    based : collection of str
-        The inputs that are motions of a base.
 
     Raises
     ------
     DataError
         As `known_lines` does.
     """
-    outputs, inputs = names
-    at = known_lines(h, freqs, outputs, inputs, path)
+    outputs, inputs = ends
+    at = known_lines(h, freqs, outputs, [c.id for c in inputs], path)
     if coherence is None:
         coherence = np.full(h.shape, np.nan)
     return FrfSet(
         data=np.ascontiguousarray(h[at]),
         freqs=freqs[at],
         outputs=tuple(channel(n, kind) for n in outputs),
-        inputs=tuple(base_motion(n) if n in based else channel(n, "force") for n in inputs),
+        inputs=tuple(inputs),
         coherence=np.ascontiguousarray(coherence[at]),
         averages=np.full(len(inputs), np.nan),
         kind="receptance" if kind == "strain" else FRF_KIND.get(kind, "accelerance"),
         source=str(path),
     )
+
+
+def references(names: Sequence[str], based: Collection[str] = ()) -> list[Channel]:
+    """References by name: forces, but for those that are motions of a base."""
+    return [base_motion(n) if n in based else channel(n, "force") for n in names]
 
 
 def say_accelerances(path: str | Path) -> None:
@@ -224,7 +227,8 @@ def read_frf_table(path: Path) -> FrfSet:
         if "coherence" in columns:
             coherence[:, *at] = data[columns["coherence"], order]
     based = {ref for (_, ref), (_, _, on_base) in kinds.items() if on_base}
-    return frf_set(h, freqs, (outputs, inputs), kind, path, coherence, based)
+    ends = outputs, references(inputs, based)
+    return frf_set(h, freqs, ends, kind, path, coherence=coherence)
 
 
 def _columns(

@@ -31,6 +31,7 @@ from ringtrue.io.frf_tables import (
     is_frf_table,
     known_lines,
     read_frf_table,
+    references,
     say_accelerances,
     write_frf_table,
 )
@@ -303,7 +304,7 @@ def read_frf_arrays(path: Path) -> FrfSet:
         motion = "acceleration"
     order = np.argsort(found.freqs, kind="stable")
     h = np.ascontiguousarray(h[order], dtype=np.complex128)
-    return frf_set(h, found.freqs[order], (outputs, inputs), motion, path)
+    return frf_set(h, found.freqs[order], (outputs, references(inputs)), motion, path)
 
 
 def _values(path: Path) -> dict[str, Any]:

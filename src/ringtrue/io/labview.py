@@ -219,8 +219,8 @@ def read_tdms_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
     with open_tdms(path) as file:
         groups = _groups(file, path)
         for g in groups.values():
-            alike = len({(len(c), _tdms_rate(c), _start(c)) for c in g}) == 1
-            if len(groups) < 2 or not alike or not np.isfinite(_start(g[0])):
+            one_start = len({(len(c), _tdms_rate(c), _start(c)) for c in g}) == 1
+            if len(groups) < 2 or not one_start or not np.isfinite(_start(g[0])):
                 return ()
         return tuple((_start(g[0]), _tdms_table({k: g}, path)) for k, g in groups.items())
 

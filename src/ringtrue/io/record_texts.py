@@ -144,8 +144,8 @@ def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
         mean = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
         even = np.abs(t - t[0] - mean * np.arange(t.size)).max() < 1.5
         # 1e-3: relative deviation of a rate from times written with few digits
-        told = even and mean > 0 and 1 / (t.size**1.5 * mean) < 1e-3
-        return (1 / mean if told else None), None
+        fine = even and mean > 0 and 1 / (t.size**1.5 * mean) < 1e-3
+        return (1 / mean if fine else None), None
     return even_grid(t, True, path)
 
 

@@ -29,7 +29,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import atomic_write, functions_held, sets_held
 from ringtrue.io.foreign.parsers import write_sets
-from ringtrue.io.frf_tables import frf_set, say_accelerances
+from ringtrue.io.frf_tables import frf_set, references, say_accelerances
 from ringtrue.io.record_table import RawTable
 from ringtrue.io.times import even_rate, known, to_si, uneven
 from ringtrue.io.uff.datasets import DataSet, parse_real, row, scan
@@ -304,7 +304,8 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     both = _ends([f for f, _ in usable])
     coherence = _place([f.y[at] for f, at in usable], both, outputs, inputs, freqs).real
     based = {ref for (_, ref), f in zip(ends, frfs, strict=True) if _on_base(f)}
-    return frf_set(data, freqs, (outputs, inputs), kind, path, coherence, based)
+    named = outputs, references(inputs, based)
+    return frf_set(data, freqs, named, kind, path, coherence=coherence)
 
 
 def _whole(absent: Bool) -> tuple[Int, Int]:
