@@ -13,6 +13,7 @@ from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import DeckError, RingtrueError, UnsupportedCard
+from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.elements.lumped import losses
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.frames import positions
@@ -291,11 +292,11 @@ def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> Non
 def test_loss_factors_of_a_bush(tmp_path: Path, text: bytes, want: list[float]) -> None:
     deck = FREE + b"CBUSH,9,9,3\nPBUSH,9,K,1.\n,,GE," + text + b"\n"
     model = read(tmp_path, deck)
-    assert losses(model["PBUSH"]).tolist() == [want]
+    assert losses(mesh(model).rows("PBUSH")).tolist() == [want]
     (tmp_path / "b.bdf").write_text(write_bulk(model))
-    assert losses(read_deck(tmp_path / "b.bdf")["PBUSH"]).tolist() == [want]
+    assert losses(mesh(read_deck(tmp_path / "b.bdf")).rows("PBUSH")).tolist() == [want]
     edit_fields(model, [FieldChange("PBUSH", 9, "GE3", 0.5)], tmp_path / "new")
-    assert losses(read_deck(tmp_path / "new/a.bdf")["PBUSH"])[0, 2] == 0.5
+    assert losses(mesh(read_deck(tmp_path / "new/a.bdf")).rows("PBUSH"))[0, 2] == 0.5
 
 
 def test_two_frames_on_a_card(tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def test_uniform_cantilever(card: str, section: dict[str, float]) -> None:
 
 def test_the_integral_is_the_closed_form_where_there_is_no_taper() -> None:
     m = beam(SECTION | ALIKE | {"K1": 0.8, "K2": 0.6})
-    iso, s = bar.section(mesh(m), "CBEAM", np.array([0]))
+    iso, s = bar.section(mesh(m).rows("CBEAM"))
     one = bar.uniform(np.array([L]), iso, s)
     np.testing.assert_allclose(
         bar.flexible(np.array([L]), iso.E, iso.G, s), one, atol=EXACT * np.abs(one).max()
@@ -297,7 +297,7 @@ def test_a_complex_step_passes_through_every_property(card: str, field: str) -> 
         changed = Model(
             base.tables | {name: base[name].with_column(field, column)}, {"COUPMASS": 1}, base.case
         )
-        built = bar.build(mesh(changed), card, np.array([0]))
+        built = bar.build(mesh(changed).rows(card))
         return [built.stiffness, built.mass]
 
     if card == "CBAR" and field == "I12":

@@ -14,7 +14,7 @@ from fem_cases import cards, grid, model, modes, pshell, ragged, shells, square,
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DeckError
 from ringtrue.fem.assembly import System, assemble
-from ringtrue.fem.mesh import isotropic
+from ringtrue.fem.mesh import isotropic, nodes_of
 from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
@@ -283,5 +283,5 @@ def test_scalar_points() -> None:
 def test_blanks_of_mat1(given: dict[str, float], full: tuple[float, float, float]) -> None:
     """Quick Reference Guide, MAT1: NU and one of E and G that are both blank are both 0."""
     mat = cards("MAT1", MID=[1], **given)
-    found = isotropic(Model({"MAT1": mat}), np.array([1]), mat, np.array([0]))
+    found = isotropic(nodes_of(model(grid([[0, 0, 0]]), mat)).rows("MAT1"))
     assert (found.E[0], found.G[0], found.nu[0]) == pytest.approx(full)

@@ -61,7 +61,7 @@ def test_ends_follow_linear_fields() -> None:
     for a rotation.
     """
     m = fast()
-    a, b = fastener_ends(mesh(m), "CFAST", np.array([0]))
+    a, b = fastener_ends(mesh(m).rows("CFAST"))
     x = mesh(m).xyz
     np.testing.assert_allclose(a.place[0], [0.48, 0.52, 0], atol=1e-12)
     np.testing.assert_allclose(b.place[0], [0.48, 0.52, H], atol=1e-12)

@@ -16,8 +16,9 @@ from shell_cases import SHELLS, displacement, held, nearest, net, rectangle, she
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.elements.shell_material import Laminate, laminates
+from ringtrue.fem.mesh import nodes_of
 from ringtrue.model.model import Model, Table
 
 E1, E2, NU, G12, G1Z, G2Z, RHO = 1.4e11, 1e10, 0.3, 5e9, 5e9, 3e9, 1600.0
@@ -43,7 +44,7 @@ def pcomp(
 
 def one(*tables: Table) -> Laminate:
     card = tables[0].card
-    return laminates(model(*tables), card, np.array([0]))
+    return laminates(nodes_of(model(grid([[0, 0, 0]]), *tables)).rows(card))
 
 
 def reduced() -> Float:
@@ -261,8 +262,7 @@ def element_sums(m: Model) -> tuple[Any_, Any_]:
     made = mesh(m)
     K = np.zeros((made.size, made.size), dtype=complex)
     M = K.copy()
-    for card, build, at in batches(m):
-        p = build(made, card, at)
+    for _, _, p in pieces(made):
         block = p.mass if p.mass.ndim == 3 else p.mass[..., None] * np.eye(p.mass.shape[1])
         i, j = np.broadcast_arrays(p.dofs[:, :, None], p.dofs[:, None, :])
         np.add.at(K, (i, j), p.stiffness)

@@ -16,7 +16,7 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.parameters import CardField
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
-from ringtrue.fem.element_cards import SOLIDS, batches, mesh
+from ringtrue.fem.element_cards import SOLIDS, batches, mesh, pieces
 from ringtrue.fem.elements.elasticity import nearest, tensor, turned
 from ringtrue.fem.elements.solid import pyramid_quadratic as pyramid13
 from ringtrue.fem.parametrisation.changed_model import rows_of
@@ -226,7 +226,7 @@ def test_linear_and_quadratic_elements_share_an_edge() -> None:
     coarse = np.column_stack([hexas[4:], np.full((4, 12), -1)])
     m = body("CHEXA20", xyz, np.vstack([fine, coarse]))
     assert patch(m, xyz, xyz @ GRADIENT) < ROUNDING
-    assert len({len(p) for _, _, p in batches(m)}) == 1  # four of each kind
+    assert len({len(p) for _, p in batches(m)}) == 1  # four of each kind
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -350,8 +350,7 @@ def element_matrices(m: Model, move: object = 0.0) -> tuple[Float, Float]:
     """
     there = mesh(m)
     there = replace(there, xyz=there.xyz + move)
-    card, build, at = next(iter(batches(m)))
-    part = build(there, card, at)
+    _, _, part = next(iter(pieces(there)))
     return part.stiffness, part.mass
 
 

@@ -88,7 +88,7 @@ def test_rigid_motions_rank_mass_and_turns(warp: float) -> None:
 
 
 def _length(xyz: Float) -> float:
-    a, b = weld_ends(mesh(weld(xyz)), "CWELD", np.array([0]))
+    a, b = weld_ends(mesh(weld(xyz)).rows("CWELD"))
     return float(np.linalg.norm(b.place - a.place))
 
 
@@ -97,7 +97,7 @@ def test_the_patch_follows_a_plate() -> None:
     ∂u/∂y)/2).
     """
     m = mesh(weld())
-    end = on_patch(m, "CWELD", np.array([0]), np.array([[0, 1, 2, 3]]), XYZ[7:8])
+    end = on_patch(m.rows("CWELD"), np.array([[0, 1, 2, 3]]), XYZ[7:8])
     np.testing.assert_allclose(end.place, [[0.05, 0.04, 0]], atol=1e-15)
     A = np.random.default_rng(0).normal(size=(3, 3))
     u = np.zeros((4, 6))
@@ -111,8 +111,8 @@ def test_shells_by_number_and_a_patch_on_a_point() -> None:
     tria = cards("CTRIA3", EID=[51], PID=9, G1=5, G2=6, G3=7)
     m = weld(TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0))
     both = Model({**m.tables, "CQUAD4": quad, "CTRIA3": tria}, m.params)
-    K = build_weld(mesh(both), "CWELD", np.array([0])).stiffness
-    np.testing.assert_allclose(K, build_weld(mesh(weld()), "CWELD", np.array([0])).stiffness)
+    K = build_weld(mesh(both).rows("CWELD")).stiffness
+    np.testing.assert_allclose(K, build_weld(mesh(weld()).rows("CWELD")).stiffness)
     s = assemble(weld(GB1=0, GB2=0, GB3=0))
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-9 * abs(s.stiffness).max()
     assert abs(s.stiffness.toarray()[42:48]).max() > 0  # node 8 itself is end B
@@ -188,4 +188,4 @@ def test_a_spot_weld_on_other_sheets_is_named() -> None:
     m = spot()
     other = m["CQUAD4"].with_column("PID", np.array([77]))
     with pytest.raises(DeckError, match=r"CWELD 3.*sheet A is no PSHELL"):
-        build_weld(mesh(Model({**m.tables, "CQUAD4": other}, m.params)), "CWELD", np.array([0]))
+        build_weld(mesh(Model({**m.tables, "CQUAD4": other}, m.params)).rows("CWELD"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +13,13 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.constraints import EPZERO, Stiffening, eliminate, singular_dofs
-from ringtrue.fem.element_cards import batches, mesh, refuse
+from ringtrue.fem.element_cards import mesh, pieces, refuse
 from ringtrue.fem.elements import given_matrices
 from ringtrue.fem.mesh import ElementMatrices, Mesh, arm
 from ringtrue.fem.negative_stiffness import refuse_negative
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
-_PIECE = 8192  # elements whose matrices are held at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,9 +202,12 @@ def assemble(model: Model) -> System:
     T_local, free = eliminate(m)
     rotation = turn(m)
     direct = None
-    if (given := given_matrices.given_matrices(m)) is not None:
+    given = given_matrices.given_matrices(m)
+    if given is not None:
         direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
-        K, M, B = (sparse.csr_array(A + D) for A, D in ((K, direct), (M, more), (B, damping)))
+        K = sparse.csr_array(K + direct)
+        M = sparse.csr_array(M + more)
+        B = sparse.csr_array(B + damping)
     T = sparse.csr_array(rotation @ T_local)
     T.eliminate_zeros()
     stiffness = reduced(T, K)
@@ -223,16 +225,18 @@ def assemble(model: Model) -> System:
     held = DofSet(names.node[free[drop]], names.direction[free[drop]])
     if len(held):
         log.info("AUTOSPC: %d DOFs without stiffness are held", len(held))
-    mass, (alpha, beta) = reduced(T, M), rayleigh(model)
+    mass, viscous, structural = (reduced(T, A) for A in (M, B, S))
+    alpha, beta = rayleigh(model)
+    if alpha or beta:
+        viscous = sparse.csr_array(viscous + alpha * mass + beta * stiffness)
+    g = m.model.param("G", 0.0)
+    if g:
+        structural = sparse.csr_array(structural + stiffness * g)
     return System(
         stiffness=stiffness,
         mass=mass,
-        viscous=sparse.csr_array(reduced(T, B) + alpha * mass + beta * stiffness)
-        if alpha or beta
-        else reduced(T, B),
-        structural=sparse.csr_array(reduced(T, S) + stiffness * g)
-        if (g := m.model.param("G", 0.0))
-        else reduced(T, S),
+        viscous=viscous,
+        structural=structural,
         transform=T,
         local=sparse.csr_array(rotation.T.tocsr()[free[keep]]),
         dofs=names,
@@ -251,31 +255,16 @@ def refuse_held(system: System) -> None:
     InputError
         With what holds it.
     """
-    if system.stiffness.shape[0]:
-        return
-    weak = (
-        f"; {len(system.autospc)} have no stiffness: check moduli and properties"
-        if len(system.autospc)
-        else ""
-    )
-    raise InputError(f"the model has no free degree of freedom: check SPC and MPC{weak}")
+    if not system.stiffness.shape[0]:
+        why = "the model has no free degree of freedom: check SPC and MPC"
+        if len(system.autospc):
+            why += f"; {len(system.autospc)} have no stiffness: check moduli and properties"
+        raise InputError(why)
 
 
 def rayleigh(model: Model) -> tuple[float, float]:
     """PARAM ALPHA1 and ALPHA2: D = B + ALPHA1 M + ALPHA2 K."""
     return model.param("ALPHA1", 0.0), model.param("ALPHA2", 0.0)
-
-
-def pieces(
-    m: Mesh, rows: Mapping[str, Int] | None = None
-) -> Iterator[tuple[str, Int, ElementMatrices]]:
-    """Card, rows and matrices of elements, all or those given, of so many at a time that they never
-    fill the memory.
-    """
-    for card, build, of_card in batches(m.model, rows):
-        for first in range(0, of_card.size, _PIECE):
-            at = of_card[first : first + _PIECE]
-            yield card, at, build(m, card, at)
 
 
 def _totals(

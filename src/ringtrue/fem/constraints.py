@@ -17,19 +17,16 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.errors import DeckError
 from ringtrue.fem.element_cards import SHELLS
 from ringtrue.fem.mesh import ElementMatrices, Mesh, components
-from ringtrue.fem.rigid_elements import RIGID, Equations, owners
+from ringtrue.fem.rigid_elements import RIGID, Equations, joined, owners
 from ringtrue.model.case_control import taken_sets
-from ringtrue.model.model import Table, called, card_error, refuse_rows
+from ringtrue.model.model import called, card_error
 
 # PARAM,EPZERO: share of a node's largest stiffness below which a direction is examined
 EPZERO = 1e-8
 # of the terms of an element's stiffness at a node: what its own arithmetic may leave in a direction
 ROUNDING = 1e-12
-GIVEN_IN_DIGITS = (
-    *SHELLS,
-    "CSHEAR",
-    "GENEL",
-)  # their zeros are as good as the digits of coordinates or entries
+# their zeros are as good as the digits of coordinates or entries
+GIVEN_IN_DIGITS = (*SHELLS, "CSHEAR", "GENEL")
 _AT_ONCE = 512  # elements whose nodes are judged at once
 
 Part = tuple[str, Int, ElementMatrices]
@@ -198,45 +195,31 @@ def _projectors(A: Any_, size: Float, share: float) -> Float:
 
 
 def _mpc(m: Mesh) -> Equations:
-    t = m.model["MPC"]
-    rows = np.flatnonzero(np.isin(t["SID"], taken_sets(m.model, "MPC")))
+    """The equations of the chosen sets: the first term of each is the dependent one."""
+    every = m.rows("MPC")
+    t = every.take(np.isin(every["SID"], taken_sets(m.model, "MPC")))
     G, C, A = (t.ragged(c) for c in "GCA")
     of = G.owner
-    use = np.isin(of, rows)
-    dof = np.full(of.size, -1)
-    dof[use] = m.dof(G.values[use], C.values[use].astype(np.int64), t, of[use])
-    first = np.zeros(of.size, dtype=bool)
-    first[G.offsets[:-1][G.sizes > 0]] = True
-    lead = A.values[G.offsets[:-1]]
-    refuse_rows(
-        m.model, t, rows[lead[rows] == 0], "the first coefficient is 0; it names the dependent DOF"
-    )
-    number = np.full(len(t), -1)
-    number[rows] = np.arange(rows.size)
-    rest = use & ~first
-    value = -A.values[rest] / lead[of[rest]]
+    dof = t.take(of).dof(G.values, C.values.astype(np.int64))
+    first = G.offsets[:-1]
+    lead = A.values[first]
+    t.refuse(lead == 0, "the first coefficient is 0; it names the dependent DOF")
+    rest = np.isin(np.arange(of.size), first, invert=True)
     return Equations(
-        dependent=dof[use & first],
-        row=number[of[rest]],
+        dependent=dof[first],
+        row=of[rest],
         column=dof[rest],
-        value=value,
-        owner=owners(t, rows),
+        value=-A.values[rest] / lead[of[rest]],
+        owner=owners(t),
     )
 
 
 def equations(m: Mesh) -> Equations:
     """All dependent DOFs of the chosen sets."""
     parts = [read(m) for card, read in RIGID.items() if card in m.model]
-    parts += [_mpc(m)] if "MPC" in m.model and m.model.case.mpc else []
-    shift = np.cumsum([0, *(p.dependent.size for p in parts)])
-    none: Int = np.empty(0, dtype=np.int64)
-    return Equations(
-        dependent=np.concatenate([none, *(p.dependent for p in parts)]),
-        row=np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
-        column=np.concatenate([none, *(p.column for p in parts)]),
-        value=np.concatenate([np.empty(0), *(p.value for p in parts)]),
-        owner=tuple(name for p in parts for name in p.owner),
-    )
+    if "MPC" in m.model and m.model.case.mpc:
+        parts.append(_mpc(m))
+    return joined(parts)
 
 
 def supports(m: Mesh) -> Bool:
@@ -246,24 +229,21 @@ def supports(m: Mesh) -> Bool:
     if "PS" in grid.columns:
         held[: 6 * len(grid)] |= components(grid["PS"]).reshape(-1)
     sids = taken_sets(m.model, "SPC")
-    if "SPC" in m.model:
-        t = m.model["SPC"]
-        at = np.flatnonzero(np.isin(t["SID"], sids))
-        _hold(m, held, t, at=at, nodes=t["G"][at], text=t["C"][at])
-    if "SPC1" in m.model:
-        t = m.model["SPC1"]
-        of = t.ragged("G").owner
-        at = np.flatnonzero(np.isin(t["SID"][of], sids))
-        _hold(m, held, t, at=of[at], nodes=t.ragged("G").values[at], text=t["C"][of[at]])
+    for card in ("SPC", "SPC1"):
+        if card not in m.model:
+            continue
+        ids, of = m.model[card].entries("G")
+        t = m.rows(card, of)
+        chosen = np.isin(t["SID"], sids)
+        t = t.take(chosen)
+        ids = ids[chosen]
+        scalar = np.isin(ids, m.scalar)
+        points = ids[scalar]
+        held[t.take(scalar).dof(points, np.zeros_like(points))] = True
+        node = t.take(~scalar).nodes_of(ids[~scalar])
+        i, c = np.nonzero(components(t["C"][~scalar]))
+        held[6 * node[i] + c] = True
     return held
-
-
-def _hold(m: Mesh, held: Bool, t: Table, at: Int, nodes: Int, text: Float) -> None:
-    scalar = np.isin(nodes, m.scalar)
-    held[m.dof(nodes[scalar], np.zeros(int(scalar.sum()), dtype=np.int64), t, at[scalar])] = True
-    rows = m.nodes(nodes[~scalar], t, at[~scalar])
-    i, c = np.nonzero(components(text[~scalar]))
-    held[6 * rows[i] + c] = True
 
 
 def eliminate(m: Mesh) -> tuple[sparse.csr_array, Int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -22,14 +22,13 @@ from ringtrue.fem.elements import (
     shell4,
     solid,
 )
-from ringtrue.fem.elements.solid import same_midsides
-from ringtrue.fem.mesh import ElementMatrices, Mesh, nodes_of
+from ringtrue.fem.mesh import CardRows, ElementMatrices, Mesh, nodes_of
 from ringtrue.fem.nonstructural_mass import nonstructural_mass
 from ringtrue.fem.rigid_elements import RIGID
 from ringtrue.model.cards import columns, is_unsupported
-from ringtrue.model.model import Model
+from ringtrue.model.model import Model, unsupported_card
 
-Build = Callable[[Mesh, str, Int], ElementMatrices]
+Build = Callable[[CardRows], ElementMatrices]
 
 ELEMENTS: Mapping[str, Build] = {
     "CROD": rod.build,
@@ -72,6 +71,11 @@ ELEMENTS: Mapping[str, Build] = {
     "CONM2": lumped.build_point_mass,
 }
 SOLIDS = {s.card: s for s in (solid.HEXA, solid.PENTA, solid.PYRAMID, solid.TETRA)}
+# what tells elements that are built by separate calls, (e, k)
+KINDS: Mapping[str, Callable[[Model, Int], Int]] = {
+    **{card: s.kinds for card, s in SOLIDS.items()},
+    "GENEL": given_matrices.sizes,
+}
 SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {
     "CROD": "PROD",
@@ -117,46 +121,43 @@ def refuse(model: Model) -> None:
     """Raise UnsupportedCard if the deck holds a card with stiffness, mass or constraint that is not
     assembled.
     """
-    found = sorted(c for c in model.kept if is_unsupported(c))
-    if found:
-        raise UnsupportedCard(
-            found[0], why=f"{model.kept[found[0]]} in the deck; replace or remove it"
-        )
+    for card in sorted(filter(is_unsupported, model.kept)):
+        raise UnsupportedCard(card, why=f"{model.kept[card]} in the deck; replace or remove it")
+    known = ELEMENTS.keys() | RIGID.keys()
     for card, table in model.tables.items():
-        if (
-            len(table)
-            and columns(card)[0].name == "EID"
-            and card not in ELEMENTS
-            and card not in RIGID
-        ):
-            known = 0 <= table.file[0] < len(model.files)
-            path, line = (model.files[table.file[0]], int(table.line[0])) if known else (None, None)
-            raise UnsupportedCard(
-                card,
-                path=path,
-                line=line,
-                why="it is read, but not assembled; replace or remove it",
-            )
+        if len(table) and columns(card)[0].name == "EID" and card not in known:
+            why = "is read, but not assembled; replace or remove it"
+            raise unsupported_card(model, table, 0, why)
 
 
-def batches(
-    model: Model, rows: Mapping[str, Int] | None = None
-) -> Iterable[tuple[str, Build, Int]]:
-    """(card, builder, rows) of like elements; all rows of all cards, or those given."""
-    for card, build in ELEMENTS.items():
-        if card not in model:
+def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterator[tuple[str, Int]]:
+    """(card, rows) of like elements, which one call builds; all rows of all cards, or those
+    given.
+    """
+    for card in ELEMENTS:
+        if card not in model or (rows is not None and card not in rows):
             continue
-        at = (
-            np.arange(len(model[card]))
-            if rows is None
-            else rows.get(card, np.empty(0, dtype=np.int64))
-        )
-        groups: Iterable[Int] = [at] if at.size else []
-        if card in SOLIDS:
-            groups = same_midsides(SOLIDS[card], model, at)
-        elif card == "GENEL":
-            groups = given_matrices.same_sizes(model, at)
-        yield from ((card, build, group) for group in groups)
+        at = np.arange(len(model[card])) if rows is None else rows[card]
+        if card not in KINDS:
+            groups = [at]
+        else:
+            _, kind = np.unique(KINDS[card](model, at), axis=0, return_inverse=True)
+            kind = kind.ravel()
+            groups = [at[kind == k] for k in np.unique(kind)]
+        yield from ((card, group) for group in groups if group.size)
+
+
+PIECE = 8192  # elements whose matrices are held at once
+
+
+def pieces(
+    m: Mesh, rows: Mapping[str, Int] | None = None, size: int = PIECE
+) -> Iterator[tuple[str, Int, ElementMatrices]]:
+    """Card, rows and matrices of elements, all or those given, `size` at a time at most."""
+    for card, every in batches(m.model, rows):
+        for first in range(0, every.size, size):
+            at = every[first : first + size]
+            yield card, at, ELEMENTS[card](m.rows(card, at))
 
 
 def mesh(model: Model) -> Mesh:

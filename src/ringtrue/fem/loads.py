@@ -10,14 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.errors import InputError
 from ringtrue.fem.element_cards import SHELLS, SOLIDS
 from ringtrue.fem.elements import bar
 from ringtrue.fem.elements.curved_shell import length
 from ringtrue.fem.elements.shape_functions import QUAD8, TRIA6, triangle
-from ringtrue.fem.mesh import Isotropic, Mesh, add_at, arm, node_dofs, unit
-from ringtrue.model.model import card_error
+from ringtrue.fem.mesh import CardRows, Isotropic, arm, node_dofs, unit
 
 SURFACES = (*SHELLS, "CSHEAR")
 FACES = {  # corner positions of each face, counter-clockwise seen from outside
@@ -104,24 +103,11 @@ def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = N
     return np.asarray(force)
 
 
-_POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [
-    0.5,
-    0.0,
-]  # five do for a uniform beam
+# five do for a uniform beam
+_POINTS = np.stack(np.polynomial.legendre.leggauss(8), axis=1) / 2 + [0.5, 0.0]
 NEAREST = 1e-12  # share of the length: a load nearer to end A moves as end A does
 NOTHING = 1e-9  # share of a load that is rounding
 SINGULAR = 1e-12  # of released ends: a mechanism
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LineKind:
-    """How loads are given, (e,) bool each: in the axes of the element, not of basic; places as
-    shares of the length; sizes for a length as a view along the load, a force, sees it.
-    """
-
-    own: Bool
-    fraction: Bool
-    projected: Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,16 +122,23 @@ class LineLoads:
         At the two, a length, linear between them; the first of a single load.
     along : (e, 6) float64
         The force and moment of unit size.
-    kind : LineKind
+    own : (e,) bool
+        `along` is in the axes of the element, not of basic.
+    fraction : (e,) bool
+        `ends` are shares of the length.
+    projected : (e,) bool
+        `sizes` are for a length as a view along the load, a force, sees it.
     """
 
     ends: Float
     sizes: Float
     along: Float
-    kind: LineKind
+    own: Bool
+    fraction: Bool
+    projected: Bool
 
 
-def line_forces(m: Mesh, card: str, at: Int, loads: LineLoads) -> Float:
+def line_forces(t: CardRows, loads: LineLoads) -> Float:
     """Forces (dof,) float64 at the full DOFs, in basic, that do the work of loads on beams.
 
     A load does as much work in a motion of the ends as they do together, and how a beam moves when
@@ -154,10 +147,8 @@ def line_forces(m: Mesh, card: str, at: Int, loads: LineLoads) -> Float:
 
     Parameters
     ----------
-    m : Mesh
-    card : {"CBAR", "CBEAM"}
-    at : (e,) int64
-        Rows of the card, one for each load.
+    t : CardRows
+        Rows (e,) of CBAR or CBEAM, one for each load.
     loads : LineLoads
 
     Raises
@@ -165,37 +156,28 @@ def line_forces(m: Mesh, card: str, at: Int, loads: LineLoads) -> Float:
     DeckError
         As `ringtrue.fem.elements.bar.build` does, and if a beam has no stiffness against its load.
     """
-    along, sizes, kind = loads.along, loads.sizes, loads.kind
-    placed = bar.place(m, card, at)
-    iso, s = bar.section(m, card, at)
+    placed = bar.place(t)
+    iso, s = bar.section(t)
     K = np.asarray(bar.stiffness(placed.L, iso, s), dtype=np.float64)
-    turned = np.einsum("eij,ekj->eki", placed.axes, along.reshape(-1, 2, 3)).reshape(-1, 6)
-    local = np.where(kind.own[:, None], along, turned)
-    share = loads.ends / np.where(kind.fraction, 1.0, placed.L)[:, None]
+    turned = (loads.along.reshape(-1, 2, 3) @ placed.axes.swapaxes(1, 2)).reshape(-1, 6)
+    local = np.where(loads.own[:, None], loads.along, turned)
+    share = loads.ends / np.where(loads.fraction, 1.0, placed.L)[:, None]
     wide = share[:, 1] - share[:, 0]
-    length = placed.L * np.where(kind.projected, np.linalg.norm(local[:, 1:3], axis=1), 1.0)
-    work = np.zeros((at.size, 12))
-    for (
-        point,
-        weight,
-    ) in _POINTS.tolist():  # a fixed number of points; all stand at one where the load is single
-        size = sizes[:, 0] + point * (sizes[:, 1] - sizes[:, 0])
-        size = weight * size * np.where(wide > 0, wide * length, 1.0)
+    seen = np.where(loads.projected, np.linalg.norm(local[:, 1:3], axis=1), 1.0)
+    span = np.where(wide > 0, wide * placed.L * seen, 1.0)
+    first, last = loads.sizes.T
+    work = np.zeros((len(t), 12))
+    # a fixed number of points; all stand at one where the load is single
+    for point, weight in _POINTS.tolist():
+        size = weight * span * (first + point * (last - first))
         motion = _motion(K, placed.L, iso, s=s, x=share[:, 0] + point * wide)
         work += np.einsum("eij,ei->ej", motion, local * size[:, None])
     work, carried = _released(K, placed.released, work)
-    carried &= ~((np.abs(local) > NOTHING) & (np.einsum("eii->ei", K)[:, 6:] <= 0)).any(axis=1)
-    if not carried.all():
-        wrong = int(at[int(carried.argmin())])
-        raise card_error(
-            m.model,
-            m.model[card],
-            wrong,
-            "cannot carry its PLOAD1: no stiffness along it, or both ends released",
-        )
-    forces = np.einsum("eij,ei->ej", placed.local, work)
-    out = np.zeros(m.size)
-    add_at(out, node_dofs(placed.nodes), forces)
+    soft = (np.abs(local) > NOTHING) & (np.einsum("eii->ei", K)[:, 6:] <= 0)
+    why = "cannot carry its PLOAD1: no stiffness along it, or both ends released"
+    t.refuse(~carried | soft.any(axis=1), why)
+    out = np.zeros(t.mesh.size)
+    np.add.at(out, node_dofs(placed.nodes), np.einsum("eij,ei->ej", placed.local, work))
     return out
 
 

@@ -6,8 +6,9 @@ Algebra of small matrices, batched over elements and generic in dtype (a complex
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,7 +16,13 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.frames import axes, positions
-from ringtrue.model.model import Model, Table, card_error
+from ringtrue.model.model import Model, Ragged, Table, card_error, unsupported_card
+
+
+class _Fields(Protocol):
+    """A dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
 def skew(r: Any_) -> Any_:
@@ -84,18 +91,13 @@ def condense(K: Any_, keep: Int | slice, drop: Int | slice) -> Any_:
 
 
 def scaled(c: Any_, K: Any_) -> Any_:
-    """c (e,) times K (e, ...)."""
-    return np.asarray(c.reshape(-1, *(1,) * (K.ndim - 1)) * K)
+    """c (e,) times matrices K, (e, i, j) or (i, j) for all."""
+    return c[:, None, None] * K
 
 
 def applied(A: Any_, x: Any_) -> Any_:
     """Matrices (e, d, d), or diagonals (e, d), times motions (e, d, m)."""
     return A[:, :, None] * x if A.ndim == 2 else A @ x
-
-
-def add_at(out: Any_, dofs: Int, values: Any_) -> None:
-    """Add what elements have at their DOFs, (e, d) each, -1 for none, to that of all, (dof,)."""
-    np.add.at(out, dofs[dofs >= 0], values[dofs >= 0])
 
 
 def scatter(e: int, d: int, *blocks: tuple[list[int], Any_]) -> Any_:
@@ -106,6 +108,7 @@ def scatter(e: int, d: int, *blocks: tuple[list[int], Any_]) -> Any_:
     return out
 
 
+FLAT_SHELLS = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}  # their corners
 SCALAR_CARDS = (
     "CELAS3",
     "CELAS4",
@@ -114,6 +117,33 @@ SCALAR_CARDS = (
     "CDAMP3",
     "CDAMP4",
 )  # they define the points that they name
+
+
+def matrix(*rows: Sequence[Any_]) -> Any_:
+    """Matrices (..., i, j) from rows of entries (...), which are broadcast."""
+    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+
+
+Arrays = TypeVar("Arrays", bound=_Fields)  # all of its fields are arrays (e, ...)
+
+
+def taken(whole: Arrays, rows: Int | Bool | slice) -> Arrays:
+    """A dataclass of arrays (e, ...) with some rows of each."""
+    return type(whole)(*(getattr(whole, f.name)[rows] for f in fields(whole)))
+
+
+def merged(size: int, parts: Sequence[tuple[Int | Bool | slice, Arrays]]) -> Arrays:
+    """A dataclass of arrays (size, ...) from those of some rows each; 0 in rows that none has."""
+    kind = type(parts[0][1])
+    made = []
+    for f in fields(kind):
+        values = [(rows, getattr(part, f.name)) for rows, part in parts]
+        dtype = np.result_type(*(v for _, v in values))
+        out = np.zeros((size, *values[0][1].shape[1:]), dtype=dtype)
+        for rows, v in values:
+            out[rows] = v
+        made.append(out)
+    return kind(*made)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,14 +170,15 @@ class Mesh:
     scalar: Int
     added: Mapping[str, Any_] = field(default_factory=dict)
 
-    def nsm(self, card: str, at: Int) -> Any_:
-        """What chosen lists add to the non-structural mass a length or area of rows `at` (e,)."""
-        return self.added[card][at] if card in self.added else np.zeros(at.size)
-
     @property
     def size(self) -> int:
         """Number of full DOFs: six a node, then one a scalar point."""
         return 6 * len(self.xyz) + self.scalar.size
+
+    @property
+    def coupled_mass(self) -> bool:
+        """Whether PARAM,COUPMASS asks for coupled mass matrices."""
+        return self.model.param("COUPMASS", -1) > 0
 
     @property
     def dofs(self) -> DofSet:
@@ -159,45 +190,132 @@ class Mesh:
         )
         return DofSet(node, direction.astype(np.int8))
 
-    def nodes(self, ids: Any_, table: Table, at: Int) -> Int:
-        """Rows of GRID for node ids (e, ...) used by rows `at` (e,) of `table`.
+    def rows(self, card: str, at: Int | None = None) -> CardRows:
+        """Rows `at` (e,) of the table of a card, or all of them."""
+        table = self.model[card]
+        return CardRows(self, table, np.arange(len(table)) if at is None else at)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CardRows:
+    """Some rows of the table of a card: elements, or the properties of elements, one for each.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    table : Table
+    at : (e,) int64
+    """
+
+    mesh: Mesh
+    table: Table
+    at: Int
+
+    @property
+    def card(self) -> str:
+        """The name of the card."""
+        return self.table.card
+
+    def __len__(self) -> int:
+        return self.at.size
+
+    def __getitem__(self, name: str) -> Any_:
+        """A plain column of the rows, (e,)."""
+        return self.table[name][self.at]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.table.columns
+
+    @property
+    def listed_mass(self) -> Any_:
+        """What chosen lists add to the non-structural mass a length or area, (e,)."""
+        added = self.mesh.added
+        return added[self.card][self.at] if self.card in added else np.zeros(len(self))
+
+    def stack(self, *names: str) -> Any_:
+        """Plain columns side by side, (e, len(names))."""
+        return self.table.stack(*names)[self.at]
+
+    def ragged(self, name: str) -> Ragged:
+        """A column of lists, those of the rows."""
+        column = self.table.ragged(name)
+        sizes = column.sizes[self.at]
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        first = np.repeat(column.offsets[self.at] - offsets[:-1], sizes)
+        return Ragged(column.values[first + np.arange(first.size)], offsets)
+
+    def take(self, which: Int | Bool | slice) -> CardRows:
+        """Some of the rows, by position or flag."""
+        return CardRows(self.mesh, self.table, self.at[which])
+
+    def nodes(self, *names: str) -> Int:
+        """Rows of GRID (e, k) for the node ids in these columns; see `nodes_of`."""
+        return self.nodes_of(self.stack(*names))
+
+    def nodes_of(self, ids: Any_) -> Int:
+        """Rows of GRID for node ids (e, ...) that the rows name.
 
         Raises
         ------
         DeckError
             If a node is absent.
         """
-        found = self.model["GRID"].find(ids)
-        if (found < 0).any():
-            first = np.argwhere(found < 0)[0]
-            raise card_error(
-                self.model,
-                table,
-                int(at[first[0]]),
-                f"GRID {np.asarray(ids)[tuple(first)]} is not in the deck",
-            )
+        found = self.mesh.model["GRID"].find(ids)
+        self.refuse(found < 0, "GRID {} is not in the deck", ids)
         return found
 
-    def dof(self, ids: Int, component: Int, table: Table, at: Int) -> Int:
-        """Full DOF of component 1..6 of a node, or of a scalar point (component 0 or 1); (k,)
-        int64.
-        """
-        point = np.searchsorted(self.scalar, ids).clip(max=max(self.scalar.size - 1, 0))
-        scalar = np.zeros(ids.shape, dtype=bool)
-        if self.scalar.size:
-            scalar = self.scalar[point] == ids
-        out = 6 * len(self.xyz) + point
-        out[~scalar] = 6 * self.nodes(ids[~scalar], table, at[~scalar]) + component[~scalar] - 1
-        bad = ~scalar & ((component < 1) | (component > 6))
-        if bad.any():
-            i = int(np.flatnonzero(bad)[0])
-            raise card_error(
-                self.model,
-                table,
-                int(at[i]),
-                f"component {component[i]} of GRID {ids[i]}: allowed are 1 to 6",
-            )
+    def dof(self, ids: Int, component: Int) -> Int:
+        """Full DOF (e,) of component 1..6 of a node, or of a scalar point (component 0 or 1)."""
+        points = self.mesh.scalar
+        point = np.searchsorted(points, ids)
+        scalar = np.isin(ids, points)
+        node = ~scalar
+        bad = node & ((component < 1) | (component > 6))
+        rows = self.take(node).nodes_of(ids[node])
+        self.refuse(bad, "component {} of GRID {}: allowed are 1 to 6", component, ids)
+        out = 6 * len(self.mesh.xyz) + point
+        out[node] = 6 * rows + component[node] - 1
         return out
+
+    def find(self, card: str, ids: Int) -> CardRows:
+        """The rows of `card` with these ids (e,), which the rows refer to.
+
+        Raises
+        ------
+        DeckError, UnsupportedCard
+            If one is absent; the second where it may be a card that was read but is not supported.
+        """
+        model = self.mesh.model
+        found = model[card].find(ids) if card in model else np.full(ids.shape, -1)
+        lost = found < 0
+        other = [c for c in model.kept if c[:3] == card[:3] and c != card]
+        if lost.any() and other:
+            i = int(lost.argmax())
+            why = f"{self.card} {self.table.ids[self.at[i]]} refers to {card} {ids[i]}"
+            raise UnsupportedCard(other[0], why=why)
+        self.refuse(lost, card + " {} is not in the deck", ids)
+        return CardRows(self.mesh, model[card], found)
+
+    def named(self, card: str, column: str = "PID") -> CardRows:
+        """The rows of `card` that a column names; see `find`."""
+        return self.find(card, self[column])
+
+    def refuse(self, bad: Any_ | np.bool_, why: str, *values: Any_) -> None:
+        """Raise a DeckError at the first of the rows that is bad (e, ...).
+
+        The entries there of `values`, of the same shape, stand for the {} of the message.
+        """
+        if bad.any():
+            place = tuple(np.argwhere(bad)[0].tolist())
+            message = why.format(*(v[place] for v in values))
+            raise card_error(self.mesh.model, self.table, int(self.at[place[0]]), message)
+
+    def refuse_unsupported(self, bad: Any_ | np.bool_, why: str, *values: Any_) -> None:
+        """Raise an UnsupportedCard in the same way, for (e,)."""
+        if bad.any():
+            i = int(bad.argmax())
+            message = why.format(*(v[i] for v in values))
+            raise unsupported_card(self.mesh.model, self.table, int(self.at[i]), message)
 
 
 def nodes_of(model: Model) -> Mesh:
@@ -229,26 +347,6 @@ def scalar_points(model: Model) -> Int:
     return every[every > 0]
 
 
-def lookup(model: Model, card: str, ids: Int, table: Table, at: Int) -> Int:
-    """Rows of `card` with these ids (e,), which rows `at` (e,) of `table` refer to.
-
-    Raises
-    ------
-    DeckError, UnsupportedCard
-        If one is absent; the second where it may be a card that was read but is not supported.
-    """
-    found = model[card].find(ids) if card in model else np.full(ids.shape, -1)
-    if (found < 0).any():
-        i = int(np.flatnonzero(found < 0)[0])
-        other = [c for c in model.kept if c[:3] == card[:3] and c != card]
-        if other:
-            raise UnsupportedCard(
-                other[0], why=f"{table.card} {table.ids[at[i]]} refers to {card} {ids[i]}"
-            )
-        raise card_error(model, table, int(at[i]), f"{card} {ids[i]} is not in the deck")
-    return found
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Isotropic:
     """MAT1 rows, one an element: `E, G, nu, rho, loss` (e,), real or complex."""
@@ -267,7 +365,7 @@ class Isotropic:
         return np.asarray(self.E / (2 * (1 + self.nu)))
 
 
-def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
+def isotropic(mat: CardRows) -> Isotropic:
     """MAT1 properties of each element, the one of E, G, NU that is blank completed from the others.
 
     Where NU and one of E and G are blank, both are 0, as in Nastran (Quick Reference Guide, MAT1):
@@ -277,40 +375,35 @@ def isotropic(model: Model, mid: Int, table: Table, at: Int) -> Isotropic:
     Raises
     ------
     DeckError
-        If a material is absent, or neither E nor G is given.
+        If neither E nor G is given.
     """
-    row = lookup(model, "MAT1", mid, table=table, at=at)
-    mat = model["MAT1"]
-    E, G, nu, rho, loss = (mat[c][row] for c in ("E", "G", "NU", "RHO", "GE"))
+    E, G, nu = (mat[c] for c in ("E", "G", "NU"))
     no_E = np.isnan(E)
     no_G = np.isnan(G)
     no_nu = np.isnan(nu)
-    if (no_E & no_G).any():
-        raise card_error(
-            model, mat, int(row[np.flatnonzero(no_E & no_G)[0]]), "neither E nor G is given"
-        )
+    mat.refuse(no_E & no_G, "neither E nor G is given")
     three = ~no_E & ~no_G & (G != 0)
     nu = np.where(no_nu, np.where(three, E / np.where(three, 2 * G, 1.0) - 1, 0.0), nu)
-    E, G = (
-        np.where(no_E, np.where(no_nu, 0.0, 2 * (1 + nu) * G), E),
-        np.where(no_G, np.where(no_nu, 0.0, E / (2 * (1 + nu))), G),
+    both = 2 * (1 + nu)
+    return Isotropic(
+        E=np.where(no_E, np.where(no_nu, 0.0, both * G), E),
+        G=np.where(no_G, np.where(no_nu, 0.0, E / both), G),
+        nu=nu,
+        rho=mat["RHO"],
+        loss=mat["GE"],
     )
-    return Isotropic(E=E, G=G, nu=nu, rho=rho, loss=loss)
 
 
-def check_ratio(model: Model, mid: Int, nu: Any_, most: float) -> None:
-    """Poisson's ratios nu (e,) of MAT1 mid (e,) that make no positive elasticity.
+def check_ratio(mat: CardRows, nu: Any_, most: float) -> None:
+    """Refuse rows of MAT1 whose Poisson's ratios nu (e,) make no positive elasticity.
 
     Raises
     ------
     DeckError
         If one is not between -1 and `most`: 0.5 for solids, 1 for plane stress.
     """
-    if (bad := (nu.real <= -1) | (nu.real >= most)).any():
-        mat = model["MAT1"]
-        i = int(np.flatnonzero(bad)[0])
-        why = f"Poisson's ratio {nu.real[i]:g} must be between -1 and {most:g} here"
-        raise card_error(model, mat, int(mat.find(mid[i : i + 1])[0]), why)
+    bad = (nu.real <= -1) | (nu.real >= most)
+    mat.refuse(bad, f"Poisson's ratio {{:g}} must be between -1 and {most:g} here", nu.real)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,24 +453,26 @@ def segment(x: Float) -> tuple[Float, Float]:
     return L, d / L[:, None]
 
 
-def orientation(m: Mesh, table: Table, at: Int, origin: Int) -> Float:
+def orientation(t: CardRows, origin: Int) -> Float:
     """The vector (e, 3) in basic from G0, or from X1-X3 in the CD frame of the node rows `origin`
     (e,).
 
     An OFFT that begins with B takes X1-X3 in basic.
     """
-    v = table.stack("X1", "X2", "X3")[at]
-    g0 = table["G0"][at]
+    m = t.mesh
+    v = t.stack("X1", "X2", "X3")
+    g0 = t["G0"]
     local = np.einsum("ei,eij->ej", v, m.cd[origin])
-    if "OFFT" in table.columns:
-        basic = np.char.startswith(table["OFFT"][at].astype(str), "B")
+    if "OFFT" in t:
+        basic = np.char.startswith(t["OFFT"].astype(str), "B")
         local = np.where(basic[:, None], v, local)
     by_node = g0 > 0
-    local[by_node] = m.xyz[m.nodes(g0[by_node], table, at[by_node])] - m.xyz[origin[by_node]]
+    node = t.take(by_node).nodes_of(g0[by_node])
+    local[by_node] = m.xyz[node] - m.xyz[origin[by_node]]
     return np.asarray(local)
 
 
-def triad(m: Mesh, axis: Float, v: Float, table: Table, at: Int) -> Float:
+def triad(t: CardRows, axis: Float, v: Float) -> Float:
     """Local axes (e, 3, 3) as rows: x along `axis`, v in the xy plane.
 
     Raises
@@ -387,11 +482,7 @@ def triad(m: Mesh, axis: Float, v: Float, table: Table, at: Int) -> Float:
     """
     z = np.cross(axis, v)
     flat = np.linalg.norm(z, axis=1) <= 1e-8 * np.maximum(np.linalg.norm(v, axis=1), 1e-300)
-    if flat.any():
-        i = int(at[np.flatnonzero(flat)[0]])
-        raise card_error(
-            m.model, table, i, "the orientation vector is zero or along the element; give another"
-        )
+    t.refuse(flat, "the orientation vector is zero or along the element; give another")
     z = unit(z)
     return np.stack([axis, np.cross(z, axis), z], axis=1)
 
@@ -405,8 +496,8 @@ def any_triad(axis: Float) -> Float:
 
 
 def frame(m: Mesh, cid: Int, at: Float) -> Float:
-    """Axes (e, 3, 3) of frames `cid` (e,) at points (e, 3)."""
-    return axes(m.model, cid, at)
+    """Axes (e, 3, 3) of frames `cid` (e,) at points (e, 3), of basic where it is negative."""
+    return axes(m.model, np.maximum(cid, 0), at)
 
 
 def components(text: Any_) -> Bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Any_, Int
 from ringtrue.errors import DeckError
 from ringtrue.model.model import Model, Ragged, Table
 
@@ -63,7 +63,7 @@ def negative_stiffness(model: Model) -> Iterator[Negative]:
     """Moduli, matrices of elasticity and sizes of sections that make a negative stiffness."""
     yield from _below(model, POSITIVE)
     for card in (c for c in _MATRICES if c in model):
-        lam = np.linalg.eigvalsh(elasticity(model, card, _MATRICES[card]))
+        lam = np.linalg.eigvalsh(elasticity(model[card], _MATRICES[card]))
         rows = np.flatnonzero(lam[:, 0] < -_ZERO * np.abs(lam).max(axis=1))
         if rows.size:
             yield Negative(
@@ -104,30 +104,26 @@ def refuse_negative(model: Model) -> None:
     DeckError
         With the card and the field.
     """
-    found = None if asks_for_negative_stiffness(model) else next(negative_stiffness(model), None)
-    if found is None:
+    if asks_for_negative_stiffness(model):
         return
-    row = int(found.rows[0])
-    file = int(found.table.file[row])
-    known = 0 <= file < len(model.files)
-    raise DeckError(
-        f"{found.text}: it makes a negative stiffness. Correct it; or ask for it by "
-        f"PARAM,{ASKED},YES in the deck, "
-        "or give it as a spring (CELAS2, PELAS, PBUSH), which may be below 0",
-        path=model.files[file] if known else None,
-        line=int(found.table.line[row]) if known else None,
-        card=f"{found.table.card} {found.table.ids[row]}",
-        field=found.field,
-    )
+    for found in negative_stiffness(model):
+        row = int(found.rows[0])
+        path, line = model.place(found.table, row)
+        raise DeckError(
+            f"{found.text}: it makes a negative stiffness. Correct it; or ask for it by "
+            f"PARAM,{ASKED},YES in the deck, "
+            "or give it as a spring (CELAS2, PELAS, PBUSH), which may be below 0",
+            path=path,
+            line=line,
+            card=f"{found.table.card} {found.table.ids[row]}",
+            field=found.field,
+        )
 
 
-def elasticity(model: Model, card: str, size: int) -> Float:
-    """The symmetric matrices (n, size, size) of MAT2 (3) or MAT9 (6)."""
+def elasticity(table: Table, size: int) -> Any_:
+    """The symmetric matrices (n, size, size) of a table of MAT2 (3) or MAT9 (6)."""
     i, j = np.triu_indices(size)
-    values = model[card].stack(
-        *(f"G{a + 1}{b + 1}" for a, b in zip(i.tolist(), j.tolist(), strict=True))
-    )
-    out = np.zeros((len(values), size, size))
-    out[:, i, j] = values
-    out[:, j, i] = values
+    values = table.stack(*(f"G{a}{b}" for a, b in zip(i + 1, j + 1, strict=True)))
+    out = np.zeros((len(values), size, size), dtype=values.dtype)
+    out[:, i, j] = out[:, j, i] = values
     return out

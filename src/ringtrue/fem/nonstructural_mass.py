@@ -16,11 +16,11 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.fem.elements import bar, curved_shell, rod, shear, shell3, shell4
-from ringtrue.fem.mesh import Mesh, Rows, union
-from ringtrue.model.model import Model, Table, card_error
+from ringtrue.fem.mesh import CardRows, Mesh, Rows, union
+from ringtrue.model.model import Model, Table
 
 log = logging.getLogger(__name__)
-Measure = Callable[[Mesh, str, Int], Any_]
+Measure = Callable[[CardRows], Any_]
 LINES: Mapping[str, Measure] = {
     **dict.fromkeys(("CROD", "CONROD", "CTUBE"), rod.measure),
     **dict.fromkeys(("CBAR", "CBEAM"), bar.measure),
@@ -65,6 +65,10 @@ class Lists:
     of: Int
     ids: Int
 
+    def rows(self, m: Mesh) -> CardRows:
+        """The cards of the lists."""
+        return CardRows(m, self.table, self.row)
+
 
 def chosen(model: Model) -> Iterator[Lists]:
     """The lists of the set that case control names, or of the sets that its NSMADD unites.
@@ -86,24 +90,14 @@ def chosen(model: Model) -> Iterator[Lists]:
             )
     for t in tables:
         use = np.isin(t["SID"], sids)
+        ids, owner = t.entries("ID")
         for kind in np.unique(t["TYPE"][use]).tolist():
             rows = np.flatnonzero(use & (t["TYPE"] == kind))
             if kind not in TYPES:
                 raise UnsupportedCard(t.card, why=f"TYPE {kind}; allowed are {', '.join(TYPES)}")
-            if t.card.endswith("1"):
-                ids = t.ragged("ID")
-                of = np.repeat(np.arange(rows.size), ids.sizes[rows])
-                yield Lists(
-                    table=t,
-                    kind=kind,
-                    row=rows,
-                    of=of,
-                    ids=np.concatenate([ids.row(i) for i in rows.tolist()]),
-                )
-            else:
-                yield Lists(
-                    table=t, kind=kind, row=rows, of=np.arange(rows.size), ids=t["ID"][rows]
-                )
+            mine = np.isin(owner, rows)
+            of = np.searchsorted(rows, owner[mine])
+            yield Lists(table=t, kind=kind, row=rows, of=of, ids=ids[mine])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,31 +130,22 @@ def members(model: Model, lists: Lists) -> list[Member]:
 def _properties(model: Model, kind: str) -> Int | None:
     if kind not in PROPERTIES:
         return None
-    return np.concatenate(
-        [np.zeros(0, dtype=np.int64), *(model[c].ids for c in PROPERTIES[kind][0] if c in model)]
-    )
+    none: Int = np.zeros(0, dtype=np.int64)
+    return np.concatenate([none, *(model[c].ids for c in PROPERTIES[kind][0] if c in model)])
 
 
 def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
-    """Rows and lists of all pairs of a row of `mine` and a list that names it."""
+    """Rows and lists of all pairs of a row of `mine` and a list that names it, each once."""
+    named = np.unique(mine[able])
     every = lists.of[lists.ids == 0]
-    order = np.argsort(lists.ids, kind="stable")
-    ids = lists.ids[order]
-    of = lists.of[order]
+    ids = np.concatenate([lists.ids, np.tile(named, every.size)])
+    of = np.concatenate([lists.of, np.repeat(every, named.size)])
+    ids, of = np.unique(np.stack([ids, of]), axis=1)
     first = np.searchsorted(ids, mine)
     count = np.where(able, np.searchsorted(ids, mine, side="right") - first, 0)
     row = np.repeat(np.arange(mine.size), count)
     entry = np.repeat(first - np.cumsum(count) + count, count) + np.arange(row.size)
-    everywhere = np.flatnonzero(able)
-    pairs = np.stack(
-        [
-            np.r_[row, np.tile(everywhere, every.size)],
-            np.r_[of[entry], np.repeat(every, everywhere.size)],
-        ],
-        axis=1,
-    )
-    unique = np.unique(pairs, axis=0)
-    return unique[:, 0], unique[:, 1]
+    return row, of[entry]
 
 
 def sharers(model: Model, rows: Rows, sid: Int | None = None) -> Rows:
@@ -199,7 +184,7 @@ def nonstructural_mass(m: Mesh) -> dict[str, Any_]:
     out: dict[str, Any_] = {}
     for lists in chosen(m.model):
         found = members(m.model, lists)
-        _check(m.model, lists, found)
+        _check(m, lists, found)
         value = lists.table["VALUE"][lists.row]
         if lists.table.card in ("NSML", "NSML1"):
             value = value / _totals(m, lists, found)
@@ -216,34 +201,27 @@ def _totals(m: Mesh, lists: Lists, found: list[Member]) -> Any_:
     kinds = np.zeros((2, lists.row.size), dtype=bool)
     for part in found:
         rows, back = np.unique(part.at, return_inverse=True)
-        np.add.at(total, part.of, MEASURES[part.card](m, part.card, rows)[back])
+        np.add.at(total, part.of, MEASURES[part.card](m.rows(part.card, rows))[back])
         kinds[int(part.card in AREAS), part.of] = True
-    if (both := kinds.all(axis=0)).any():
-        row = int(lists.row[both.argmax()])
-        raise card_error(
-            m.model, lists.table, row, "one mass for lines and areas together; give a list to each"
-        )
+    why = "one mass for lines and areas together; give a list to each"
+    lists.rows(m).refuse(kinds.all(axis=0), why)
     return np.where(total == 0, 1.0, total)
 
 
-def _check(model: Model, lists: Lists, found: list[Member]) -> None:
+def _check(m: Mesh, lists: Lists, found: list[Member]) -> None:
     """Ids that are not in the deck are passed over, as in Nastran, but for a list with nothing
     else.
     """
-    known = _properties(model, lists.kind)
+    known = _properties(m.model, lists.kind)
     if known is None:
-        known = np.concatenate(
-            [np.zeros(0, dtype=np.int64), *(model[p.card].ids[p.at] for p in found)]
-        )
+        parts = [m.model[p.card].ids[p.at] for p in found]
+        known = np.concatenate([lists.ids[:0], *parts])
     there = np.isin(lists.ids, known) | ((lists.ids == 0) & (known.size > 0))
-    if there.all():
-        return
     whole = np.bincount(lists.of, weights=there, minlength=lists.row.size) == 0
-    if whole.any():
-        row = int(lists.row[whole.argmax()])
-        what = f"none of its {lists.kind} ids is in the deck"
-        if lists.kind == "ELEMENT":
-            what = f"none of its elements carries it; allowed are {', '.join(MEASURES)}"
-        raise card_error(model, lists.table, row, what)
+    what = f"none of its {lists.kind} ids is in the deck"
+    if lists.kind == "ELEMENT":
+        what = f"none of its elements carries it; allowed are {', '.join(MEASURES)}"
+    lists.rows(m).refuse(whole, what)
     lost = np.unique(lists.ids[~there])
-    log.warning("%s: %d ids are not there: %s", lists.table.card, lost.size, lost[:5].tolist())
+    if lost.size:
+        log.warning("%s: %d ids are not there: %s", lists.table.card, lost.size, lost[:5].tolist())

@@ -7,15 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from scipy import sparse
 
-from ringtrue.core.arrays import Bool, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.elements import fasteners
 from ringtrue.fem.elements.fasteners import End
-from ringtrue.fem.mesh import Mesh, arm, components, node_dofs, rotation, segment
-from ringtrue.model.model import Table, card_error, refuse_rows
+from ringtrue.fem.mesh import (
+    CardRows,
+    Mesh,
+    arm,
+    components,
+    congruent,
+    node_dofs,
+    rotation,
+    scaled,
+    scatter,
+    segment,
+)
+from ringtrue.model.model import Table
 
 Owner = tuple[Table, int]
 ROUNDING = 1e-14  # of the largest coefficient of a card: what is smaller is a zero
@@ -42,68 +53,73 @@ class Equations:
     owner: tuple[Owner, ...]
 
 
-def owners(t: Table, at: Int) -> tuple[Owner, ...]:
-    """The cards of rows `at`, for messages."""
-    return tuple((t, i) for i in at.tolist())
+def in_full(t: CardRows, dependent: Int, column: Int, value: Any_) -> Equations:
+    """Equations (k,) of as many rows of a table, with the full DOFs `column` (k, c) and their
+    coefficients (k, c), of which rounding is left out.
+    """
+    keep = np.abs(value) > ROUNDING * np.abs(value).max(initial=0.0)
+    return Equations(
+        dependent=dependent,
+        row=np.nonzero(keep)[0],
+        column=column[keep],
+        value=value[keep],
+        owner=owners(t),
+    )
 
 
-Ends = tuple[Int, Int, Bool]  # owner (k,), node id (k,), components (k, 6)
+def owners(t: CardRows) -> tuple[Owner, ...]:
+    """The cards of rows, for messages."""
+    return tuple((t.table, i) for i in t.at.tolist())
 
 
-def rigid(m: Mesh, t: Table, independent: Ends, dependent: Ends) -> Equations:
+def joined(parts: Sequence[Equations]) -> Equations:
+    """All equations of the parts."""
+    none: Int = np.empty(0, dtype=np.int64)
+    shift = np.cumsum([0, *(p.dependent.size for p in parts)])
+    return Equations(
+        dependent=np.concatenate([none, *(p.dependent for p in parts)]),
+        row=np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
+        column=np.concatenate([none, *(p.column for p in parts)]),
+        value=np.concatenate([np.empty(0), *(p.value for p in parts)]),
+        owner=tuple(name for p in parts for name in p.owner),
+    )
+
+
+Ends = tuple[Int, Int, Bool]  # row of the table (k,), node id (k,), components (k, 6)
+
+
+def rigid(t: CardRows, independent: Ends, dependent: Ends) -> Equations:
     """u_m = Φ_m Φ_n⁻¹ u_n with Φ the rigid motions at the independent (n, six an element) and
     dependent DOFs.
     """
-    of, g, c = listed(m, t, independent)
+    m = t.mesh
+    of, g, c = listed(t, independent)
     count = np.bincount(of, minlength=len(t))
-    if (count != 6).any():
-        i = int(np.flatnonzero(count != 6)[0])
-        raise card_error(
-            m.model,
-            t,
-            i,
-            f"it has {count[i]} independent components; allowed are 6 that hold a rigid body",
-        )
+    why = "it has {} independent components; allowed are 6 that hold a rigid body"
+    t.refuse(count != 6, why, count)
     order = np.argsort(of, kind="stable")
     g = g[order].reshape(-1, 6)
     c = c[order].reshape(-1, 6)
     origin, size = _extent(m, g)
-    own = np.arange(len(t))[:, None]
-    phi_n = _motion(m, g, c, origin=origin[own], size=size[own])
+    phi_n = _motion(m, g, c, origin=origin[:, None], size=size[:, None])
     values = np.linalg.svd(phi_n, compute_uv=False)
     loose = values[:, -1] < 1e-9 * values[:, 0]
-    refuse_rows(
-        m.model,
-        t,
-        np.flatnonzero(loose),
-        "its independent components leave a rigid motion free; choose six that hold it",
-    )
-    at, h, d = listed(m, t, dependent)
+    why = "its independent components leave a rigid motion free; choose six that hold it"
+    t.refuse(loose, why)
+    at, h, d = listed(t, dependent)
     phi_m = _motion(m, h, d, origin=origin[at], size=size[at])
     X = np.linalg.solve(phi_n.swapaxes(1, 2)[at], phi_m[:, :, None])[:, :, 0]
     column = (6 * g + c)[at]
-    if (column == (6 * h + d)[:, None]).any():
-        i = int(at[np.flatnonzero((column == (6 * h + d)[:, None]).any(axis=1))[0]])
-        raise card_error(m.model, t, i, "a component is both independent and dependent")
-    row = np.repeat(np.arange(at.size), 6)
-    keep = np.abs(X.reshape(-1)) > ROUNDING * np.abs(X).max(initial=0.0)
-    return Equations(
-        dependent=6 * h + d,
-        row=row[keep],
-        column=column.reshape(-1)[keep],
-        value=X.reshape(-1)[keep],
-        owner=owners(t, at),
-    )
+    both = (column == (6 * h + d)[:, None]).any(axis=1)
+    t.take(at).refuse(both, "a component is both independent and dependent")
+    return in_full(t.take(at), 6 * h + d, column, X)
 
 
-def listed(m: Mesh, t: Table, ends: Ends) -> tuple[Int, Int, Int]:
-    """Owner, row of the node and component (0..5) of each component, in order."""
+def listed(t: CardRows, ends: Ends) -> tuple[Int, Int, Int]:
+    """Row of the table, row of the node and component (0..5) of each component, in order."""
     of, ids, flags = ends
     entry, c = np.nonzero(flags)
-    used = np.unique(entry)
-    node = np.full(ids.shape, -1)
-    node[used] = m.nodes(ids[used], t, of[used])
-    return of[entry], node[entry], c
+    return of[entry], t.take(of[entry]).nodes_of(ids[entry]), c
 
 
 def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> Float:
@@ -137,280 +153,163 @@ def _extent(m: Mesh, node: Int) -> tuple[Float, Float]:
 def rbe3(m: Mesh) -> Equations:
     """u_ref = (Σ SᵀWS)⁻¹ Σ SᵀWu, rotations weighted by the square of a length; solved for UM where
     it is given.
+    """
+    t = m.rows("RBE3")
+    solved = np.zeros(len(t), dtype=bool)
+    if "GM" in t:
+        solved = t.ragged("GM").sizes > 0
+    # few cards have UM
+    each = (_solved(t.take(np.array([i]))) for i in np.flatnonzero(solved))
+    return joined([_weighted(t.take(~solved)), *each])
+
+
+def _weighted(t: CardRows) -> Equations:
+    """REFC by the components of the nodes.
 
     As in MSC Nastran since version 70.7 the length is the mean distance of the nodes, each counted
     once, from REFGRID.
     """
-    t = m.model["RBE3"]
+    m = t.mesh
     G = t.ragged("G")
     of = G.owner
-    ref = m.nodes(t["REFGRID"], t, np.arange(len(t)))
-    g = m.nodes(G.values, t, of)
+    ref = t.nodes("REFGRID")[:, 0]
+    g = t.take(of).nodes_of(G.values)
     arms = m.xyz[g] - m.xyz[ref[of]]
-    length = _mean_arm(of, g, arms, len(t))
+    once = np.unique(np.stack([of, g]), axis=1, return_index=True)[1]
+    total = np.bincount(of[once], np.linalg.norm(arms[once], axis=1), len(t))
+    length = total / np.maximum(np.bincount(of[once], minlength=len(t)), 1)
     S = rotation(m.cd[g], 1) @ arm(arms)
     scale = np.ones((len(t), 6))
-    scale[:, 3:] = length[:, None]
+    scale[:, 3:] = np.where(length == 0, 1.0, length)[:, None]
     W = components(t.ragged("C").values) * t.ragged("WT").values[:, None] * scale[of] ** 2
     normal = np.zeros((len(t), 6, 6))
     np.add.at(normal, of, S.swapaxes(1, 2) @ (W[:, :, None] * S))
-    inverse = _normal_inverse(m, t, normal, 1 / scale)
-    X = rotation(m.cd[ref[of]], 1) @ inverse[of] @ S.swapaxes(1, 2) * W[:, None, :]
-    eq = _spread(m, t, X, of=of, g=g, ref=ref)
-    given = "GM" in t.columns and t.ragged("GM").values.size
-    return _resolved(m, t, eq, np.nonzero(components(t["REFC"]))[0]) if given else eq
-
-
-def _mean_arm(of: Int, g: Int, arms: Float, count: int) -> Float:
-    """Mean length of the arms (k, 3) of each element (count,), a node in several groups once; 1
-    without any.
-    """
-    once = np.unique(np.stack([of, g]), axis=1, return_index=True)[1]
-    total = np.bincount(of[once], np.linalg.norm(arms[once], axis=1), count)
-    return np.where(total == 0, 1.0, total / np.maximum(np.bincount(of[once], minlength=count), 1))
-
-
-def _normal_inverse(m: Mesh, t: Table, normal: Float, scale: Float) -> Float:
-    """Inverse of the normal matrices; a motion that the nodes do not determine must not be asked
-    for.
-    """
-    A = normal * scale[:, :, None] * scale[:, None, :]
+    # a motion that the nodes do not determine must not be asked for
+    both = scale[:, :, None] * scale[:, None, :]
+    A = normal / both
     plus = np.linalg.pinv(A, rcond=1e-10, hermitian=True)
+    asked = components(t["REFC"])
     lost = np.abs(np.einsum("eij,eji->ei", plus, A) - 1) > 1e-6
-    bad = (lost & components(t["REFC"])).any(axis=1)
-    if bad.any():
-        i = int(np.flatnonzero(bad)[0])
-        raise card_error(
-            m.model,
-            t,
-            i,
-            f"its nodes do not determine REFC {t['REFC'][i]}; add nodes or components",
-        )
-    return np.asarray(plus * scale[:, :, None] * scale[:, None, :])
-
-
-def _spread(m: Mesh, t: Table, X: Float, of: Int, g: Int, ref: Int) -> Equations:
-    """Rows for the components in REFC from X (entry, 6, 6)."""
-    element, c = np.nonzero(components(t["REFC"]))
+    why = "its nodes do not determine REFC {}; add nodes or components"
+    t.refuse((lost & asked).any(axis=1), why, t["REFC"])
+    X = rotation(m.cd[ref[of]], 1) @ (plus / both)[of] @ S.swapaxes(1, 2) * W[:, None, :]
+    element, c = np.nonzero(asked)
     number = np.full((len(t), 6), -1)
     number[element, c] = np.arange(element.size)
-    row = np.broadcast_to(number[of][:, :, None], X.shape).reshape(-1)
-    column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape).reshape(-1)
-    keep = (row >= 0) & (X.reshape(-1) != 0)
+    row = np.broadcast_to(number[of][:, :, None], X.shape)
+    column = np.broadcast_to(node_dofs(g[:, None])[:, None, :], X.shape)
+    keep = (row >= 0) & (X != 0)
     return Equations(
         dependent=6 * ref[element] + c,
         row=row[keep],
         column=column[keep],
-        value=X.reshape(-1)[keep],
-        owner=owners(t, element),
+        value=X[keep],
+        owner=owners(t.take(element)),
     )
 
 
-def _resolved(m: Mesh, t: Table, eq: Equations, of: Int) -> Equations:
-    """The equations (owner `of` (k,)) of cards with UM, solved for the DOFs that UM names."""
+def _solved(t: CardRows) -> Equations:
+    """The equations of one card with UM, solved for the DOFs that UM names."""
+    eq = _weighted(t)
     gm = t.ragged("GM")
-    at, node, c = listed(m, t, (gm.owner, gm.values, components(t.ragged("CM").values)))
-    wanted = np.bincount(at, minlength=len(t))
-    there = np.bincount(of, minlength=len(t))
-    wrong = (wanted > 0) & (wanted != there)
-    if wrong.any():
-        i = int(np.flatnonzero(wrong)[0])
-        raise card_error(
-            m.model,
-            t,
-            i,
-            f"UM names {wanted[i]} components; allowed are as many as REFC has, {there[i]}",
-        )
-    rows = np.flatnonzero(wanted[of] > 0)
+    _, node, c = listed(t, (gm.owner, gm.values, components(t.ragged("CM").values)))
     chosen = 6 * node + c
-    k = rows.size
-    whole = sparse.csr_array((-eq.value, (eq.row, eq.column)), shape=(of.size, m.size))[rows]
-    whole = sparse.csr_array(
-        whole
-        + sparse.csr_array((np.ones(k), (np.arange(k), eq.dependent[rows])), shape=whole.shape)
-    )
-    solved = sparse.coo_array(_block_inverse(m, t, whole[:, chosen], at) @ whole)
-    rest = ~np.isin(solved.col, chosen) & (
-        np.abs(solved.data) > ROUNDING * np.abs(solved.data).max(initial=0.0)
-    )
-    keep = np.isin(eq.row, rows, invert=True)
-    dependent = eq.dependent.copy()
-    dependent[rows] = chosen
-    return Equations(
-        dependent=dependent,
-        row=np.concatenate([eq.row[keep], rows[solved.row[rest]]]),
-        column=np.concatenate([eq.column[keep], solved.col[rest]]),
-        value=np.concatenate([eq.value[keep], -solved.data[rest]]),
-        owner=eq.owner,
-    )
-
-
-def _block_inverse(m: Mesh, t: Table, A: sparse.csr_array, of: Int) -> sparse.csr_array:
-    """Inverse of A (k, k), block-diagonal with up to six rows an owner `of` (k,), ascending."""
-    _, first, number = np.unique(of, return_index=True, return_inverse=True)
-    place = np.arange(of.size) - first[number]
-    coo = A.tocoo()
-    blocks = np.tile(np.eye(6), (first.size, 1, 1))
-    blocks[number, place, place] = 0.0
-    blocks[number[coo.row], place[coo.row], place[coo.col]] += coo.data
-    values = np.linalg.svd(blocks, compute_uv=False)
-    bad = values[:, -1] < 1e-10 * values[:, 0]
-    if bad.any():
-        i = int(of[first[np.flatnonzero(bad)[0]]])
-        raise card_error(
-            m.model, t, i, "the components in UM are not determined by the others; choose others"
-        )
-    inverse = np.linalg.solve(blocks, np.broadcast_to(np.eye(6), blocks.shape))
-    row, column = _pairs(number, first)
-    return sparse.csr_array(
-        (inverse[number[row], place[row], place[column]], (row, column)), shape=A.shape
-    )
-
-
-def _pairs(number: Int, first: Int) -> tuple[Int, Int]:
-    """All (row, column) within a block."""
-    size = np.bincount(number)
-    row = np.repeat(np.arange(number.size), size[number])
-    start = np.concatenate([[0], np.cumsum(size[number])[:-1]])
-    return row, first[number[row]] + np.arange(row.size) - start[row]
+    count = eq.dependent.size
+    why = f"UM names {chosen.size} components; allowed are as many as REFC has, {count}"
+    t.refuse(np.array([chosen.size != count]), why)
+    used = np.unique(np.concatenate([eq.column, eq.dependent, chosen]))
+    A = np.zeros((count, used.size))
+    A[eq.row, np.searchsorted(used, eq.column)] = -eq.value
+    A[np.arange(count), np.searchsorted(used, eq.dependent)] += 1.0
+    block = A[:, np.searchsorted(used, chosen)]
+    values = np.linalg.svd(block, compute_uv=False)
+    why = "the components in UM are not determined by the others; choose others"
+    t.refuse(np.array([values[-1] <= 1e-10 * values[0]]), why)
+    value = -np.linalg.solve(block, A)
+    value[:, np.isin(used, chosen)] = 0.0
+    column = np.broadcast_to(used, value.shape)
+    return in_full(t.take(np.zeros(count, dtype=np.int64)), chosen, column, value)
 
 
 ALONG = 1e-3  # least part of the dependent component along a rod
 
 
 def rbe2(m: Mesh) -> Equations:
-    t = m.model["RBE2"]
-    of = t.ragged("GM").owner
-    gn = m.nodes(t["GN"][of], t, of)
-    gm = m.nodes(t.ragged("GM").values, t, of)
-    same = gn == gm
-    if same.any():
-        raise card_error(
-            m.model, t, int(of[same][0]), f"GRID {t['GN'][of[same][0]]} is its own dependent node"
-        )
+    t = m.rows("RBE2")
     moved = components(t["CM"])
-    if (idle := ~moved.any(axis=1)).any():
-        raise card_error(
-            m.model, t, int(idle.argmax()), "CM names no component; allowed are the digits 1 to 6"
-        )
-    A = rotation(m.cd[gm], 1) @ arm(m.xyz[gm] - m.xyz[gn]) @ rotation(m.cd[gn], 1).swapaxes(1, 2)
-    pair, c = np.nonzero(moved[of])
-    row = np.repeat(np.arange(pair.size), 6)
-    column = node_dofs(gn[pair][:, None]).reshape(-1)
-    return Equations(
-        dependent=6 * gm[pair] + c,
-        row=row,
-        column=column,
-        value=A[pair, c].reshape(-1),
-        owner=owners(t, of[pair]),
-    )
+    t.refuse(~moved.any(axis=1), "CM names no component; allowed are the digits 1 to 6")
+    each = t.take(t.ragged("GM").owner)
+    gn = each.nodes("GN")[:, 0]
+    gm = each.nodes_of(t.ragged("GM").values)
+    each.refuse(gn == gm, "GRID {} is its own dependent node", each["GN"])
+    of = t.ragged("GM").owner
+    rigid_arm = arm(m.xyz[gm] - m.xyz[gn])
+    return _interpolated(each, gm, flags=moved[of], by=((gn, rigid_arm),))
 
 
 def rbe1(m: Mesh) -> Equations:
-    t = m.model["RBE1"]
-    n = t.ragged("GN")
-    k = t.ragged("GM")
-    independent = n.owner, n.values, components(t.ragged("CN").values)
-    return rigid(m, t, independent, (k.owner, k.values, components(t.ragged("CM").values)))
+    t = m.rows("RBE1")
+    n, d = (
+        (t.ragged(f"G{kind}").owner, t.ragged(f"G{kind}").values, t.ragged(f"C{kind}").values)
+        for kind in "NM"
+    )
+    return rigid(t, (*n[:2], components(n[2])), (*d[:2], components(d[2])))
 
 
 def rrod(m: Mesh) -> Equations:
     """a·(u_B − u_A) = 0 along the line, solved for the one translation that CMA or CMB names."""
-    t = m.model["RROD"]
-    every = np.arange(len(t))
-    node = np.stack([m.nodes(t[g], t, every) for g in ("GA", "GB")], axis=1)
-    named = np.concatenate([components(t["CMA"]), components(t["CMB"])], axis=1)
-    one = (named.sum(axis=1) == 1) & ~named[:, [3, 4, 5, 9, 10, 11]].any(axis=1)
-    if not one.all():
-        i = int(np.flatnonzero(~one)[0])
-        raise card_error(
-            m.model, t, i, "CMA or CMB must name one translation, 1 to 3, and the other be blank"
-        )
+    t = m.rows("RROD")
+    node = t.nodes("GA", "GB")
+    named = np.stack([components(t["CMA"]), components(t["CMB"])], axis=1)
+    one = (named.sum(axis=(1, 2)) == 1) & ~named[:, :, 3:].any(axis=(1, 2))
+    t.refuse(~one, "CMA or CMB must name one translation, 1 to 3, and the other be blank")
     x = m.xyz[node]
-    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
-    if short.any():
-        raise card_error(m.model, t, int(np.flatnonzero(short)[0]), "its two ends are at one place")
+    t.refuse((x[:, 0] == x[:, 1]).all(axis=1), "its two ends are at one place")
     axis = segment(x)[1]
     along = np.einsum("nkij,nj->nki", m.cd[node], axis) * np.array([-1.0, 1.0])[:, None]
-    at = named.argmax(axis=1)
-    end = at // 6
-    c = at % 6
-    lead = along[every, end, c]
-    if (np.abs(lead) < ALONG).any():
-        i = int(np.flatnonzero(np.abs(lead) < ALONG)[0])
-        raise card_error(
-            m.model, t, i, f"component {c[i] + 1} is across the rod; name one along it"
-        )
-    value = -(along / lead[:, None, None]).reshape(-1)
-    column = (6 * node[:, :, None] + np.arange(3)).reshape(-1)
-    dependent = 6 * node[every, end] + c
-    row = np.repeat(every, 6)
-    rest = (column != dependent[row]) & (value != 0)
-    return Equations(
-        dependent=dependent,
-        row=row[rest],
-        column=column[rest],
-        value=value[rest],
-        owner=owners(t, every),
-    )
+    column = (6 * node[:, :, None] + np.arange(3)).reshape(-1, 6)
+    along = along.reshape(-1, 6)
+    chosen = named[:, :, :3].reshape(-1, 6)
+    lead = along[chosen]
+    component = np.nonzero(chosen)[1] % 3 + 1
+    why = "component {} is across the rod; name one along it"
+    t.refuse(np.abs(lead) < ALONG, why, component)
+    value = np.where(chosen, 0.0, -along / lead[:, None])
+    return in_full(t, column[chosen], column, value)
 
 
-def _nodes(
-    m: Mesh, card: str, ends: tuple[str, ...], free: tuple[str, ...], bound: tuple[str, ...]
-) -> Equations:
-    """A rigid body on nodes `ends`, components independent by the fields `free`, dependent by
-    `bound`.
+Fields = tuple[str, ...]
+# Nodes, the fields of their independent components, and the fields of the dependent ones of the
+# last of them. Without the first all six of the first node are independent, and each blank field
+# stands for six that are dependent; else all that are not independent are, where all are blank.
+BODIES: Mapping[str, tuple[Fields, Fields, Fields]] = {
+    "RBAR": (("GA", "GB"), ("CNA", "CNB"), ("CMA", "CMB")),
+    "RBAR1": (("GA", "GB"), (), ("CB",)),
+    "RJOINT": (("GA", "GB"), (), ("CB",)),  # what CB leaves out is the joint
+    "RTRPLT": (("GA", "GB", "GC"), ("CNA", "CNB", "CNC"), ("CMA", "CMB", "CMC")),
+    "RTRPLT1": (("GA", "GB", "GC"), (), ("CMB", "CMC")),
+}
 
-    Without `free` all six of the first node are; where all of `bound` are blank, the rest is
-    dependent.
-    """
-    t = m.model[card]
+
+def _body(m: Mesh, card: str) -> Equations:
+    """A rigid body on two or three nodes."""
+    ends, free, bound = BODIES[card]
+    t = m.rows(card)
     of = np.repeat(np.arange(len(t)), len(ends))
     ids = t.stack(*ends).reshape(-1)
     independent = np.zeros((len(t), len(ends), 6), dtype=bool)
+    dependent = np.zeros_like(independent)
     for k, name in enumerate(free):
         independent[:, k] = components(t[name])
-    independent[~independent.any(axis=(1, 2)), 0] = True
-    dependent = np.zeros_like(independent)
     for k, name in enumerate(bound, len(ends) - len(bound)):
         dependent[:, k] = components(t[name])
+    independent[~independent.any(axis=(1, 2)), 0] = True
     if free:
         blank = ~dependent.any(axis=(1, 2))
         dependent[blank] = ~independent[blank]
-    else:  # each blank field stands for all six
+    else:
         dependent[:, 1:][~dependent[:, 1:].any(axis=2)] = True
-    return rigid(m, t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
-
-
-def rbar(m: Mesh) -> Equations:
-    """A rigid bar; without components GA is independent and GB dependent."""
-    return _nodes(m, "RBAR", ("GA", "GB"), free=("CNA", "CNB"), bound=("CMA", "CMB"))
-
-
-def rbar1(m: Mesh) -> Equations:
-    """All six of GA are independent, CB of GB dependent, all six where it is blank."""
-    return _nodes(m, "RBAR1", ("GA", "GB"), free=(), bound=("CB",))
-
-
-def rjoint(m: Mesh) -> Equations:
-    """As RBAR1; its ends stand at one place, and what CB leaves out is the joint."""
-    return _nodes(m, "RJOINT", ("GA", "GB"), free=(), bound=("CB",))
-
-
-def rtrplt(m: Mesh) -> Equations:
-    """A rigid triangle: six independent components, the others dependent where CMA, CMB, CMC are
-    blank.
-    """
-    return _nodes(
-        m, "RTRPLT", ("GA", "GB", "GC"), free=("CNA", "CNB", "CNC"), bound=("CMA", "CMB", "CMC")
-    )
-
-
-def rtrplt1(m: Mesh) -> Equations:
-    """A rigid triangle: all six of GA are independent, CMB and CMC dependent, all six where
-    blank.
-    """
-    return _nodes(m, "RTRPLT1", ("GA", "GB", "GC"), free=(), bound=("CMB", "CMC"))
+    return rigid(t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
 
 
 def rspline(m: Mesh) -> Equations:
@@ -422,13 +321,16 @@ def rspline(m: Mesh) -> Equations:
     u_1)], R the rigid motion by that of node 1. Components that are not dependent at a node between
     do not count for the others.
     """
-    t = m.model["RSPLINE"]
+    t = m.rows("RSPLINE")
     G = t.ragged("G")
+    t.refuse(G.sizes < 2, "it must have two nodes or more")
     flags = components(t.ragged("C").values)
     of = G.owner
-    node = m.nodes(G.values, t, of)
+    each = t.take(of)
+    node = each.nodes_of(G.values)
     end = np.asarray(~flags.any(axis=1))
-    _refuse_splines(m, t, of, end)
+    outer = end[G.offsets[:-1]] & end[G.offsets[1:] - 1]
+    t.refuse(~outer, "its first and last nodes are independent: give them no components")
     first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))  # of the section that begins there
     # a node that ends one belongs to the next, if any
     section = np.cumsum(np.isin(np.arange(of.size), first)) - 1
@@ -436,8 +338,8 @@ def rspline(m: Mesh) -> Equations:
     x = m.xyz[node]
     link = np.flatnonzero(of[1:] == of[:-1])
     C = np.zeros((of.size, 6, 6))  # flexibility of the section's beams up to this node
-    start = section[link]  # the section of each link is that of its first node
-    C[link + 1] = _tubes(m, t, x, of=of, link=link, origin=x[first[start]])
+    # the section of each link is that of its first node
+    C[link + 1] = _tubes(t, x, of=of, link=link, origin=x[first[section[link]]])
     total = np.cumsum(C, axis=0)
     inner = np.flatnonzero(~end)
     a = first[section[inner]]
@@ -448,130 +350,77 @@ def rspline(m: Mesh) -> Equations:
     R = arm(x[inner] - x[a])
     by_last = R @ share @ arm(x[a] - x[b])
     by_first = R @ (np.eye(6) - share)
-    return _interpolated(
-        m,
-        t,
-        node[inner],
-        flags=flags[inner],
-        of=of[inner],
-        by=((node[a], by_first), (node[b], by_last)),
-    )
+    by = ((node[a], by_first), (node[b], by_last))
+    return _interpolated(each.take(inner), node[inner], flags=flags[inner], by=by)
 
 
-def _refuse_splines(m: Mesh, t: Table, of: Int, end: Bool) -> None:
-    outer = np.zeros(of.size, dtype=bool)
-    outer[np.unique(of, return_index=True)[1]] = True
-    outer[np.flatnonzero(np.r_[of[1:] != of[:-1], True])] = True
-    wrong = outer & ~end
-    if wrong.any() or len(t) != np.unique(of).size:
-        i = int(of[wrong][0]) if wrong.any() else int(np.setdiff1d(np.arange(len(t)), of)[0])
-        raise card_error(
-            m.model, t, i, "its first and last nodes are independent: give them no components"
-        )
-
-
-def _tubes(m: Mesh, t: Table, x: Float, of: Int, link: Int, origin: Float) -> Float:
+def _tubes(t: CardRows, x: Float, of: Int, link: Int, origin: Float) -> Float:
     """Flexibility (k, 6, 6) of the beams from node `link` (k,) to the next, moved to `origin` (k,
     3).
     """
     ends = np.stack([x[link], x[link + 1]], axis=1)
     d = ends[:, 1] - ends[:, 0]
     L = np.linalg.norm(d, axis=1)
-    if (L == 0).any():
-        raise card_error(
-            m.model,
-            t,
-            int(of[link[L == 0][0]]),
-            "two nodes that follow each other are at one place",
-        )
+    t.take(of[link]).refuse(L == 0, "two nodes that follow each other are at one place")
     D = (t["DL"] * np.bincount(of[link], L, len(t)))[of[link]]
-    I = np.eye(3)
-    along = np.einsum("ki,kj->kij", d, d)
-    f = np.zeros((link.size, 6, 6))
-    f[:, 3:, 3:] = L[:, None, None] * I
-    f[:, :3, :3] = (L**3 / 12)[:, None, None] * I + ((D**2 / (8 * L)) - L / 12)[
-        :, None, None
-    ] * along
-    A = arm(origin - ends.mean(axis=1))
-    return np.asarray(A @ f @ A.swapaxes(1, 2))
+    turn = scaled(L, np.eye(3))
+    shift = scaled(L**3 / 12, np.eye(3))
+    shift = shift + scaled(D**2 / (8 * L) - L / 12, np.einsum("ki,kj->kij", d, d))
+    f = scatter(link.size, 6, ([0, 1, 2], shift), ([3, 4, 5], turn))
+    return congruent(arm(origin - ends.mean(axis=1)).swapaxes(1, 2), f)
 
 
 def _interpolated(
-    m: Mesh, t: Table, node: Int, flags: Bool, of: Int, by: Sequence[tuple[Int, Float]]
+    t: CardRows, node: Int, flags: Bool, by: Sequence[tuple[Int, Float]]
 ) -> Equations:
     """Components `flags` (k, 6) of nodes (k,) by the motions of others, each (node (k,), matrix (k,
     6, 6)) in basic.
     """
+    m = t.mesh
     entry, c = np.nonzero(flags)
     mine = rotation(m.cd[node], 1)
     columns = []
     values = []
     for other, A in by:
         local = mine @ A @ rotation(m.cd[other], 1).swapaxes(1, 2)
-        columns.append(6 * other[entry][:, None] + np.arange(6))
+        columns.append(node_dofs(other[entry][:, None]))
         values.append(local[entry, c])
     column = np.concatenate(columns, axis=1)
     value = np.concatenate(values, axis=1)
-    row = np.repeat(np.arange(entry.size), column.shape[1])
-    keep = np.abs(value.reshape(-1)) > ROUNDING * np.abs(value).max(initial=0.0)
-    dependent = 6 * node[entry] + c
-    return Equations(
-        dependent=dependent,
-        row=row[keep],
-        column=column.reshape(-1)[keep],
-        value=value.reshape(-1)[keep],
-        owner=owners(t, of[entry]),
-    )
+    return in_full(t.take(entry), 6 * node[entry] + c, column, value)
 
 
-def cweld(m: Mesh) -> Equations:
-    """GA and GB of welds on patches, which follow their patch."""
-    return _piercing(m, "CWELD", fasteners.weld_ends, m.model["CWELD"]["TYPE"] != "ALIGN")
-
-
-def cfast(m: Mesh) -> Equations:
-    """GA and GB of fasteners, which follow their surface."""
-    return _piercing(
-        m, "CFAST", fasteners.fastener_ends, np.ones(len(m.model["CFAST"]), dtype=bool)
-    )
-
-
-def _piercing(
-    m: Mesh, card: str, ends: Callable[[Mesh, str, Int], Sequence[End]], on_patch: Bool
-) -> Equations:
-    """Nodes GA and GB that are given; one that is itself a corner is left alone."""
-    t = m.model[card]
-    rows = np.flatnonzero(on_patch & ((t["GA"] > 0) | (t["GB"] > 0)))
-    if not rows.size:
-        none: Int = np.empty(0, dtype=np.int64)
-        return Equations(dependent=none, row=none, column=none, value=np.empty(0), owner=())
-    made = []
-    for side, end in zip("AB", ends(m, card, rows), strict=True):
-        given = np.flatnonzero(t[f"G{side}"][rows] > 0)
-        at = rows[given]
-        node = m.nodes(t[f"G{side}"][at], t, at)
-        free = ~(end.nodes[given] == node[:, None]).any(axis=1)
-        made.append((node[free], at[free], end.nodes[given[free]], end.follow[given[free]]))
-    node, of, corners, follow = (np.concatenate(x) for x in zip(*made, strict=True))
+def _piercing(m: Mesh, card: str, ends: Callable[[CardRows], Sequence[End]]) -> Equations:
+    """GA and GB of welds on patches (CWELD) and of fasteners (CFAST), which follow their patch or
+    surface; one that is itself a corner is left alone.
+    """
+    t = m.rows(card)
+    t = t.take((t["TYPE"] != "ALIGN") & (t.stack("GA", "GB") > 0).any(axis=1))
     parts = []
-    for k in range(corners.shape[1]):
-        there = (corners[:, k] >= 0)[:, None, None]
-        corner = np.where(corners[:, k] >= 0, corners[:, k], corners[:, 0])
-        parts.append((corner, np.where(there, follow[:, :, 6 * k : 6 * k + 6], 0.0)))
-    return _interpolated(m, t, node, flags=np.ones((node.size, 6), dtype=bool), of=of, by=parts)
+    for name, end in zip(("GA", "GB"), ends(t) if len(t) else (), strict=False):
+        given = np.flatnonzero(t[name] > 0)
+        node = t.take(given).nodes(name)
+        free = given[~(end.nodes[given] == node).any(axis=1)]
+        corners = end.nodes[free]
+        there = corners >= 0
+        by = []
+        for k in range(corners.shape[1]):
+            follow = end.follow[free][:, :, 6 * k : 6 * k + 6]
+            corner = np.where(there[:, k], corners[:, k], corners[:, 0])
+            by.append((corner, np.where(there[:, k, None, None], follow, 0.0)))
+        some = t.take(free)
+        flags = np.ones((free.size, 6), dtype=bool)
+        parts.append(_interpolated(some, some.nodes(name)[:, 0], flags=flags, by=by))
+    return joined(parts)
 
 
 RIGID: Mapping[str, Callable[[Mesh], Equations]] = {
-    "RBAR": rbar,
+    **{card: partial(_body, card=card) for card in BODIES},
     "RBE1": rbe1,
     "RBE2": rbe2,
     "RBE3": rbe3,
     "RROD": rrod,
-    "RBAR1": rbar1,
-    "RJOINT": rjoint,
-    "RTRPLT": rtrplt,
-    "RTRPLT1": rtrplt1,
     "RSPLINE": rspline,
-    "CWELD": cweld,
-    "CFAST": cfast,
+    "CWELD": partial(_piercing, card="CWELD", ends=fasteners.weld_ends),
+    "CFAST": partial(_piercing, card="CFAST", ends=fasteners.fastener_ends),
 }

@@ -23,8 +23,8 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.fem.constraints import supports
 from ringtrue.fem.element_cards import SOLIDS, mesh
 from ringtrue.fem.elements import bar
-from ringtrue.fem.loads import SURFACES, LineKind, LineLoads, face, face_forces, line_forces
-from ringtrue.fem.mesh import Mesh
+from ringtrue.fem.loads import SURFACES, LineLoads, face, face_forces, line_forces
+from ringtrue.fem.mesh import CardRows
 from ringtrue.model.case_control import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, card_error
@@ -220,14 +220,14 @@ def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
         row = model[card].find(ids)
         chosen = [ld for ld, r in zip(lines, row, strict=True) if r >= 0]
         if chosen:
-            out += _of_beams(m, card, row[row >= 0], chosen)
+            out += _of_beams(m.rows(card, row[row >= 0]), chosen)
         left &= row < 0
     if left.any():
         ld = lines[int(left.argmax())]
         raise ld.error(f"names element {ld.element}, which is no CBAR or CBEAM of the deck")
 
 
-def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
+def _of_beams(t: CardRows, lines: Sequence[LineLoad]) -> Float:
     ends, sizes = (np.array([getattr(ld, name) for ld in lines]) for name in ("ends", "sizes"))
     own, fraction, projected = (
         np.array(v)
@@ -235,16 +235,22 @@ def _of_beams(m: Mesh, card: str, at: Int, lines: Sequence[LineLoad]) -> Float:
             *((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines), strict=True
         )
     )
-    length = np.where(fraction, 1.0, bar.measure(m, card, at))
+    length = np.where(fraction, 1.0, bar.measure(t))
     # 1e-6: of the length of a beam: a load that much beyond its end stands there
     if (beyond := ends[:, 1] > length * (1 + 1e-6)).any():
         i = int(beyond.argmax())
         raise lines[i].error(f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}")
     along = np.eye(6)[[LINE_KINDS.index(ld.kind[:2]) for ld in lines]]
     ends = np.minimum(ends, length[:, None])
-    return line_forces(
-        m, card, at, LineLoads(ends, sizes, along, LineKind(own, fraction, projected))
+    loads = LineLoads(
+        ends=ends,
+        sizes=sizes,
+        along=along,
+        own=own,
+        fraction=fraction,
+        projected=projected,
     )
+    return line_forces(t, loads)
 
 
 def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]:

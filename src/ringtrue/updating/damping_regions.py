@@ -18,7 +18,7 @@ from scipy import linalg
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.mesh import union
 from ringtrue.fem.parametrisation.changed_model import rows_of
 from ringtrue.model.edit import FieldChange, resolve_target
@@ -290,14 +290,12 @@ def seen(model: Model, targets: Sequence[CardField], shapes: Float) -> tuple[Flo
     motion = np.concatenate([shapes, np.zeros((1, n))])  # DOF -1 is the row of zeros
     d = np.zeros((n, n))
     h = np.zeros((n, n))
-    for card, build, at in batches(model, rows):
-        for first in range(0, at.size, piece):
-            part = build(m, card, at[first : first + piece])
-            x = motion[part.dofs].reshape(part.dofs.shape[0], -1, n)
-            if len(structural := part.structural):
-                h += np.einsum("edm,edn->mn", x, structural @ x, optimize=True)
-            if len(part.viscous):
-                d += np.einsum("edm,edn->mn", x, part.viscous @ x, optimize=True)
+    for _, _, part in pieces(m, rows, piece):
+        x = motion[part.dofs].reshape(part.dofs.shape[0], -1, n)
+        if len(structural := part.structural):
+            h += np.einsum("edm,edn->mn", x, structural @ x, optimize=True)
+        if len(part.viscous):
+            d += np.einsum("edm,edn->mn", x, part.viscous @ x, optimize=True)
     return (d + d.T) / 2, (h + h.T) / 2
 
 

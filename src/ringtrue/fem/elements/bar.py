@@ -11,15 +11,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.mesh import (
+    CardRows,
     ElementMatrices,
     Isotropic,
-    Mesh,
     arm,
     components,
     condense,
     congruent,
     isotropic,
-    lookup,
+    matrix,
     nodal,
     node_dofs,
     orientation,
@@ -27,10 +27,10 @@ from ringtrue.fem.mesh import (
     scaled,
     scatter,
     segment,
+    taken,
     triad,
     unit,
 )
-from ringtrue.model.model import Table, refuse_rows, unsupported_card
 
 # (v, θz) and (w, θy) at both ends
 PLANE1 = [1, 5, 7, 11]
@@ -99,14 +99,10 @@ def kernel(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     K = uniform(L, iso, s)
     at = np.flatnonzero(s.integrated())
     if at.size:
-        inner = flexible(L[at], iso.E[at], iso.G[at], _rows(s, at))
+        inner = flexible(L[at], iso.E[at], iso.G[at], taken(s, at))
         K = K.astype(np.result_type(K, inner))
         K[at] = inner
     return K
-
-
-def _rows(s: BeamSection, at: Int) -> BeamSection:
-    return BeamSection(*(getattr(s, name)[at] for name in BeamSection.__slots__))
 
 
 def uniform(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
@@ -164,10 +160,7 @@ def flexible(L: Float, E: Any_, G: Any_, s: BeamSection) -> Any_:
         twist += w * L / np.where(none[1], 1.0, G * J)
         I1 = np.where(none[2], 1.0, I1)
         I2 = np.where(none[3], 1.0, I2)
-        C = scaled(
-            w * L**3 / (E * (I1 * I2 - I12**2)),
-            np.stack([np.stack([I2, -I12], 1), np.stack([-I12, I1], 1)], 1),
-        )
+        C = scaled(w * L**3 / (E * (I1 * I2 - I12**2)), matrix((I2, -I12), (-I12, I1)))
         # bending moment at x by end force and end moment, over L
         b = np.stack([1 - x, np.ones_like(x)], axis=1)
         F += np.einsum("epq,ei,ej->epiqj", C, b, b).reshape(-1, 4, 4)
@@ -258,10 +251,8 @@ def lumped(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
     return ends.reshape(-1, 12)[:, :, None] * np.eye(12)
 
 
-def release(K: Any_, pins: Any_) -> Any_:
-    """Remove the released local DOFs: pins (e, 12) bool."""
-    if not pins.any():
-        return K
+def release(K: Any_, pins: Bool) -> Any_:
+    """Remove the released local DOFs: pins (e, 12)."""
     out = K.copy()
     patterns, which = np.unique(pins, axis=0, return_inverse=True)
     for i, p in enumerate(patterns):  # a handful of patterns in a deck
@@ -269,81 +260,38 @@ def release(K: Any_, pins: Any_) -> Any_:
             keep = np.flatnonzero(~p)
             drop = np.flatnonzero(p)
             rows = np.flatnonzero(which.reshape(-1) == i)
+            part = K[rows]
+            # one that carries no stiffness: a torsion release where J = 0
+            part[:, drop, drop] += part[:, drop, drop] == 0
             out[rows] = 0.0
-            out[rows[:, None, None], keep[:, None], keep] = condense(
-                _stiff(K[rows], drop), keep, drop
-            )
+            out[rows[:, None, None], keep[:, None], keep] = condense(part, keep, drop)
     return out
 
 
-def _stiff(K: Any_, drop: Int) -> Any_:
-    """K with a unit on the diagonal of released DOFs that carry no stiffness (a torsion release
-    where J = 0).
+def section(t: CardRows) -> tuple[Isotropic, BeamSection]:
+    """Material and section of rows of CBAR or CBEAM.
+
+    The shear factors of a PBAR are ignored where I12 is given, as in Nastran.
     """
-    out = K.copy()
-    out[:, drop, drop] += np.where(out[:, drop, drop] == 0, 1.0, 0.0)
-    return out
-
-
-def section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
-    """Material and section of the rows `at` (e,) of CBAR or CBEAM."""
-    return _pbar(m, card, at) if card == "CBAR" else _pbeam(m, card, at)
-
-
-def _pbar(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
-    """PBAR of each row; its shear factors are ignored where I12 is given, as in Nastran."""
-    t = m.model[card]
-    row = lookup(m.model, "PBAR", t["PID"][at], table=t, at=at)
-    p = m.model["PBAR"]
+    beam = t.card == "CBEAM"
+    p = t.named("PBEAM" if beam else "PBAR")
+    x, entry = _stations(p)
     A, I1, I2, I12, J, nsm = (
-        np.stack([p[c][row]] * 2, axis=1) for c in ("A", "I1", "I2", "I12", "J", "NSM")
+        _at_stations(p, name, x, entry) for name in ("A", "I1", "I2", "I12", "J", "NSM")
     )
-    nsm = nsm + m.nsm(card, at)[:, None]
-    k1, k2 = (
-        np.where(np.isnan(p[k][row]) | (I12[:, 0].real != 0), 0.0, p[k][row]) for k in ("K1", "K2")
-    )
-    o = np.zeros((at.size, 2))
-    none = np.zeros((at.size, 2, 2))
-    x = np.tile([0.0, 1.0], (at.size, 1))
-    return isotropic(m.model, p["MID"][row], p, row), BeamSection(
-        x=x,
-        A=A,
-        I1=I1,
-        I2=I2,
-        I12=I12,
-        J=J,
-        k1=k1,
-        k2=k2,
-        nsm=nsm,
-        nsm_polar=o,
-        neutral=none,
-        nsm_at=none,
-    )
-
-
-def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
-    t = m.model[card]
-    warping = t.stack("SA", "SB")[at].any(axis=1)
-    if warping.any():
-        raise unsupported_card(
-            m.model, t, int(at[warping][0]), "has warping points SA, SB; leave them out"
+    k1, k2 = (np.where(np.isnan(p[k]), 0.0, p[k]) for k in ("K1", "K2"))
+    polar = np.zeros(x.shape)
+    neutral = nsm_at = np.zeros((len(t), 2, 2))
+    if beam:
+        warping = t.stack("SA", "SB").any(axis=1)
+        t.refuse_unsupported(warping, "has warping points SA, SB; leave them out")
+        polar = _between(p["NSIA"], p["NSIB"], x)
+        neutral, nsm_at = (
+            p.stack(f"{c}1A", f"{c}2A", f"{c}1B", f"{c}2B").reshape(-1, 2, 2) for c in "NM"
         )
-    row = lookup(m.model, "PBEAM", t["PID"][at], table=t, at=at)
-    p = m.model["PBEAM"]
-    x, order = _stations(p, row)
-    A, I1, I2, I12, J, nsm = (
-        _at_stations(p, row, name, x=x, entry=order)
-        for name in ("A", "I1", "I2", "I12", "J", "NSM")
-    )
-    k1, k2 = (np.where(np.isnan(p[k][row]), 0.0, p[k][row]) for k in ("K1", "K2"))
-    nsm = nsm + m.nsm(card, at)[:, None]
-    polar = _between(p["NSIA"][row], p["NSIB"][row], x)
-    neutral, nsm_at = (
-        p.stack(*(f"{c}{i}{end}" for end in "AB" for i in (1, 2)))[row].reshape(-1, 2, 2)
-        for c in "NM"
-    )
-    iso = isotropic(m.model, p["MID"][row], p, row)
-    return iso, BeamSection(
+    else:
+        k1, k2 = (np.where(I12[:, 0].real == 0, k, 0.0) for k in (k1, k2))
+    return isotropic(p.named("MAT1", "MID")), BeamSection(
         x=x,
         A=A,
         I1=I1,
@@ -352,39 +300,38 @@ def _pbeam(m: Mesh, card: str, at: Int) -> tuple[Isotropic, BeamSection]:
         J=J,
         k1=k1,
         k2=k2,
-        nsm=nsm,
+        nsm=nsm + t.listed_mass[:, None],
         nsm_polar=polar,
         neutral=neutral,
         nsm_at=nsm_at,
     )
 
 
-def _stations(p: Table, row: Int) -> tuple[Float, Int]:
-    """Places (e, s) of the stations of rows of PBEAM, ends included, and which entry each is, -1
+def _stations(p: CardRows) -> tuple[Float, Int]:
+    """Places (e, s) of the stations of PBAR or PBEAM, ends included, and which entry each is, -1
     for an end.
 
     A beam with fewer stations than others has end B several times.
     """
-    if "X" not in p.columns or not p.ragged("X").values.size:
-        return np.tile([0.0, 1.0], (row.size, 1)), np.full((row.size, 2), -1)
+    end = np.ones((len(p), 1))
+    if "X" not in p or not p.ragged("X").values.size:
+        return np.hstack([0 * end, end]), np.full((len(p), 2), -1)
     every = p.ragged("X")
-    first = every.offsets[row]
-    count = every.sizes[row]
-    k = np.arange(count.max(initial=0))
-    entry = np.where(k < count[:, None], first[:, None] + k, -1)
+    k = np.arange(every.sizes.max())
+    entry = np.where(k < every.sizes[:, None], every.offsets[:-1, None] + k, -1)
     x = np.where(entry < 0, 1.0, every.values[entry])
     order = np.argsort(x, axis=1, kind="stable")
-    end = np.ones((row.size, 1))
     entry = np.take_along_axis(entry, order, axis=1)
     x = np.hstack([0 * end, np.take_along_axis(x, order, axis=1), end])
     return x, np.hstack([-end, entry, -end]).astype(np.int64)
 
 
-def _at_stations(p: Table, row: Int, name: str, x: Float, entry: Int) -> Any_:
-    """A field of PBEAM at the stations (e, s); a blank one is on the straight line between the
-    ends.
+def _at_stations(p: CardRows, name: str, x: Float, entry: Int) -> Any_:
+    """A field of PBAR or PBEAM at the stations (e, s); a blank one is on the straight line between
+    the ends.
     """
-    line = _between(p[name][row], p[f"{name}B"][row], x)
+    other_end = f"{name}B" if f"{name}B" in p else name
+    line = _between(p[name], p[other_end], x)
     if (entry < 0).all():
         return line
     given = p.ragged(f"{name}X").values[entry]
@@ -395,7 +342,7 @@ def _between(a: Any_, b: Any_, x: Float) -> Any_:
     return np.asarray(a[:, None] + (b - a)[:, None] * x)
 
 
-def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
+def offsets(t: CardRows, nodes: Int) -> Float:
     """Arms (e, 2, 3) in basic from the nodes to the ends: W in the CD frames or, by OFFT, in the
     element's frame.
 
@@ -404,71 +351,58 @@ def offsets(m: Mesh, card: str, at: Int, nodes: Int) -> Float:
     UnsupportedCard
         On any other OFFT.
     """
-    t = m.model[card]
-    w = t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")[at].reshape(-1, 2, 3)
+    m = t.mesh
+    w = t.stack("W1A", "W2A", "W3A", "W1B", "W2B", "W3B").reshape(-1, 2, 3)
     used = (w != 0).any(axis=2)
-    offt = np.char.upper(t["OFFT"][at].astype(str))
+    offt = np.char.upper(t["OFFT"].astype(str))
     offt = np.where(offt == "", OFFSETS[0], offt)
     other = used.any(axis=1) & ~np.isin(offt, OFFSETS)
-    if other.any():
-        raise unsupported_card(
-            m.model, t, int(at[other][0]), f"has OFFT {offt[other][0]}; allowed are {OFFSETS}"
-        )
+    t.refuse_unsupported(other, f"has OFFT {{}}; allowed are {OFFSETS}", offt)
     frame = m.cd[nodes]
     letters = np.char.ljust(offt, 3).astype("U3").view("U1").reshape(-1, 3)
     own = (letters[:, 1:] == "O") & used
     rows = np.flatnonzero(own.any(axis=1))
-    if rows.size:
-        axis = unit(m.xyz[nodes[rows, 1]] - m.xyz[nodes[rows, 0]])
-        R = triad(m, axis, orientation(m, t, at[rows], nodes[rows, 0]), table=t, at=at[rows])
-        frame[rows] = np.where(own[rows][:, :, None, None], R[:, None], frame[rows])
+    some = t.take(rows)
+    axis = unit(m.xyz[nodes[rows, 1]] - m.xyz[nodes[rows, 0]])
+    R = triad(some, axis, orientation(some, nodes[rows, 0]))
+    frame[rows] = np.where(own[rows][:, :, None, None], R[:, None], frame[rows])
     return np.asarray(np.einsum("eki,ekij->ekj", w, frame))
 
 
-def _eccentric(y: Any_, z: Any_) -> Any_:
-    """Translations (6) at (y, z) of the section by those at the shear centre: (e, 6, 6)."""
-    return arm(np.stack([np.zeros_like(y), y, z], axis=1))
+def _eccentric(at: Any_) -> Any_:
+    """Motion at y, z (e, 2, 2) of the ends of the section by that at the shear centres: (e, 12,
+    12).
+    """
+    return nodal(arm(np.pad(at, ((0, 0), (0, 0), (1, 0)))))
 
 
 def _axial_at(neutral: Any_, L: Float) -> Any_:
     """Only the axial displacement is taken at the neutral axis, and along it; (e, 12, 12)."""
     tilt = (neutral[:, 1] - neutral[:, 0]) / L[:, None]
-    ends = []
-    for end in (0, 1):
-        moved = _eccentric(neutral[:, end, 0], neutral[:, end, 1])
-        row = moved.copy()
-        row[:, 1:, :] = np.eye(6)[1:]
-        row[:, 0] += np.einsum("ei,eij->ej", tilt, moved[:, 1:3])
-        ends.append(row)
-    return nodal(np.stack(ends, axis=1))
+    moved = _eccentric(neutral)
+    out = np.broadcast_to(np.eye(12), moved.shape).astype(moved.dtype)
+    for first in (0, 6):
+        across = np.einsum("ei,eij->ej", tilt, moved[:, first + 1 : first + 3])
+        out[:, first] = moved[:, first] + across
+    return out
 
 
 def _mass(L: Float, iso: Isotropic, s: BeamSection, coupled: bool, beam: bool) -> Any_:
     rho = iso.rho[:, None]
     polar = rho * (s.I1 + s.I2) if beam else np.zeros_like(s.A)
     form = consistent if coupled else lumped
-    M = _placed(form(L, rho * s.A, polar, s.x), s.neutral)
-    return (
-        M + _placed(form(L, s.nsm, s.nsm_polar, s.x), s.nsm_at)
-        if np.any(s.nsm) or np.any(s.nsm_polar)
-        else M
-    )
+    M = form(L, rho * s.A, polar, s.x)
+    if np.any(s.neutral):
+        M = congruent(_eccentric(s.neutral), M)
+    if np.any(s.nsm) or np.any(s.nsm_polar):
+        M = M + congruent(_eccentric(s.nsm_at), form(L, s.nsm, s.nsm_polar, s.x))
+    return M
 
 
-def _placed(M: Any_, at: Any_) -> Any_:
-    """A mass that lies at y, z (e, 2, 2) of the ends."""
-    if not np.any(at):
-        return M
-    return congruent(
-        nodal(np.stack([_eccentric(at[:, end, 0], at[:, end, 1]) for end in (0, 1)], axis=1)), M
-    )
-
-
-def measure(m: Mesh, card: str, at: Int) -> Float:
-    """Lengths (e,) of the rows `at` between their offset ends."""
-    t = m.model[card]
-    nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    return segment(m.xyz[nodes] + offsets(m, card, at, nodes))[0]
+def measure(t: CardRows) -> Float:
+    """Lengths (e,) between the offset ends."""
+    nodes = t.nodes("GA", "GB")
+    return segment(t.mesh.xyz[nodes] + offsets(t, nodes))[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -487,32 +421,25 @@ class Placed:
     released: Bool
 
 
-def place(m: Mesh, card: str, at: Int) -> Placed:
-    """Where the rows `at` (e,) of CBAR or CBEAM stand.
+def place(t: CardRows) -> Placed:
+    """Where rows of CBAR or CBEAM stand.
 
     Raises
     ------
     DeckError
         If an end or the orientation is absent or an element has no length.
     """
-    t = m.model[card]
-    nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    arms = offsets(m, card, at, nodes)
-    x = m.xyz[nodes] + arms
-    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
-    refuse_rows(m.model, t, at[short], "its two ends are at one place")
+    nodes = t.nodes("GA", "GB")
+    arms = offsets(t, nodes)
+    x = t.mesh.xyz[nodes] + arms
+    t.refuse((x[:, 0] == x[:, 1]).all(axis=1), "its two ends are at one place")
     L, axis = segment(x)
-    R = triad(m, axis, orientation(m, t, at, nodes[:, 0]), table=t, at=at)
+    R = triad(t, axis, orientation(t, nodes[:, 0]))
     local = rotation(R, 2)
     if arms.any():
         local = local @ nodal(arm(arms))
-    return Placed(
-        nodes=nodes,
-        L=L,
-        axes=R,
-        local=local,
-        released=np.concatenate([components(t["PA"][at]), components(t["PB"][at])], axis=1),
-    )
+    released = np.concatenate([components(t["PA"]), components(t["PB"])], axis=1)
+    return Placed(nodes=nodes, L=L, axes=R, local=local, released=released)
 
 
 def stiffness(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
@@ -523,18 +450,18 @@ def stiffness(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     return congruent(_axial_at(s.neutral, L), K) if np.any(s.neutral) else K
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CBAR or CBEAM.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CBAR or CBEAM.
 
     Raises
     ------
     DeckError
         If an end, orientation or property is absent or an element has no length.
     """
-    p = place(m, card, at)
-    iso, s = section(m, card, at)
+    p = place(t)
+    iso, s = section(t)
     K = release(stiffness(p.L, iso, s), p.released)
-    M = _mass(p.L, iso, s, coupled=m.model.param("COUPMASS", -1) > 0, beam=card == "CBEAM")
+    M = _mass(p.L, iso, s, coupled=t.mesh.coupled_mass, beam=t.card == "CBEAM")
     return ElementMatrices(
         dofs=node_dofs(p.nodes),
         stiffness=congruent(p.local, K),

@@ -15,19 +15,18 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.mesh import (
+    CardRows,
     ElementMatrices,
-    Mesh,
     arm,
     congruent,
     isotropic,
-    lookup,
+    nodal,
     node_dofs,
     orientation,
+    rotation,
     scaled,
-    scatter,
     unit,
 )
-from ringtrue.model.model import Table, card_error
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LINE = np.polynomial.legendre.leggauss(8)
@@ -69,59 +68,39 @@ class Arc:
         return np.asarray(centre + radius[:, None] * frame[:, 0] + height[:, None] * frame[:, 2])
 
 
-def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
+def _arc(t: CardRows, nodes: Int, p: CardRows) -> Arc:
     """Arcs by GEOM: 1 the centre is on v, 2 v is the tangent at A, 3 the radius is given, 4 the
     angle is.
 
     In 2 to 4 the arc is on that side of the chord to which v points. Source: MSC Nastran Quick
     Reference Guide, CBEND.
     """
-    x = m.xyz[nodes]
-    geom = t["GEOM"][at]
-    v = orientation(m, t, at, nodes[:, 0])
+    x = t.mesh.xyz[nodes]
+    geom = t["GEOM"]
+    v = orientation(t, nodes[:, 0])
     d = x[:, 1] - x[:, 0]
     chord = np.linalg.norm(d, axis=1)
-    _refuse(m, t, at, bad=(geom < 1) | (geom > 4), why="GEOM must be 1 to 4")
-    _refuse(m, t, at, bad=chord == 0, why="its two ends are at one place")
+    t.refuse((geom < 1) | (geom > 4), "GEOM must be 1 to 4")
+    t.refuse(chord == 0, "its two ends are at one place")
     along = d / chord[:, None]
     forward = np.einsum("ei,ei->e", v, along)
     side = v - forward[:, None] * along
     height = np.linalg.norm(side, axis=1)
-    _refuse(
-        m,
-        t,
-        at,
-        bad=height <= 1e-8 * np.linalg.norm(v, axis=1),
-        why="the vector v is zero or along the chord",
-    )
-    _refuse(
-        m,
-        t,
-        at,
-        bad=(geom == 1) & (np.abs(forward) <= 1e-12 * height),
-        why="the centre on v is at infinity",
-    )
+    flat = height <= 1e-8 * np.linalg.norm(v, axis=1)
+    t.refuse(flat, "the vector v is zero or along the chord")
+    far = (geom == 1) & (np.abs(forward) <= 1e-12 * height)
+    t.refuse(far, "the centre on v is at infinity")
     # of half the angle where v leads to the centre
     sine = np.abs(forward) / np.hypot(forward, height)
     half = np.where(geom == 1, np.arcsin(sine), np.arctan2(height, forward))
     radius = p["RB"] - p["RC"]
-    _refuse(
-        m,
-        t,
-        at,
-        bad=(geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9)),
-        why="RB is less than half the chord",
-    )
+    small = (geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9))
+    t.refuse(small, "RB is less than half the chord")
     ratio = chord / 2 / np.where(geom == 3, radius, chord)
     half = np.where(geom == 3, np.arcsin(np.where(np.real(ratio) > 1, 1.0, ratio)), half)
     half = np.where(geom == 4, p["THETAB"] * (np.pi / 360), half)
-    _refuse(
-        m,
-        t,
-        at,
-        bad=(np.real(half) <= 0) | (np.real(half) >= np.pi),
-        why="the angle of the arc must be in 0 to 360 degrees",
-    )
+    wide = (np.real(half) <= 0) | (np.real(half) >= np.pi)
+    t.refuse(wide, "the angle of the arc must be in 0 to 360 degrees")
     away = np.where((geom == 1) & (forward > 0), -1.0, 1.0)
     return Arc(
         middle=x.mean(axis=1),
@@ -130,11 +109,6 @@ def _arc(m: Mesh, t: Table, at: Int, nodes: Int, p: dict[str, Any_]) -> Arc:
         radius=chord / 2 / np.sin(half),
         angle=2 * half,
     )
-
-
-def _refuse(m: Mesh, t: Table, at: Int, bad: Any_, why: str) -> None:
-    if bad.any():
-        raise card_error(m.model, t, int(at[np.flatnonzero(bad)[0]]), why)
 
 
 def pipe(middle: Any_, wall: Any_, radius: Any_) -> tuple[Any_, Any_, Any_]:
@@ -151,18 +125,18 @@ def pipe(middle: Any_, wall: Any_, radius: Any_) -> tuple[Any_, Any_, Any_]:
     return area, np.pi / 4 * (outer**4 - inner**4), radius - area / mean
 
 
-def _section(m: Mesh, p: dict[str, Any_], radius: Any_, t: Table, row: Int) -> dict[str, Any_]:
+def _section(p: CardRows, radius: Any_) -> dict[str, Any_]:
     """A, I1, I2, J and the offset e of the neutral axis, of either form of PBEND."""
     tube = p["FSI"] > 0
-    room = ~tube | (np.real(p["RM"] + p["T"] / 2) < np.real(radius))
-    _refuse(m, t, row, bad=~room, why="RM + T/2 must be less than the radius of the arc")
+    tight = tube & (np.real(p["RM"] + p["T"] / 2) >= np.real(radius))
+    p.refuse(tight, "RM + T/2 must be less than the radius of the arc")
     area, second, e = pipe(
         np.where(tube, p["RM"], 0.1), np.where(tube, p["T"], 0.0), np.where(tube, radius, 1.0)
     )
-    out = {"A": np.where(tube, area, p["A"])}
-    out |= {n: np.where(tube, c * second, p[n]) for n, c in (("I1", 1), ("I2", 1), ("J", 2))}
-    for name in ("A", "I1", "I2", "J"):
-        _refuse(m, t, row, bad=np.real(out[name]) <= 0, why=f"{name} must be greater than 0")
+    out = {}
+    for name, value in (("A", area), ("I1", second), ("I2", second), ("J", 2 * second)):
+        out[name] = np.where(tube, value, p[name])
+        p.refuse(np.real(out[name]) <= 0, f"{name} must be greater than 0")
     thin = out["I1"] / (out["A"] * radius)
     given = np.where(np.isnan(p["DELTAN"]), thin, p["DELTAN"])
     return out | {"e": np.where(tube, e, given)}
@@ -193,7 +167,7 @@ def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: floa
         there = reach * (point + 1) - 1
         R = arc.axes(there)
         place = arc.place(there, radius, height)
-        turn = scatter(len(R), 6, ([0, 1, 2], R), ([3, 4, 5], R))
+        turn = rotation(R, 1)
         force, moved = (turn @ arm(x - place).swapaxes(1, 2) for x in (end, here))
         F = F + scaled(
             w / 2 * reach * arc.angle * radius, moved.swapaxes(1, 2) @ compliance @ force
@@ -220,48 +194,36 @@ def _coupled(
     return M
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CBEND; half the mass at each end of the line of centroids,
-    or coupled.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CBEND; half the mass at each end of the line of centroids, or coupled.
 
     Raises
     ------
     DeckError
         If the arc or the section is not determined, or a node, property or material is absent.
     """
-    t = m.model[card]
-    nodes = m.nodes(t.stack("GA", "GB")[at], t, at)
-    row = lookup(m.model, "PBEND", t["PID"][at], table=t, at=at)
-    table = m.model["PBEND"]
-    p = {name: table[name][row] for name in table.columns}
-    arc = _arc(m, t, at, nodes=nodes, p=p)
+    nodes = t.nodes("GA", "GB")
+    x = t.mesh.xyz[nodes]
+    p = t.named("PBEND")
+    arc = _arc(t, nodes, p)
     radius = arc.radius + p["RC"]
-    iso = isotropic(m.model, p["MID"], table, row)
-    _refuse(
-        m,
-        table,
-        row,
-        bad=np.real(iso.G) == 0,
-        why="its MAT1 has no G, which a bend needs in torsion",
-    )
-    s = _section(m, p, radius, t=table, row=row)
+    height = p["ZC"]
+    iso = isotropic(p.named("MAT1", "MID"))
+    p.refuse(np.real(iso.G) == 0, "its MAT1 has no G, which a bend needs in torsion")
+    s = _section(p, radius)
     c = _compliance(s, iso.E, iso.G, (p["K1"], p["K2"]))
-    ends = [arc.place(share, radius, p["ZC"]) for share in (-1.0, 1.0)]
-    arms = [arm(x - m.xyz[nodes[:, k]]) for k, x in enumerate(ends)]
+    ends = [arc.place(share, radius, height) for share in (-1.0, 1.0)]
+    arms = [arm(end - x[:, k]) for k, end in enumerate(ends)]
     D = np.concatenate([-arm(ends[1] - ends[0]) @ arms[0], arms[1]], axis=2)
-    forces = np.linalg.solve(flexibility(arc, radius, p["ZC"], c), D)
+    forces = np.linalg.solve(flexibility(arc, radius, height, c), D)
     K = D.swapaxes(1, 2) @ forces
     line = iso.rho * s["A"] + p["NSM"]
-    if m.model.param("COUPMASS", -1) > 0:
-        M = scaled(line, _coupled(arc, radius, p["ZC"], compliance=c, first=arms[0], forces=forces))
+    if t.mesh.coupled_mass:
+        M = scaled(line, _coupled(arc, radius, height, compliance=c, first=arms[0], forces=forces))
     else:
         half = line * radius * arc.angle / 2
-        body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (at.size, 6, 6)))
-        M = scatter(
-            at.size,
-            12,
-            *((list(range(6 * k, 6 * k + 6)), congruent(A, body)) for k, A in enumerate(arms)),
-        )
+        body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (len(t), 6, 6)))
+        M = nodal(np.stack([congruent(A, body) for A in arms], axis=1))
     return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=(K + K.swapaxes(1, 2)) / 2,

@@ -40,21 +40,24 @@ from ringtrue.fem.elements.shell_section import (
     section,
 )
 from ringtrue.fem.mesh import (
+    FLAT_SHELLS,
+    CardRows,
     ElementMatrices,
     Mesh,
     Rows,
     arm,
     congruent,
+    matrix,
     nodal,
     node_dofs,
+    taken,
     union,
     unit,
 )
-from ringtrue.model.model import Model, card_error
+from ringtrue.model.model import Model
 
 SNORM = 20.0  # degrees
 SAME = 1e-10  # a normal so near to the element's own is its own
-FLAT = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}  # corners
 _SPAN = {4: (0, 2, 1, 3), 3: (0, 1, 0, 2)}  # the normal is ab x cd
 
 
@@ -90,42 +93,37 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
     """Corner nodes (., k) and unit normals (., 3) of the flat shells that share one of the
     nodes.
     """
-    mine = np.unique(m.model["GRID"].ids[np.unique(nodes)])
-    for card, k in FLAT.items():
+    mine = m.model["GRID"].ids[np.unique(nodes)]
+    for card, k in FLAT_SHELLS.items():
         if card not in m.model:
             continue
-        ids = _corners(m.model, card, k)
-        near = ids[np.isin(ids, mine).any(axis=1)]
-        corners = m.model["GRID"].find(near)
-        corners = corners[
-            (corners >= 0).all(axis=1)
-        ]  # the builder of the element names a node that is absent
+        ids = _corners(m.model, card)
+        corners = m.model["GRID"].find(ids[np.isin(ids, mine).any(axis=1)])
+        # the builder of the element names a node that is absent
+        corners = corners[(corners >= 0).all(axis=1)]
         x, (a, b, c, d) = m.xyz[corners], _SPAN[k]
         n = np.cross(x[:, b] - x[:, a], x[:, d] - x[:, c])
         there = (n != 0).any(axis=1)
         yield corners[there], unit(n[there])
 
 
-def _corners(model: Model, card: str, k: int) -> Int:
-    return np.asarray(model[card].stack(*(f"G{i + 1}" for i in range(k))))
+def _corners(model: Model, card: str) -> Int:
+    return model[card].stack(*(f"G{i + 1}" for i in range(FLAT_SHELLS[card])))
 
 
 def with_neighbours(model: Model, rows: Rows) -> Rows:
     """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells
     among them.
     """
-    if model.param("SNORM", SNORM) <= 0 or not any(c in rows for c in FLAT):
+    flat = [card for card in FLAT_SHELLS if card in rows]
+    if model.param("SNORM", SNORM) <= 0 or not flat:
         return rows
-    touched = np.unique(
-        np.concatenate(
-            [_corners(model, c, FLAT[c])[at].ravel() for c, at in rows.items() if c in FLAT]
-        )
-    )
+    touched = np.concatenate([_corners(model, card)[rows[card]].ravel() for card in flat])
     found = [rows]
     for card in ("CQUAD4", "CQUADR"):
         if card in model:
-            also = np.flatnonzero(np.isin(_corners(model, card, 4), touched).any(axis=1))
-            found.append({card: also})
+            also = np.isin(_corners(model, card), touched).any(axis=1)
+            found.append({card: np.flatnonzero(also)})
     return union(found)
 
 
@@ -164,22 +162,11 @@ def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
     nd = np.einsum("kn,ena->eka", d, n)
     u, bent, turn = (d[..., None] * v for v in (xd[:, :, None], nd[:, :, None], arms))
     membrane, curvature = (_rows(u, 0 * u), _rows(bent, turn))
-    p = back[..., 0, :]
-    q = back[..., 1, :]
-    T = np.stack(
-        [
-            np.stack([p[..., 0] ** 2, p[..., 1] ** 2, p[..., 0] * p[..., 1]], axis=-1),
-            np.stack([q[..., 0] ** 2, q[..., 1] ** 2, q[..., 0] * q[..., 1]], axis=-1),
-            np.stack(
-                [
-                    2 * p[..., 0] * q[..., 0],
-                    2 * p[..., 1] * q[..., 1],
-                    p[..., 0] * q[..., 1] + p[..., 1] * q[..., 0],
-                ],
-                axis=-1,
-            ),
-        ],
-        axis=-2,
+    (p1, p2), (q1, q2) = np.moveaxis(back, (-2, -1), (0, 1))
+    T = matrix(
+        (p1**2, p2**2, p1 * p2),
+        (q1**2, q2**2, q1 * q2),
+        (2 * p1 * q1, 2 * p2 * q2, p1 * q2 + p2 * q1),
     )
     inside = [T @ _carried(plane, rows) for rows in (membrane, curvature)]
     return np.concatenate(
@@ -253,76 +240,66 @@ def drilling(rule: ShellRule, x: Any_, s: ShellSection, points: Float, weights: 
 _RULES = {"CQUAD8": QUAD8, "CTRIA6": TRIA6}
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CQUAD8 or CTRIA6; a mid-side node may be blank: its side is
-    linear.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CQUAD8 or CTRIA6; a mid-side node may be blank: its side is linear.
 
     Raises
     ------
     DeckError
         If an element is folded or without area.
     """
-    rule = _RULES[card]
-    nodes, absent, x = _nodes(m, card, at, rule)
-    _check(m, card, at, rule=rule, x=x)
-    s = section(m, card, at, rule.corners)
-    K = in_spans(len(at), lambda i: kernel(m, card, at[i], x=x[i], s=s.take(i)))
-    M = _mass(m, rule, x, s)
+    rule = _RULES[t.card]
+    nodes, absent, x = _nodes(t)
+    # its normal must not turn over between its integration points and nodes
+    n = tangents(rule.shapes(np.vstack([rule.points, rule.nodes]))[1], x.real)[1]
+    size = length(n)
+    ahead = np.einsum("ega,ea->eg", n, n[:, : len(rule.points)].sum(axis=1))
+    bad = (size.min(axis=1) <= 1e-10 * size.max(axis=1)) | (ahead <= 0).any(axis=1)
+    t.refuse(bad, "it is folded; check its nodes and their order")
+    s = section(t, rule.corners)
+    K = in_spans(len(t), lambda i: kernel(t.take(i), x=x[i], s=taken(s, i)))
+    M = _mass(t.mesh.coupled_mass, rule, x, s)
     dofs = np.where(np.repeat(absent, 6, axis=1), -1, node_dofs(nodes))
     if absent.any():
         K, M = _without(rule, absent, K, M)
     return ElementMatrices(dofs=dofs, stiffness=K, mass=M, loss=s.loss)
 
 
-def measure(m: Mesh, card: str, at: Int) -> Any_:
-    """Areas (e,) of the rows `at`."""
-    rule = _RULES[card]
-    x = _nodes(m, card, at, rule)[2]
-    return length(tangents(rule.shapes(rule.points)[1], x)[1]) @ rule.weights
+def measure(t: CardRows) -> Any_:
+    """Areas (e,)."""
+    rule = _RULES[t.card]
+    return length(tangents(rule.shapes(rule.points)[1], _nodes(t)[2])[1]) @ rule.weights
 
 
-def _nodes(m: Mesh, card: str, at: Int, rule: ShellRule) -> tuple[Int, Bool, Any_]:
+def _nodes(t: CardRows) -> tuple[Int, Bool, Any_]:
     """Rows of GRID (e, k), which nodes are absent, and places (e, k, 3), those of absent ones amid
     their sides.
     """
-    t = m.model[card]
-    ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))[at]
+    rule = _RULES[t.card]
+    k = rule.corners
+    ids = t.stack(*(f"G{i + 1}" for i in range(len(rule.nodes))))
     absent = ids <= 0
-    absent[:, : rule.corners] = False  # a blank corner is an error
-    nodes = m.nodes(np.where(absent, ids[:, :1], ids), t, at)
-    x = m.xyz[nodes]
-    middle = x[:, rule.sides].mean(axis=2)
-    middle = np.where(absent[:, rule.corners :, None], middle, x[:, rule.corners :])
-    return nodes, absent, np.concatenate([x[:, : rule.corners], middle], axis=1)
+    absent[:, :k] = False  # a blank corner is an error
+    nodes = t.nodes_of(np.where(absent, ids[:, :1], ids))
+    x = t.mesh.xyz[nodes]
+    x[:, k:] = np.where(absent[:, k:, None], x[:, rule.sides].mean(axis=2), x[:, k:])
+    return nodes, absent, x
 
 
-def _check(m: Mesh, card: str, at: Int, rule: ShellRule, x: Any_) -> None:
-    """Refuse an element whose normal turns over between its integration points and nodes."""
-    p = np.vstack([rule.points, rule.nodes])
-    n = np.cross(*np.einsum("gnr,ena->rega", rule.shapes(p)[1], x.real))
-    size = np.linalg.norm(n, axis=2)
-    ahead = np.einsum("ega,ea->eg", n, n[:, : len(rule.points)].sum(axis=1))
-    bad = (size.min(axis=1) <= 1e-10 * size.max(axis=1)) | (ahead <= 0).any(axis=1)
-    if bad.any():
-        row = int(at[np.flatnonzero(bad)[0]])
-        raise card_error(
-            m.model, m.model[card], row, "it is folded; check its nodes and their order"
-        )
-
-
-def kernel(m: Mesh, card: str, at: Int, x: Any_, s: ShellSection) -> Any_:
+def kernel(t: CardRows, x: Any_, s: ShellSection) -> Any_:
     """Stiffness (e, 6k, 6k) in basic over (u, θ) of each node, with nodes x (e, k, 3); the offset
     is in it.
     """
-    rule = _RULES[card]
+    rule = _RULES[t.card]
     e = len(x)
     n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
-    x = x + s.offset[:, None, None] * n
+    arms = s.offset[:, None, None] * n
+    x = x + arms
     N, d = rule.shapes(rule.points)
     g, up = tangents(d, x)
     w = length(up) * rule.weights
     points = SurfacePoints(np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up))
-    frame = _frames(m, card, at, points, directed(s))
+    frame = _frames(t, points, directed(s))
     back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
     rows = strains(rule, x, n, back)
     if rule.corners == 4:
@@ -331,12 +308,9 @@ def kernel(m: Mesh, card: str, at: Int, x: Any_, s: ShellSection) -> Any_:
         rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
     loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
     K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
-    K = condensed(K, rows.shape[-1] - 6 * x.shape[1]) + drilling(
-        rule, x, s, points=rule.points, weights=rule.weights
-    )
-    if not np.any(s.offset):
-        return K
-    return congruent(nodal(arm(s.offset[:, None, None] * n)), K)
+    K = condensed(K, rows.shape[-1] - 6 * x.shape[1])
+    K = K + drilling(rule, x, s, points=rule.points, weights=rule.weights)
+    return congruent(nodal(arm(arms)), K) if np.any(s.offset) else K
 
 
 def _bubbles(rule: ShellRule, x: Any_, frame: Any_, back: Any_) -> Any_:
@@ -359,19 +333,18 @@ def _bubbles(rule: ShellRule, x: Any_, frame: Any_, back: Any_) -> Any_:
     return out
 
 
-def _frames(m: Mesh, card: str, at: Int, points: SurfacePoints, turned: Bool) -> Any_:
+def _frames(t: CardRows, points: SurfacePoints, turned: Bool) -> Any_:
     """Material axes in the tangent plane of each point (e, p) as rows, (e, p, 2, 3); THETA is from
     the tangent along r.
     """
     e, p = points.x.shape[:2]
+    each = np.repeat(np.arange(e), p)
     flat = (v.reshape(-1, 3) for v in (points.x, points.tangent, points.normal))
-    one = material_axis(
-        m, card, np.repeat(at, p), SurfacePoints(*flat), np.repeat(turned, p)
-    ).reshape(e, p, 3)
+    one = material_axis(t.take(each), SurfacePoints(*flat), turned[each]).reshape(e, p, 3)
     return np.stack([one, np.cross(points.normal, one)], axis=2)
 
 
-def _mass(m: Mesh, rule: ShellRule, x: Any_, s: ShellSection) -> Any_:
+def _mass(coupled: bool, rule: ShellRule, x: Any_, s: ShellSection) -> Any_:
     """Lumped by the diagonal of the consistent mass (Hinton, Rock and Zienkiewicz 1976), or
     consistent.
     """
@@ -382,8 +355,8 @@ def _mass(m: Mesh, rule: ShellRule, x: Any_, s: ShellSection) -> Any_:
     share = np.einsum("eii->ei", full)
     share = share / share.sum(axis=1, keepdims=True)
     n = unit(tangents(rule.shapes(rule.nodes)[1], x)[1])
-    whole = np.where(total == 0, 1.0, total)[..., None]
-    return masses(m, s.offset[:, None, None] * n, total * share, full / whole)
+    pattern = full / np.where(total == 0, 1.0, total)[..., None] if coupled else None
+    return masses(s.offset[:, None, None] * n, total * share, pattern)
 
 
 def _without(rule: ShellRule, absent: Bool, K: Any_, M: Any_) -> tuple[Any_, Any_]:
@@ -394,7 +367,7 @@ def _without(rule: ShellRule, absent: Bool, K: Any_, M: Any_) -> tuple[Any_, Any
     T[element, node, node] = 0.0
     for end in rule.sides[node - rule.corners].T:
         T[element, node, end] = 0.5
-    wide = np.einsum("eij,ab->eiajb", T, np.eye(6)).reshape(e, 6 * k, 6 * k)
+    wide = np.kron(T, np.eye(6))
     if M.ndim == 2:
         M = (M.reshape(e, k, 6).swapaxes(1, 2) @ T).swapaxes(1, 2).reshape(e, -1)
         return congruent(wide, K), M

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.fem.mesh import Isotropic, Mesh, check_ratio, isotropic, lookup
-from ringtrue.fem.negative_stiffness import asks_for_negative_stiffness
-from ringtrue.model.frames import axes
-from ringtrue.model.model import Model, card_error
+from ringtrue.fem.mesh import CardRows, Isotropic, check_ratio, frame, isotropic
+from ringtrue.fem.negative_stiffness import asks_for_negative_stiffness, elasticity
+from ringtrue.model.model import Model
 
 
 def gram(gradients: Float, weights: Float) -> Float:
@@ -85,7 +84,6 @@ def incompatible(derivatives: Float, J0: Float, det0: Float, det: Float, weights
 
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))  # x y z xy yz zx, the order of MAT9
-_TERMS = tuple((i, j, f"G{i + 1}{j + 1}") for i in range(6) for j in range(i, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,11 +99,10 @@ class Anisotropic:
 
 def is_anisotropic(model: Model, pid: Int) -> Bool:
     """Whether each PSOLID id (e,) has a MAT9."""
-    out = np.zeros(pid.shape, dtype=bool)
-    if "MAT9" in model and "PSOLID" in model:
-        p = model["PSOLID"]
-        out = np.asarray(np.isin(pid, p.ids[np.isin(p["MID"], model["MAT9"].ids)]))
-    return out
+    if "MAT9" not in model or "PSOLID" not in model:
+        return np.zeros(pid.shape, dtype=bool)
+    p = model["PSOLID"]
+    return np.isin(pid, p.ids[np.isin(p["MID"], model["MAT9"].ids)])
 
 
 def tensor(C: Any_) -> Any_:
@@ -123,53 +120,34 @@ def turned(C: Any_, R: Any_) -> Any_:
     return np.asarray(np.einsum("epqrs,epa,eqb,erc,esd->eabcd", C, R, R, R, R, optimize=True))
 
 
-def anisotropic(m: Mesh, psolid: Int, x: Any_, element_axes: Any_) -> Anisotropic:
-    """MAT9 of each element, turned into basic.
+def anisotropic(p: CardRows, x: Any_, element_axes: Any_) -> Anisotropic:
+    """MAT9 of each row of PSOLID, turned into basic.
 
-    Parameters
-    ----------
-    psolid : (e,) int64
-        Row of PSOLID. Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at
-        the mean of the nodes x (e, n, 3).
+    Its CORDM is 0 (basic), -1 (`element_axes`, (e, 3, 3)) or a frame, taken at the mean of the
+    nodes x (e, n, 3).
     """
-    p = m.model["PSOLID"]
-    t = m.model["MAT9"]
-    row = lookup(m.model, "MAT9", p["MID"][psolid], table=p, at=psolid)
-    values = t.stack(*(name for _, _, name in _TERMS))[row]
-    C = np.empty((len(row), 6, 6), dtype=values.dtype)
-    for k, (i, j, _) in enumerate(_TERMS):
-        C[:, i, j] = C[:, j, i] = values[:, k]
-    _positive(m, C, row)
-    cid = p["CORDM"][psolid]
-    C4 = tensor(C)
+    m = p.mesh
+    t = p.named("MAT9", "MID")
+    rows, inverse = np.unique(t.at, return_inverse=True)
+    C = elasticity(t.table, 6)[rows]
+    if not asks_for_negative_stiffness(m.model):
+        lam = np.linalg.eigvalsh(C.real)
+        bad = lam[:, 0] < -1e-9 * np.abs(lam).max(axis=1)
+        why = "its matrix G is not positive; check the signs and places of its terms"
+        m.rows("MAT9", rows).refuse(bad, why)
+    cid = p["CORDM"]
+    C4 = tensor(C)[inverse]
     if (cid != 0).any():
-        R = np.where((cid == -1)[:, None, None], element_axes, axes(m.model, cid, x.mean(axis=1)))
-        C4 = turned(C4, R)
-    return Anisotropic(C4, t["RHO"][row], t["GE"][row])
+        own = (cid == -1)[:, None, None]
+        C4 = turned(C4, np.where(own, element_axes, frame(m, cid, x.mean(axis=1))))
+    return Anisotropic(C4, t["RHO"], t["GE"])
 
 
-def _positive(m: Mesh, C: Any_, row: Int) -> None:
-    if asks_for_negative_stiffness(m.model):
-        return
-    _, first = np.unique(row, return_index=True)
-    lowest = np.linalg.eigvalsh(C[first].real)
-    bad = np.flatnonzero(lowest[:, 0] < -1e-9 * np.abs(lowest).max(axis=1))
-    if bad.size:
-        at = int(row[first[bad[0]]])
-        raise card_error(
-            m.model,
-            m.model["MAT9"],
-            at,
-            "its matrix G is not positive; check the signs and places of its terms",
-        )
-
-
-def moduli(m: Mesh, psolid: Int) -> Isotropic:
+def moduli(p: CardRows) -> Isotropic:
     """MAT1 of each row of PSOLID (e,)."""
-    p = m.model["PSOLID"]
-    mid = p["MID"][psolid]
-    iso = isotropic(m.model, mid, p, psolid)
-    check_ratio(m.model, mid, iso.nu, 0.5)
+    mat = p.named("MAT1", "MID")
+    iso = isotropic(mat)
+    check_ratio(mat, iso.nu, 0.5)
     return iso
 
 

@@ -17,8 +17,7 @@ shells.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,6 +25,8 @@ from scipy.spatial import cKDTree
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.mesh import (
+    FLAT_SHELLS,
+    CardRows,
     ElementMatrices,
     Mesh,
     any_triad,
@@ -33,16 +34,15 @@ from ringtrue.fem.mesh import (
     congruent,
     frame,
     isotropic,
-    lookup,
+    merged,
     node_dofs,
     rotation,
     skew,
     unit,
 )
 from ringtrue.model.cards import QUADRILATERAL, TRIANGLE
-from ringtrue.model.model import Table, card_error, refuse_rows
+from ringtrue.model.model import table
 
-SHELLS = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
 _STEPS = 12  # Newton steps to the foot of a point on a patch; two suffice on a flat one
 # by which a foot may lie outside of its patch, in natural coordinates (SWLDPRM, PROJTOL)
 _SLACK = 0.02
@@ -106,26 +106,24 @@ def _margin(r: Float, s: Float, triangle: Bool) -> Float:
     )
 
 
-def on_patch(m: Mesh, card: str, at: Int, nodes: Int, point: Float) -> End:
+def on_patch(t: CardRows, nodes: Int, point: Float) -> End:
     """Ends on patches of corner nodes (e, 4), the fourth -1 for triangles, at the feet of points
     (e, 3).
     """
-    t = m.model[card]
     triangle = nodes[:, 3] < 0
-    x = m.xyz[nodes]
+    x = t.mesh.xyz[nodes]
     x[triangle, 3] = 0.0
     area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    flat = (area == 0).all(axis=1)
-    refuse_rows(m.model, t, at[flat], "the corners of a patch lie on one line")
+    t.refuse((area == 0).all(axis=1), "the corners of a patch lie on one line")
     r, s, N, dN = _foot(x, point, triangle)
     outside = _margin(r, s, triangle) < -_SLACK
-    refuse_rows(m.model, t, at[outside], "the foot of its point lies outside of a patch")
+    t.refuse(outside, "the foot of its point lies outside of a patch")
     tangent = dN @ x
     n = unit(np.cross(tangent[:, 0], tangent[:, 1]))
     g = np.linalg.solve(tangent @ tangent.swapaxes(1, 2), dN).swapaxes(1, 2) @ tangent
     turn = np.einsum("eni,ej->enij", np.cross(g, n[:, None]), n)
     turn += 0.5 * np.einsum("ei,ek,enkj->enij", n, n, skew(g))
-    follow = np.zeros((at.size, 6, 4, 6))
+    follow = np.zeros((len(t), 6, 4, 6))
     follow[:, :3, :, :3] = np.einsum("en,ij->einj", N, np.eye(3))
     follow[:, 3:, :, :3] = turn.swapaxes(1, 2)
     return End(nodes, np.einsum("ei,eij->ej", N, x), n, follow.reshape(-1, 6, 24))
@@ -140,25 +138,24 @@ def on_node(m: Mesh, node: Int) -> End:
     return End(nodes, m.xyz[node], np.tile([0.0, 0.0, 1.0], (node.size, 1)), follow)
 
 
-def merged(size: int, parts: list[tuple[Int, End]]) -> End:
-    """Ends (size,) from those of some rows each."""
-    k = max(part.nodes.shape[1] for _, part in parts)
-    out = End(
-        np.full((size, k), -1), np.zeros((size, 3)), np.zeros((size, 3)), np.zeros((size, 6, 6 * k))
-    )
-    for rows, part in parts:
-        own = part.nodes.shape[1]
-        out.nodes[rows, :own] = part.nodes
-        out.follow[rows, :, : 6 * own] = part.follow
-        out.place[rows] = part.place
-        out.normal[rows] = part.normal
-    return out
+def _joined(size: int, parts: list[tuple[Int, End]]) -> End:
+    """Ends (size,) from those of some rows each; parts without rows do not count."""
+    parts = [(rows, end) for rows, end in parts if rows.size]
+    k = max(end.nodes.shape[1] for _, end in parts)
+    padded = []
+    for rows, end in parts:
+        more = k - end.nodes.shape[1]
+        nodes = np.pad(end.nodes, ((0, 0), (0, more)), constant_values=-1)
+        follow = np.pad(end.follow, ((0, 0), (0, 0), (0, 6 * more)))
+        padded.append((rows, replace(end, nodes=nodes, follow=follow)))
+    return merged(size, padded)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """All shells of the model: ids, properties (s,), and corner nodes (s, 4), -1 for none."""
+    """All flat shells of a mesh: ids, properties (s,), and corner nodes (s, 4), -1 for none."""
 
+    mesh: Mesh
     ids: Int
     pid: Int
     corners: Int
@@ -169,19 +166,23 @@ class Skin:
         ids = [none]
         pids = [none]
         corners = [none.reshape(0, 4)]
-        for card, count in SHELLS.items():
+        for card, count in FLAT_SHELLS.items():
             if card in m.model:
-                t = m.model[card]
+                t = m.rows(card)
                 rows = np.full((len(t), 4), -1)
-                rows[:, :count] = m.nodes(
-                    t.stack(*(f"G{i}" for i in range(1, count + 1))), t, np.arange(len(t))
-                )
-                ids.append(t.ids)
+                rows[:, :count] = t.nodes(*(f"G{i + 1}" for i in range(count)))
+                ids.append(t["EID"])
                 pids.append(t["PID"])
                 corners.append(rows)
-        return cls(np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
+        return cls(m, np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
 
-    def of_property(self, m: Mesh, pid: Int, point: Float) -> Int:
+    def find(self, t: CardRows, ids: Int) -> Int:
+        """Rows (e,) of the shells `ids` (e,) that `t` names."""
+        row = table("shells", EID=self.ids).find(ids)
+        t.refuse(row < 0, "{} is no shell with three or four corners", ids)
+        return row
+
+    def of_property(self, pid: Int, point: Float) -> Int:
         """The shells (e, k) of the property `pid` (e,) with the centres nearest to a point (e, 3),
         -1 for none.
         """
@@ -190,12 +191,12 @@ class Skin:
             mine = np.flatnonzero(self.pid == one)
             rows = np.flatnonzero(pid == one)
             if mine.size:
-                there = (self.corners[mine] >= 0)[:, :, None]
-                centre = np.where(there, m.xyz[self.corners[mine]], 0.0).sum(axis=1) / there.sum(
-                    axis=1
-                )
+                corners = self.corners[mine]
+                there = (corners >= 0)[:, :, None]
+                total = np.where(there, self.mesh.xyz[corners], 0.0).sum(axis=1)
+                nearby = cKDTree(total / there.sum(axis=1))
                 k = min(_NEAREST, mine.size)
-                out[rows, :k] = mine[cKDTree(centre).query(point[rows], k)[1].reshape(-1, k)]
+                out[rows, :k] = mine[nearby.query(point[rows], k)[1].reshape(-1, k)]
         return out
 
     def around(self, shell: Int) -> Int:
@@ -207,67 +208,35 @@ class Skin:
         node = self.corners[there]
         on = sp.csr_array((np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1))
         touching = sp.coo_array(on[shell] @ on.T)
-        i, j = touching.coords
-        i, j = i[j != shell[i]], j[j != shell[i]]
-        order = np.lexsort((j, i))
-        i = i[order]
-        j = j[order]
+        pairs = np.unique(np.stack(touching.coords, axis=1), axis=0)
+        i, j = pairs[pairs[:, 1] != shell[pairs[:, 0]]].T
         slot = np.arange(i.size) - np.searchsorted(i, i)
         out = np.full((shell.size, 2 + slot.max(initial=-1)), -1)
         out[:, 0] = shell
         out[i, slot + 1] = j
         return out
 
-    def foot(self, m: Mesh, found: Int, point: Float, own: Bool) -> Int:
+    def foot(self, found: Int, point: Float, own: bool) -> Int:
         """The one of the shells `found` (e, k) on which the foot of a point (e, 3) is nearest, -1
         for none.
 
-        The first of them comes before the others where `own` (e,).
+        If `own`, the first of them comes before the others.
         """
         k = found.shape[1]
         corners = self.corners[found].reshape(-1, 4)
         triangle = corners[:, 3] < 0
-        x = m.xyz[corners]
+        x = self.mesh.xyz[corners]
         x[triangle, 3] = 0.0
         every = np.repeat(point, k, axis=0)
         r, s, N, _ = _foot(x, every, triangle)
         away = np.linalg.norm(np.einsum("ei,eij->ej", N, x) - every, axis=1)
         on = (_margin(r, s, triangle) >= -_SLACK) & (found.ravel() >= 0)
         away = np.where(on, away, np.inf).reshape(-1, k)
-        away[own & np.isfinite(away[:, 0]), 0] = -1.0
+        if own:
+            away[np.isfinite(away[:, 0]), 0] = -1.0
         best = away.argmin(axis=1)
         row = np.arange(len(point))
         return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
-
-
-def _place(m: Mesh, t: Table, at: Int, side: str) -> Float:
-    """The point (e, 3) whose foot is end A or B: GA or GB, else GS, else XS, YS, ZS."""
-    own = t[f"G{side}"][at]
-    own = np.where(own > 0, own, t["GS"][at])
-    out = t.stack("XS", "YS", "ZS")[at]
-    if (bare := (own == 0) & np.isnan(out).any(axis=1)).any():
-        raise card_error(
-            m.model, t, int(at[bare][0]), f"GS, G{side} or XS, YS and ZS must say where it is"
-        )
-    used = own > 0
-    out[used] = m.xyz[m.nodes(own[used], t, at[used])]
-    return out
-
-
-def _row(m: Mesh, t: Table, at: Int, skin: Skin, ids: Int) -> Int:
-    """Rows (e,) of `skin` of the shells `ids` (e,)."""
-    order = np.argsort(skin.ids, kind="stable")
-    found = np.searchsorted(skin.ids[order], ids).clip(max=max(skin.ids.size - 1, 0))
-    row = order[found] if skin.ids.size else np.full(ids.shape, -1)
-    if (
-        lost := (row < 0) | (skin.ids[row] != ids)
-        if skin.ids.size
-        else np.ones(ids.shape, dtype=bool)
-    ).any():
-        raise card_error(
-            m.model, t, int(at[lost][0]), f"{ids[lost][0]} is no shell with three or four corners"
-        )
-    return np.asarray(row)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,16 +252,17 @@ class _Surface:
     pid: Int
     shell: Int
 
-    def foot(self, m: Mesh, point: Float) -> Int:
+    def foot(self, point: Float) -> Int:
         """The shell (e,) on which the foot of a point (e, 3) is, -1 for none."""
+        skin = self.skin
         out = np.full(self.pid.size, -1)
         named = self.shell >= 0
         if named.any():
-            found = self.skin.around(self.shell[named])
-            out[named] = self.skin.foot(m, found, point[named], np.ones(len(found), dtype=bool))
+            found = skin.around(self.shell[named])
+            out[named] = skin.foot(found, point[named], own=True)
         if not named.all():
-            found = self.skin.of_property(m, self.pid[~named], point[~named])
-            out[~named] = self.skin.foot(m, found, point[~named], np.zeros(len(found), dtype=bool))
+            found = skin.of_property(self.pid[~named], point[~named])
+            out[~named] = skin.foot(found, point[~named], own=False)
         return out
 
     def about(self, shell: Int, count: int) -> _Surface:
@@ -300,150 +270,110 @@ class _Surface:
         near = np.where(self.shell >= 0, shell, -1)
         return _Surface(self.skin, np.repeat(self.pid, count), np.repeat(near, count))
 
-    def name(self, i: int) -> str:
-        """What the surface of an end is, for messages."""
-        if self.shell[i] >= 0:
-            return f"shell {self.skin.ids[self.shell[i]]} and those around it"
-        return f"the shells of property {self.pid[i]}"
 
-
-def _on_square(m: Mesh, t: Table, at: Int, on: _Surface, point: Float, diameter: Float) -> End:
+def _on_square(t: CardRows, on: _Surface, point: Float, diameter: Float) -> End:
     """Ends on a surface: the mean motion of the corners of a square as large as the circle (e,).
 
     The corners follow the shells that they stand on; the end follows them as an RBE3 of equal
     weights does (MSC Nastran Quick Reference Guide, CWELD PARTPAT and CFAST).
     """
-    shell = on.foot(m, point)
-    if (bad := np.flatnonzero(shell < 0)).size:
-        raise card_error(
-            m.model, t, int(at[bad[0]]), f"its point has no foot on {on.name(int(bad[0]))}"
-        )
-    centre = on_patch(m, t.card, at, nodes=on.skin.corners[shell], point=point)
+    skin = on.skin
+    named = on.shell >= 0
+    what = np.where(named, "shell", "property")
+    which = np.where(named, skin.ids[on.shell], on.pid) if skin.ids.size else on.pid
+    shell = on.foot(point)
+    t.refuse(shell < 0, "its point has no foot on the shells of {} {}", what, which)
+    centre = on_patch(t, skin.corners[shell], point)
     axes = any_triad(centre.normal)[:, 1:]
     side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (side @ axes)
     flat = corner.reshape(-1, 3)
-    under = on.about(shell, 4).foot(m, flat)
-    if (bad := np.flatnonzero(under < 0)).size:
-        why = f"D is too large: its square leaves {on.name(int(bad[0]) // 4)}"
-        raise card_error(m.model, t, int(at[bad[0] // 4]), why)
-    feet = on_patch(m, t.card, np.repeat(at, 4), nodes=on.skin.corners[under], point=flat)
-    S = np.zeros((at.size, 4, 3, 6))
+    under = on.about(shell, 4).foot(flat)
+    lost = (under < 0).reshape(-1, 4).any(axis=1)
+    t.refuse(lost, "D is too large: its square leaves the shells of {} {}", what, which)
+    feet = on_patch(t.take(np.repeat(np.arange(len(t)), 4)), skin.corners[under], flat)
+    S = np.zeros((len(t), 4, 3, 6))
     S[..., :3] = np.eye(3)
     S[..., 3:] = -skew(feet.place.reshape(-1, 4, 3) - centre.place[:, None])
-    flatter = S.reshape(-1, 12, 6)
-    size = np.concatenate([np.ones((at.size, 3)), np.repeat(diameter[:, None], 3, axis=1)], axis=1)
-    scaled = flatter / size[:, None]  # turns in units of a diameter
+    size = np.repeat([np.ones(len(t)), diameter], 3, axis=0).T
+    scaled = S.reshape(-1, 12, 6) / size[:, None]  # turns in units of a diameter
     mean = np.linalg.solve(scaled.swapaxes(1, 2) @ scaled, scaled.swapaxes(1, 2)) / size[:, :, None]
     shift = feet.follow[:, :3].reshape(-1, 4, 3, 24)
     follow = np.einsum("eijk,ejkl->eijl", mean.reshape(-1, 6, 4, 3), shift).reshape(-1, 6, 96)
     return End(feet.nodes.reshape(-1, 16), centre.place, centre.normal, follow)
 
 
-def on_squares(
-    m: Mesh,
-    t: Table,
-    at: Int,
-    diameter: Float,
-    by_shell: Bool,
-    fields: Sequence[tuple[str, str]],
-) -> tuple[End, End]:
-    """Ends A and B on the shells of the property that the card names, or on the shell that it names
-    (`by_shell`), in the two `fields` of each end.
+def on_square(
+    t: CardRows, side: str, fields: tuple[str, str], by_shell: Bool, diameter: Float
+) -> End:
+    """Ends A or B on the shells of the property that the card names, or on the shell that it names
+    (`by_shell`), in the two `fields`.
+
+    Their foot is that of GA or GB, else of GS, else of XS, YS, ZS.
     """
-    skin = Skin.of(m)
-    made = []
-    for side, (own, shell) in zip("AB", fields, strict=True):
-        row = np.full(at.size, -1)
-        row[by_shell] = _row(m, t, at[by_shell], skin=skin, ids=t[shell][at[by_shell]])
-        on = _Surface(skin, t[own][at], row)
-        made.append(_on_square(m, t, at, on=on, point=_place(m, t, at, side), diameter=diameter))
-    return made[0], made[1]
+    own = t[f"G{side}"]
+    own = np.where(own > 0, own, t["GS"])
+    used = own > 0
+    point = t.stack("XS", "YS", "ZS")
+    bare = ~used & np.isnan(point).any(axis=1)
+    t.refuse(bare, f"GS, G{side} or XS, YS and ZS must say where it is")
+    point[used] = t.mesh.xyz[t.take(used).nodes_of(own[used])]
+    skin = Skin.of(t.mesh)
+    property_, shell = (t[name] for name in fields)
+    row = np.full(len(t), -1)
+    row[by_shell] = skin.find(t.take(by_shell), shell[by_shell])
+    return _on_square(t, _Surface(skin, property_, row), point=point, diameter=diameter)
 
 
 WIDE = ("PARTPAT", "ELPAT")
 SHEAR = 0.9  # shear area of a round section over its area
 
 
-def patches(m: Mesh, card: str, at: Int, side: str) -> tuple[Int, Bool]:
-    """Corner nodes (e, 4) of patch A or B by GRIDID or ELEMID, -1 for none, and which rows have
-    such a patch.
-    """
-    t = m.model[card]
-    ids = t.stack(*(f"G{side}{i}" for i in range(1, 5)))[at]
-    shell = t[f"SHID{side}"][at]
-    left = shell > 0
-    for name, count in SHELLS.items():
-        if name in m.model:
-            row = m.model[name].find(shell)
-            hit = left & (row >= 0)
-            ids[hit, :count] = m.model[name].stack(*(f"G{i}" for i in range(1, count + 1)))[
-                row[hit]
-            ]
-            left = left & ~hit
-    if left.any():
-        why = f"SHID{side} {shell[left][0]} is none of {', '.join(SHELLS)}"
-        raise card_error(m.model, t, int(at[left][0]), why)
-    there = ids[:, 0] > 0
-    out = np.full(ids.shape, -1)
+def patches(t: CardRows, side: str) -> Int:
+    """Corner nodes (e, 4) of patch A or B by GRIDID or ELEMID, -1 for none."""
+    ids = t.stack(*(f"G{side}{i}" for i in range(1, 5)))
     used = ids > 0
-    out[used] = m.nodes(ids[used], t, np.broadcast_to(at[:, None], ids.shape)[used])
-    return out, there
+    out = np.full(ids.shape, -1)
+    out[used] = t.take(np.nonzero(used)[0]).nodes_of(ids[used])
+    shell = t[f"SHID{side}"]
+    by_shell = shell > 0
+    if by_shell.any():
+        skin = Skin.of(t.mesh)
+        out[by_shell] = skin.corners[skin.find(t.take(by_shell), shell[by_shell])]
+    return out
 
 
-def _wide(m: Mesh, card: str, at: Int) -> tuple[End, End]:
-    """Ends on surfaces of several shells, of a property (PARTPAT) or that of a shell (ELPAT)."""
-    t = m.model[card]
-    D = m.model["PWELD"]["D"][lookup(m.model, "PWELD", t["PID"][at], table=t, at=at)].real
-    return on_squares(
-        m,
-        t,
-        at,
-        diameter=D,
-        by_shell=t["TYPE"][at] == "ELPAT",
-        fields=(("PIDA", "SHIDA"), ("PIDB", "SHIDB")),
-    )
-
-
-def weld_ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
-    """Both ends of the rows `at` (e,): on a patch below GS (or GA, GB), else at GS; by ALIGN at GA
-    and GB.
+def weld_ends(t: CardRows) -> tuple[End, End]:
+    """Both ends of CWELD: on a patch below GS (or GA, GB), else at GS; by ALIGN at GA and GB.
 
     PARTPAT and ELPAT take squares over several shells.
     """
-    t = m.model[card]
-    wide = np.isin(t["TYPE"][at], WIDE)
+    wide = np.isin(t["TYPE"], WIDE)
+    return _weld_end(t, "A", wide), _weld_end(t, "B", wide)
+
+
+def _weld_end(t: CardRows, side: str, wide: Bool) -> End:
+    parts = []
     if wide.any():
-        both = [(np.flatnonzero(wide), _wide(m, card, at[wide]))]
-        both += [(np.flatnonzero(~wide), weld_ends(m, card, at[~wide]))] if not wide.all() else []
-        return merged(at.size, [(r, pair[0]) for r, pair in both]), merged(
-            at.size, [(r, pair[1]) for r, pair in both]
-        )
-    align = t["TYPE"][at] == "ALIGN"
-    made = []
-    for side in "AB":
-        corners, there = patches(m, card, at, side)
-        given = t[f"G{side}"][at]
-        own = np.where(align, given, t["GS"][at])
-        if (bare := ~there & (own == 0)).any():
-            raise card_error(
-                m.model, t, int(at[bare][0]), f"end {side} has neither a patch nor a node"
-            )
-        point = np.where(there & (given > 0), given, own)
-        if (bare := point == 0).any():
-            raise card_error(
-                m.model, t, int(at[bare][0]), f"no GS or G{side} says where it pierces patch {side}"
-            )
-        node = m.nodes(point, t, at)
-        p = np.flatnonzero(there)
-        q = np.flatnonzero(~there)
-        parts = (
-            [(p, on_patch(m, card, at[p], nodes=corners[p], point=m.xyz[node[p]]))]
-            if p.size
-            else []
-        )
-        made.append(merged(at.size, [*parts, *([(q, on_node(m, node[q]))] if q.size else [])]))
-    return made[0], made[1]
+        some = t.take(wide)
+        fields = (f"PID{side}", f"SHID{side}")
+        by_shell = some["TYPE"] == "ELPAT"
+        diameter = some.named("PWELD")["D"].real
+        square = on_square(some, side, fields=fields, by_shell=by_shell, diameter=diameter)
+        parts.append((np.flatnonzero(wide), square))
+    narrow = np.flatnonzero(~wide)
+    some = t.take(narrow)
+    corners = patches(some, side)
+    there = corners[:, 0] >= 0
+    given = some[f"G{side}"]
+    own = np.where(some["TYPE"] == "ALIGN", given, some["GS"])
+    some.refuse(~there & (own == 0), f"end {side} has neither a patch nor a node")
+    point = np.where(there & (given > 0), given, own)
+    some.refuse(point == 0, f"no GS or G{side} says where it pierces patch {side}")
+    node = some.nodes_of(point)
+    on = on_patch(some.take(there), corners[there], t.mesh.xyz[node[there]])
+    parts += [(narrow[there], on), (narrow[~there], on_node(t.mesh, node[~there]))]
+    return _joined(len(t), parts)
 
 
 def lengths(L: Float, D: Any_, least: Float, most: Float) -> Any_:
@@ -453,25 +383,19 @@ def lengths(L: Float, D: Any_, least: Float, most: Float) -> Any_:
     return np.where(np.real(low) > L, low, np.where(np.real(high) < L, high, L))
 
 
-def _sheets(m: Mesh, t: Table, at: Int) -> Any_:
-    """Half the thickness of both sheets (e,) of the rows `at` (e,): the effective length of a spot
-    weld.
-    """
-    skin = Skin.of(m)
-    order = np.argsort(skin.ids, kind="stable")
-    total: Any_ = np.zeros(at.size)
+def _sheets(t: CardRows) -> Any_:
+    """Half the thickness of both sheets (e,): the effective length of a spot weld."""
+    skin = Skin.of(t.mesh)
+    total: Any_ = np.zeros(len(t))
     for side in "AB":
-        shell = t[f"SHID{side}"][at]
-        named = order[np.searchsorted(skin.ids[order], shell).clip(max=skin.ids.size - 1)]
-        pid = np.where(shell > 0, skin.pid[named], t[f"PID{side}"][at])
-        row = m.model["PSHELL"].find(pid) if "PSHELL" in m.model else np.full(pid.shape, -1)
-        if (bad := row < 0).any():
-            why = (
-                f"its sheet {side} is no PSHELL, whose thickness is the length of a weld of "
-                "TYPE SPOT"
-            )
-            raise card_error(m.model, t, int(at[bad][0]), why)
-        total = total + m.model["PSHELL"]["T"][row] / 2
+        shell = t[f"SHID{side}"]
+        named = shell > 0
+        pid = t[f"PID{side}"].copy()
+        pid[named] = skin.pid[skin.find(t.take(named), shell[named])]
+        known = t.mesh.model["PSHELL"].ids if "PSHELL" in t.mesh.model else pid[:0]
+        why = f"its sheet {side} is no PSHELL, whose thickness is the length of a weld of TYPE SPOT"
+        t.refuse(~np.isin(pid, known), why)
+        total = total + t.find("PSHELL", pid)["T"] / 2
     return total
 
 
@@ -516,8 +440,8 @@ def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -
     return ElementMatrices(dofs=dofs, stiffness=K, mass=M, loss=loss)
 
 
-def build_weld(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CWELD; half the mass at each end.
+def build_weld(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CWELD; half the mass at each end.
 
     Raises
     ------
@@ -525,25 +449,23 @@ def build_weld(m: Mesh, card: str, at: Int) -> ElementMatrices:
         If an end is not determined, a foot lies outside of its patch, or a node, property or
         material is absent.
     """
-    t = m.model[card]
-    row = lookup(m.model, "PWELD", t["PID"][at], table=t, at=at)
-    p = m.model["PWELD"]
-    iso = isotropic(m.model, p["MID"][row], p, row)
-    D = p["D"][row]
+    p = t.named("PWELD")
+    iso = isotropic(p.named("MAT1", "MID"))
+    D = p["D"]
     bad = (np.real(D) <= 0) | (np.real(iso.G) == 0)
-    refuse_rows(m.model, p, row[bad], "D must be greater than 0, and its MAT1 have a shear modulus")
-    a, b = weld_ends(m, card, at)
+    p.refuse(bad, "D must be greater than 0, and its MAT1 have a shear modulus")
+    a, b = weld_ends(t)
     L, axis = between(a, b)
-    length = lengths(L, D, p["LDMIN"][row], p["LDMAX"][row])
-    both = (t.stack("SHIDA", "SHIDB")[at] > 0).all(axis=1) | (t["TYPE"][at] == "PARTPAT")
-    if (spot := both & (p["TYPE"][row] == "SPOT")).any():
-        sheets = _sheets(m, t, at[spot])
+    length = lengths(L, D, p["LDMIN"], p["LDMAX"])
+    both = (t.stack("SHIDA", "SHIDB") > 0).all(axis=1) | (t["TYPE"] == "PARTPAT")
+    spot = both & (p["TYPE"] == "SPOT")
+    if spot.any():
+        sheets = _sheets(t.take(spot))
         length = length.astype(np.result_type(length, sheets))
         length[spot] = sheets
     k = springs(L, length, D, E=iso.E, G=iso.G)
-    return joined(
-        a, b, any_triad(axis), springs=k, half=iso.rho * np.pi / 8 * D**2 * L, loss=iso.loss
-    )
+    half = iso.rho * np.pi / 8 * D**2 * L
+    return joined(a, b, any_triad(axis), springs=k, half=half, loss=iso.loss)
 
 
 _STIFFNESS = ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3")
@@ -560,50 +482,36 @@ def _axes(axis: Float) -> Float:
     return np.stack([axis, y, np.cross(axis, y)], axis=1)
 
 
-def fastener_ends(m: Mesh, card: str, at: Int) -> tuple[End, End]:
-    """Both ends of the rows `at` (e,) of CFAST."""
-    t = m.model[card]
-    kind = t["TYPE"][at]
-    if (bad := ~np.isin(kind, ("PROP", "ELEM"))).any():
-        raise card_error(
-            m.model, t, int(at[bad][0]), f"type {kind[bad][0]!r}: allowed are PROP, ELEM"
-        )
-    D = m.model["PFAST"]["D"][lookup(m.model, "PFAST", t["PID"][at], table=t, at=at)].real
-    return on_squares(
-        m,
-        t,
-        at,
-        diameter=D,
-        by_shell=kind == "ELEM",
-        fields=(("IDA", "IDA"), ("IDB", "IDB")),
+def fastener_ends(t: CardRows) -> tuple[End, End]:
+    """Both ends of rows of CFAST."""
+    kind = t["TYPE"]
+    t.refuse(~np.isin(kind, ("PROP", "ELEM")), "type {!r}: allowed are PROP, ELEM", kind)
+    D = t.named("PFAST")["D"].real
+    a, b = (
+        on_square(t, side, fields=(f"ID{side}",) * 2, by_shell=kind == "ELEM", diameter=D)
+        for side in "AB"
     )
+    return a, b
 
 
-def build_fastener(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CFAST: KT, KR half way between the ends, half of MASS at
-    each.
+def build_fastener(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CFAST: KT, KR half way between the ends, half of MASS at each.
 
     Raises
     ------
     DeckError
         If an end or its frame is not determined, or a node or property is absent.
     """
-    t = m.model[card]
-    row = lookup(m.model, "PFAST", t["PID"][at], table=t, at=at)
-    p = m.model["PFAST"]
-    k = p.stack(*_STIFFNESS)[row]
-    a, b = fastener_ends(m, card, at)
+    p = t.named("PFAST")
+    k = p.stack(*_STIFFNESS)
+    a, b = fastener_ends(t)
     axis = between(a, b)[1]
-    cid = p["MCID"][row]
-    absolute = p["MFLAG"][row] > 0
+    cid = p["MCID"]
+    absolute = p["MFLAG"] > 0
     relative = (cid >= 0) & ~absolute & ((k[:, 1] != k[:, 2]) | (k[:, 4] != k[:, 5]))
-    refuse_rows(
-        m.model,
-        p,
-        row[relative],
-        "MFLAG = 0 with a frame and KT2, KT3 or KR2, KR3 that differ; give MFLAG = 1",
-    )
+    why = "MFLAG = 0 with a frame and KT2, KT3 or KR2, KR3 that differ; give MFLAG = 1"
+    p.refuse(relative, why)
     fixed = (cid >= 0) & absolute
-    own = frame(m, np.where(fixed, cid, 0), (a.place + b.place) / 2)
+    own = frame(t.mesh, np.where(fixed, cid, 0), (a.place + b.place) / 2)
     axes = np.where(fixed[:, None, None], own, _axes(axis))
-    return joined(a, b, axes, springs=k, half=p["MASS"][row] / 2, loss=p["GE"][row])
+    return joined(a, b, axes, springs=k, half=p["MASS"] / 2, loss=p["GE"])

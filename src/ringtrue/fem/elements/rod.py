@@ -6,16 +6,13 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.mesh import (
+    CardRows,
     ElementMatrices,
-    Isotropic,
-    Mesh,
     isotropic,
-    lookup,
     node_dofs,
     scaled,
     segment,
 )
-from ringtrue.model.model import refuse_rows
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
@@ -53,44 +50,43 @@ def tube(outer: Any_, wall: Any_) -> tuple[Any_, Any_]:
     return np.pi / 4 * (outer**2 - inner**2), np.pi / 32 * (outer**4 - inner**4)
 
 
-def _section(m: Mesh, card: str, at: Int) -> tuple[Isotropic, Any_, Any_, Any_]:
-    t = m.model[card]
-    if card == "CONROD":
-        return isotropic(m.model, t["MID"][at], t, at), t["A"][at], t["J"][at], t["NSM"][at]
-    name = "PROD" if card == "CROD" else "PTUBE"
-    row = lookup(m.model, name, t["PID"][at], table=t, at=at)
-    p = m.model[name]
-    iso = isotropic(m.model, p["MID"][row], p, row)
-    if name == "PROD":
-        return iso, p["A"][row], p["J"][row], p["NSM"][row]
-    end = np.where(p["OD2"][row] == 0, p["OD"][row], p["OD2"][row])
-    return iso, *tube((p["OD"][row] + end) / 2, p["T"][row]), p["NSM"][row]
+def _section(t: CardRows) -> tuple[CardRows, Any_, Any_]:
+    """The cards of the sections, areas and torsion constants (e,)."""
+    if t.card == "CTUBE":
+        p = t.named("PTUBE")
+        end = np.where(p["OD2"] == 0, p["OD"], p["OD2"])
+        return p, *tube((p["OD"] + end) / 2, p["T"])
+    p = t if t.card == "CONROD" else t.named("PROD")
+    return p, p["A"], p["J"]
 
 
-def measure(m: Mesh, card: str, at: Int) -> Float:
-    """Lengths (e,) of the rows `at`."""
-    t = m.model[card]
-    return segment(m.xyz[m.nodes(t.stack("G1", "G2")[at], t, at)])[0]
+def ends(t: CardRows) -> tuple[Int, Float]:
+    """Nodes (e, 2) at G1 and G2 and their places (e, 2, 3), which differ."""
+    nodes = t.nodes("G1", "G2")
+    x = t.mesh.xyz[nodes]
+    t.refuse((x[:, 0] == x[:, 1]).all(axis=1), "its two ends are at one place")
+    return nodes, x
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CROD, CONROD or CTUBE.
+def measure(t: CardRows) -> Float:
+    """Lengths (e,)."""
+    return segment(ends(t)[1])[0]
+
+
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CROD, CONROD or CTUBE.
 
     Raises
     ------
     DeckError
         If an element has no length.
     """
-    t = m.model[card]
-    nodes = m.nodes(t.stack("G1", "G2")[at], t, at)
-    x = m.xyz[nodes]
-    short = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) == 0
-    refuse_rows(m.model, t, at[short], "its two ends are at one place")
-    iso, A, J, nsm = _section(m, card, at)
-    M = mass(x, iso.rho * A + nsm + m.nsm(card, at), m.model.param("COUPMASS", -1) > 0)
+    nodes, x = ends(t)
+    p, A, J = _section(t)
+    iso = isotropic(p.named("MAT1", "MID"))
     return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=kernel(x, iso.E * A, iso.G * J),
-        mass=M,
+        mass=mass(x, iso.rho * A + p["NSM"] + t.listed_mass, t.mesh.coupled_mass),
         loss=iso.loss,
     )

@@ -15,9 +15,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.fem.elements import rod
-from ringtrue.fem.mesh import ElementMatrices, Isotropic, Mesh, isotropic, lookup, node_dofs, unit
+from ringtrue.fem.mesh import CardRows, ElementMatrices, isotropic, node_dofs, unit
 from ringtrue.model.cards import QUADRILATERAL
-from ringtrue.model.model import card_error, refuse_rows
 
 # eight digits where the panel is tapered 8 : 1
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -125,29 +124,20 @@ def kernel(x: Float, G: Any_, nu: Any_, thickness: Any_) -> Any_:
     return np.asarray(np.einsum("e,ei,ej->eij", c, forces, forces))
 
 
-def areas(share: Any_, thickness: Any_, area: Float, length: Float) -> Any_:
-    """Area (e,) of the rod on each of two opposite edges whose lengths add up to `length`, for F1
-    or F2.
-
-    Source: MSC Nastran Quick Reference Guide, PSHEAR.
-    """
-    return np.asarray(
-        np.where(
-            np.real(share) <= FULL, share * thickness * area / length, 0.5 * share * thickness**2
-        )
-    )
-
-
 def stringers(x: Float, E: Any_, F1: Any_, F2: Any_, thickness: Any_) -> Any_:
-    """Stiffness (e, 12, 12) of the rods on the edges that stand for the panel's extension."""
+    """Stiffness (e, 12, 12) of the rods on the edges that stand for the panel's extension.
+
+    F1 and F2 give their areas on two opposite edges each (MSC Nastran Quick Reference Guide,
+    PSHEAR).
+    """
     length = np.linalg.norm(np.roll(x, -1, axis=1) - x, axis=2)
     area = flat(x)[1]
-    opposite = [
-        areas(F, thickness, area, length[:, i] + length[:, i + 2]) for i, F in enumerate((F1, F2))
-    ]
     K = np.zeros((len(x), 4, 3, 4, 3), dtype=np.result_type(E, F1, F2, thickness))
     for i, edge in enumerate(_EDGES):
-        EA = E * opposite[i % 2]
+        F = (F1, F2)[i % 2]
+        opposite = length[:, i] + length[:, (i + 2) % 4]
+        shared = F * thickness * area / opposite
+        EA = E * np.where(np.real(F) <= FULL, shared, 0.5 * F * thickness**2)
         one = rod.kernel(x[:, edge], EA, np.zeros_like(EA)).reshape(-1, 2, 6, 2, 6)[:, :, :3, :, :3]
         K[:, edge[:, None], :, edge[None, :], :] += one.transpose(1, 3, 0, 2, 4)
     return K.reshape(-1, 12, 12)
@@ -167,24 +157,21 @@ def corner_areas(x: Float) -> Float:
     return out
 
 
-def _points(m: Mesh, card: str, at: Int) -> tuple[Int, Float]:
-    t = m.model[card]
-    nodes = m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)
-    x = m.xyz[nodes]
-    bad = ~is_convex(x)
-    refuse_rows(
-        m.model, t, at[bad], "its nodes do not go round a panel with inner angles under 180 degrees"
-    )
+def _points(t: CardRows) -> tuple[Int, Float]:
+    nodes = t.nodes("G1", "G2", "G3", "G4")
+    x = t.mesh.xyz[nodes]
+    why = "its nodes do not go round a panel with inner angles under 180 degrees"
+    t.refuse(~is_convex(x), why)
     return nodes, x
 
 
-def measure(m: Mesh, card: str, at: Int) -> Float:
-    """Areas (e,) of the rows `at`, in the mean plane."""
-    return flat(_points(m, card, at)[1])[1]
+def measure(t: CardRows) -> Float:
+    """Areas (e,) in the mean plane."""
+    return flat(_points(t)[1])[1]
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CSHEAR.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CSHEAR.
 
     Raises
     ------
@@ -192,21 +179,13 @@ def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
         If the panel is folded or not convex, its thickness is 0, or a node, property or MAT1 is
         absent.
     """
-    t = m.model[card]
-    nodes, x = _points(m, card, at)
-    row = lookup(m.model, "PSHEAR", t["PID"][at], table=t, at=at)
-    p = m.model["PSHEAR"]
-    iso: Isotropic = isotropic(m.model, p["MID"][row], p, row)
-    T, nsm, F1, F2 = (p[c][row] for c in ("T", "NSM", "F1", "F2"))
-    if (T == 0).any():
-        raise card_error(
-            m.model,
-            p,
-            int(row[np.flatnonzero(T == 0)[0]]),
-            "T is 0 or blank; a shear panel has a thickness",
-        )
-    K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, F1, F2=F2, thickness=T)
-    lumped = (iso.rho * T + nsm + m.nsm(card, at))[:, None] * corner_areas(x)
+    nodes, x = _points(t)
+    p = t.named("PSHEAR")
+    iso = isotropic(p.named("MAT1", "MID"))
+    T = p["T"]
+    p.refuse(T == 0, "T is 0 or blank; a shear panel has a thickness")
+    K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, p["F1"], F2=p["F2"], thickness=T)
+    lumped = (iso.rho * T + p["NSM"] + t.listed_mass)[:, None] * corner_areas(x)
     return ElementMatrices(
         dofs=node_dofs(nodes, 3),
         stiffness=K,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.arrays import Any_
 from ringtrue.fem.elements.elasticity import gram
 from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_section import (
@@ -23,9 +23,8 @@ from ringtrue.fem.elements.shell_section import (
     section,
     to_nodes,
 )
-from ringtrue.fem.mesh import ElementMatrices, Mesh, unit
+from ringtrue.fem.mesh import CardRows, ElementMatrices, unit
 from ringtrue.model.cards import TRIANGLE
-from ringtrue.model.model import refuse_rows
 
 _P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
 _L, _DLP = TRIANGLE.functions(1, _P)
@@ -136,31 +135,24 @@ def kernel(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     return K
 
 
-def measure(m: Mesh, card: str, at: Int) -> Any_:
-    """Areas (e,) of the rows `at`."""
-    t = m.model[card]
-    return flatten(m.xyz[m.nodes(t.stack("G1", "G2", "G3")[at], t, at)])[2]
+def measure(t: CardRows) -> Any_:
+    """Areas (e,)."""
+    return flatten(t.mesh.xyz[t.nodes("G1", "G2", "G3")])[2]
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CTRIA3 or CTRIAR.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CTRIA3 or CTRIAR.
 
     Raises
     ------
     DeckError
         If an element has no area.
     """
-    t = m.model[card]
-    nodes = m.nodes(t.stack("G1", "G2", "G3")[at], t, at)
-    axes, xy, area = flatten(m.xyz[nodes])
-    refuse_rows(m.model, t, at[area == 0], "it has no area; check its nodes")
-    s = oriented(m, card, at, s=section(m, card, at, 3), axes=axes, x=m.xyz[nodes])
+    nodes = t.nodes("G1", "G2", "G3")
+    x = t.mesh.xyz[nodes]
+    axes, xy, area = flatten(x)
+    t.refuse(area == 0, "it has no area; check its nodes")
+    s = oriented(t, section(t, 3), axes, x)
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
-    return finish(
-        m,
-        nodes,
-        to_nodes(kernel(xy, area, s), s, axes, np.zeros((len(at), 3))),
-        section=s,
-        axes=axes,
-        mass=mass,
-    )
+    K = to_nodes(kernel(xy, area, s), s, axes, np.zeros(nodes.shape))
+    return finish(t, nodes, K, section=s, axes=axes, mass=mass)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Int
+from ringtrue.core.arrays import Any_, Bool
 from ringtrue.fem.elements.curved_shell import drilling as director_drilling
 from ringtrue.fem.elements.curved_shell import law, node_normals, strains
 from ringtrue.fem.elements.elasticity import determinants, gram, incompatible, jacobian
@@ -28,9 +28,8 @@ from ringtrue.fem.elements.shell_section import (
     section,
     to_nodes,
 )
-from ringtrue.fem.mesh import ElementMatrices, Mesh, arm, congruent, nodal, unit
+from ringtrue.fem.mesh import CardRows, ElementMatrices, arm, congruent, nodal, taken, unit
 from ringtrue.model.cards import QUADRILATERAL
-from ringtrue.model.model import card_error
 
 _SIGNS = QUADRILATERAL.nodes(1)
 _POINTS = _SIGNS / np.sqrt(3)
@@ -159,69 +158,49 @@ def _plane(g: Any_, det: Any_, s: ShellSection) -> tuple[Any_, Any_, Any_]:
 
 def _turn_shear(K: Any_) -> Any_:
     """(w, βx, βy) of each node to (w, θx, θy), both sides."""
-    K = _turn_columns(K)
-    return _turn_columns(K.swapaxes(1, 2)).swapaxes(1, 2)
+    turn = np.kron(np.eye(4), [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    return turn.T @ K @ turn
 
 
-def _turn_columns(K: Any_) -> Any_:
-    parts = K.reshape(len(K), -1, 4, 3)
-    return np.stack([parts[..., 0], -parts[..., 2], parts[..., 1]], axis=-1).reshape(K.shape)
-
-
-def measure(m: Mesh, card: str, at: Int) -> Any_:
-    """Areas (e,) of the rows `at` in their mean planes."""
-    t = m.model[card]
-    xy = flatten(m.xyz[m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)])[1]
+def measure(t: CardRows) -> Any_:
+    """Areas (e,) in the mean planes."""
+    xy = flatten(t.mesh.xyz[t.nodes("G1", "G2", "G3", "G4")])[1]
     return np.asarray(jacobian(_DN, xy)[1].sum(axis=1))
 
 
-def build(m: Mesh, card: str, at: Int) -> ElementMatrices:
-    """Matrices of the rows `at` (e,) of CQUAD4 or CQUADR.
+def build(t: CardRows) -> ElementMatrices:
+    """Matrices of rows of CQUAD4 or CQUADR.
 
     Raises
     ------
     DeckError
         If an element is not convex.
     """
-    t = m.model[card]
-    nodes = m.nodes(t.stack("G1", "G2", "G3", "G4")[at], t, at)
-    axes, xy, heights = flatten(m.xyz[nodes])
+    nodes = t.nodes("G1", "G2", "G3", "G4")
+    x = t.mesh.xyz[nodes]
+    axes, xy, heights = flatten(x)
     bent = ~(determinants(_SLOPES, xy.real) > 0).all(axis=1)
-    if bent.any():
-        bad = int(at[np.flatnonzero(bent)[0]])
-        raise card_error(
-            m.model,
-            t,
-            bad,
-            "a corner of 180 degrees or more, or sides that cross; check its node order",
-        )
-    s = oriented(m, card, at, s=section(m, card, at, 4), axes=axes, x=m.xyz[nodes])
-    mass = np.einsum("eg,gn->en", s.masses(jacobian(_DN, xy)[1], _N), _N)
-    K = _stiffness(
-        m.xyz[nodes], xy, heights, normals=node_normals(m, nodes, axes[:, 2]), axes=axes, s=s
-    )
-    return finish(m, nodes, K, section=s, axes=axes, mass=mass)
-
-
-def _stiffness(
-    x: Any_, xy: Any_, heights: Any_, normals: Any_, axes: Any_, s: ShellSection
-) -> Any_:
-    """Stiffness (e, 24, 24) in basic: of a curved surface where normals at the nodes are not the
-    element's own.
-    """
+    why = "a corner of 180 degrees or more, or sides that cross; check its node order"
+    t.refuse(bent, why)
+    s = oriented(t, section(t, 4), axes, x)
+    mass = s.masses(jacobian(_DN, xy)[1], _N) @ _N
+    normals = node_normals(t.mesh, nodes, axes[:, 2])
     flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
+
+    def curved(i: slice) -> Any_:
+        at = np.flatnonzero(~flat)[i]
+        return curved_kernel(x[at], heights[at], normals[at], axes=axes[at], s=taken(s, at))
+
+    def plane(at: Bool | slice) -> Any_:
+        part = taken(s, at)
+        return to_nodes(kernel(xy[at], part), part, axes[at], heights[at])
+
     if flat.all():
-        return to_nodes(kernel(xy, s), s, axes, heights)
-    x = x[~flat]
-    up = heights[~flat]
-    n = normals[~flat]
-    R = axes[~flat]
-    part = s.take(~flat)
-    curved = in_spans(len(x), lambda i: curved_kernel(x[i], up[i], n[i], axes=R[i], s=part.take(i)))
-    if not flat.any():
-        return curved
-    plane = to_nodes(kernel(xy[flat], s.take(flat)), s.take(flat), axes[flat], heights[flat])
-    K = np.empty((flat.size, *curved.shape[1:]), dtype=np.result_type(plane, curved))
-    K[flat] = plane
-    K[~flat] = curved
-    return K
+        K = plane(slice(None))
+    else:
+        of_curved = in_spans(int((~flat).sum()), curved)
+        of_plane = plane(flat)
+        K = np.empty((len(t), 24, 24), dtype=np.result_type(of_plane, of_curved))
+        K[flat] = of_plane
+        K[~flat] = of_curved
+    return finish(t, nodes, K, section=s, axes=axes, mass=mass)

@@ -11,7 +11,6 @@ cylindrical bendings. A homogeneous plate gets 5/6.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,16 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements.elasticity import plane_stress, solid
-from ringtrue.fem.mesh import Isotropic, check_ratio, isotropic
-from ringtrue.model.model import Model, Table, card_error, unsupported_card
+from ringtrue.fem.mesh import (
+    CardRows,
+    check_ratio,
+    congruent,
+    isotropic,
+    matrix,
+    merged,
+    scaled,
+)
+from ringtrue.fem.negative_stiffness import elasticity
 
 # no transverse shear modulus given: G12 times this, which bends as if rigid in shear
 RIGID_SHEAR = 1000.0
@@ -41,16 +48,8 @@ class Layer:
     loss: Any_
 
 
-def layers(
-    model: Model,
-    mid: Int,
-    table: Table,
-    row: Int,
-    *,
-    core: bool = False,
-    confined: Bool | None = None,
-) -> Layer:
-    """The materials `mid` (n,) that rows `row` (n,) of `table` refer to; 0 is none.
+def layers(t: CardRows, mid: Int, *, core: bool = False, confined: Bool | None = None) -> Layer:
+    """The materials `mid` (n,) that the rows (n,) refer to; 0 is none.
 
     Parameters
     ----------
@@ -65,103 +64,65 @@ def layers(
     DeckError, UnsupportedCard
         If a material is absent or not positive; on plane strain of a MAT2 or MAT8.
     """
-    used = mid > 0
-    where = {card: used & (model[card].find(mid) >= 0) for card in _OTHER if card in model}
-    taken = np.logical_or.reduce([np.zeros(mid.size, dtype=bool), *where.values()])
-    if confined is not None and (confined & taken).any():
+    model = t.mesh.model
+    n = mid.size
+    if confined is None:
+        confined = np.zeros(n, dtype=bool)
+    none = Layer(np.zeros((n, 3, 3)), np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n))
+    parts: list[tuple[Bool | slice, Layer]] = [(slice(None), none)]
+    rest = mid > 0
+    for card, make in (("MAT2", _mat2), ("MAT8", _mat8)):
+        where = rest & np.isin(mid, model[card].ids) if card in model else ~rest & rest
+        if where.any():
+            parts.append((where, make(t.take(where).find(card, mid[where]), core)))
+            rest &= ~where
+    if (confined & (mid > 0) & ~rest).any():
         raise UnsupportedCard("PSHELL", why="plane strain (MID2 -1) is for MAT1")
-    parts: list[tuple[Bool, Layer]] = []
-    rest = used & ~taken
     if rest.any():
-        iso = isotropic(model, mid[rest], table, row[rest])
-        if not core:
-            check_ratio(model, mid[rest], iso.nu, 1.0)
-        parts.append((rest, _mat1(iso, None if confined is None else confined[rest])))
-    if "MAT8" in where and not core:
-        _check_mat8(model, np.unique(model["MAT8"].find(mid[where["MAT8"]])))
-    parts += [
-        (w, _OTHER[card](model[card], model[card].find(mid[w]), core))
-        for card, w in where.items()
-        if w.any()
-    ]
-    return _merged(mid.size, parts)
+        parts.append((rest, _mat1(t.take(rest).find("MAT1", mid[rest]), core, confined[rest])))
+    return merged(n, parts)
 
 
-def _merged(n: int, parts: list[tuple[Bool, Layer]]) -> Layer:
-    kind = np.result_type(
-        float, *(a.dtype for _, p in parts for a in (p.plane, p.through, p.density, p.loss))
-    )
-    out = Layer(
-        np.zeros((n, 3, 3), kind), np.zeros((n, 2, 2), kind), np.zeros(n, kind), np.zeros(n, kind)
-    )
-    for where, p in parts:
-        out.plane[where] = p.plane
-        out.through[where] = p.through
-        out.density[where] = p.density
-        out.loss[where] = p.loss
-    return out
-
-
-def _plane(c11: Any_, c12: Any_, c22: Any_, c33: Any_, c13: Any_, c23: Any_) -> Any_:
-    rows = ((c11, c12, c13), (c12, c22, c23), (c13, c23, c33))
-    return np.stack([np.stack(np.broadcast_arrays(*r), axis=-1) for r in rows], axis=-2)
-
-
-def _through(g1: Any_, g12: Any_, g2: Any_) -> Any_:
-    rows = ((g1, g12), (g12, g2))
-    return np.stack([np.stack(np.broadcast_arrays(*r), axis=-1) for r in rows], axis=-2)
-
-
-def _mat1(iso: Isotropic, confined: Bool | None) -> Layer:
+def _mat1(mat: CardRows, core: bool, confined: Bool) -> Layer:
+    iso = isotropic(mat)
+    if not core:
+        check_ratio(mat, iso.nu, 1.0)
     c11, c12 = plane_stress(iso.E, iso.nu)
-    if confined is not None and confined.any():
-        c11, c12 = (
-            np.where(confined, s, p) for s, p in zip(solid(iso.E, iso.nu), (c11, c12), strict=True)
-        )
-    zero = 0 * iso.G
+    if confined.any():
+        body = solid(iso.E, iso.nu)
+        c11, c12 = (np.where(confined, s, p) for s, p in zip(body, (c11, c12), strict=True))
+    o = 0 * iso.G
     return Layer(
-        _plane(c11, c12, c11, c33=iso.shear, c13=zero, c23=zero),
-        _through(iso.G, zero, iso.G),
-        iso.rho,
-        iso.loss,
+        plane=matrix((c11, c12, o), (c12, c11, o), (o, o, iso.shear)),
+        through=matrix((iso.G, o), (o, iso.G)),
+        density=iso.rho,
+        loss=iso.loss,
     )
 
 
-def _mat2(t: Table, row: Int, core: bool) -> Layer:
-    g11, g12, g13, g22, g23, g33 = (t[c][row] for c in ("G11", "G12", "G13", "G22", "G23", "G33"))
-    rigid = RIGID_SHEAR * g33
-    through = _through(g11, g12, g22) if core else _through(rigid, 0 * g33, rigid)
-    return Layer(
-        _plane(g11, g12, g22, c33=g33, c13=g13, c23=g23), through, t["RHO"][row], t["GE"][row]
-    )
+def _mat2(mat: CardRows, core: bool) -> Layer:
+    plane = elasticity(mat.table, 3)[mat.at]
+    rigid = scaled(RIGID_SHEAR * plane[:, 2, 2], np.eye(2))
+    through = plane[:, :2, :2] if core else rigid
+    return Layer(plane, through, mat["RHO"], mat["GE"])
 
 
-def _check_mat8(model: Model, row: Int) -> None:
-    """Rows of MAT8 that make no elasticity; moduli may be complex, or negative, where functions are
-    sampled.
-    """
-    E1, E2, nu = (model["MAT8"][c][row] for c in ("E1", "E2", "NU12"))
-    none = (E1 == 0) | (E2 == 0)
-    if (bad := none | ((nu * nu * E2 / np.where(none, 1.0, E1)).real >= 1)).any():
-        why = "E1 and E2 must not be 0, and NU12 below the root of E1/E2"
-        raise card_error(model, model["MAT8"], int(row[bad][0]), why)
-
-
-def _mat8(t: Table, row: Int, core: bool) -> Layer:
-    E1, E2, nu, G, g1, g2 = (t[c][row] for c in ("E1", "E2", "NU12", "G12", "G1Z", "G2Z"))
+def _mat8(mat: CardRows, core: bool) -> Layer:
+    E1, E2, nu, G, g1, g2 = (mat[c] for c in ("E1", "E2", "NU12", "G12", "G1Z", "G2Z"))
+    if not core:  # moduli may be complex, or negative, where functions are sampled
+        none = (E1 == 0) | (E2 == 0)
+        bad = none | ((nu * nu * E2 / np.where(none, 1.0, E1)).real >= 1)
+        mat.refuse(bad, "E1 and E2 must not be 0, and NU12 below the root of E1/E2")
     c11 = E1 / (1 - nu * nu * E2 / E1)
     c22 = c11 * E2 / E1
-    zero = 0 * G
+    o = 0 * G
     g1, g2 = (np.where(g == 0, RIGID_SHEAR * G, g) for g in (g1, g2))
     return Layer(
-        _plane(c11, nu * c22, c22, c33=G, c13=zero, c23=zero),
-        _through(g1, zero, g2),
-        t["RHO"][row],
-        t["GE"][row],
+        plane=matrix((c11, nu * c22, o), (nu * c22, c22, o), (o, o, G)),
+        through=matrix((g1, o), (o, g2)),
+        density=mat["RHO"],
+        loss=mat["GE"],
     )
-
-
-_OTHER: dict[str, Callable[[Table, Int, bool], Layer]] = {"MAT2": _mat2, "MAT8": _mat8}
 
 
 def turned(plane: Any_, through: Any_, c: Any_, s: Any_) -> tuple[Any_, Any_]:
@@ -171,12 +132,10 @@ def turned(plane: Any_, through: Any_, c: Any_, s: Any_) -> tuple[Any_, Any_]:
     Reuter's form: Q = Rᵀ Q' R with the engineering strains of the material R times those of the new
     axes (Jones 1999, eq. 2.84).
     """
-    c = np.asarray(c)
-    s = np.asarray(s)
-    rows = ((c * c, s * s, c * s), (s * s, c * c, -c * s), (-2 * c * s, 2 * c * s, c * c - s * s))
-    R = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    r = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-    return R.swapaxes(-1, -2) @ plane @ R, r.swapaxes(-1, -2) @ through @ r
+    R = matrix(
+        (c * c, s * s, c * s), (s * s, c * c, -c * s), (-2 * c * s, 2 * c * s, c * c - s * s)
+    )
+    return congruent(R, plane), congruent(matrix((c, s), (-s, c)), through)
 
 
 def contract(A: Any_, C: Any_) -> Any_:
@@ -229,7 +188,7 @@ class Laminate:
     density: Any_
 
 
-def laminates(model: Model, card: str, rows: Int) -> Laminate:
+def laminates(t: CardRows) -> Laminate:
     """The sections of rows (p,) of PCOMP or PCOMPG in their material axes.
 
     Raises
@@ -238,16 +197,21 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
         On a laminate without thickness or with a ply that is singular, an absent material, or an
         unknown LAM.
     """
-    t = model[card]
-    option = _options(model, t, rows)
-    plies = _plies(model, t, rows, option)
-    total = plies.height.sum(axis=1)
-    if (total.real <= 0).any():
-        raise card_error(
-            model, t, int(rows[np.flatnonzero(total.real <= 0)[0]]), "its plies have no thickness"
-        )
+    option = _options(t)
+    plies = _plies(t, option)
+    t.refuse(plies.height.sum(axis=1).real <= 0, "its plies have no thickness")
     A, B, D = stiffness(plies)
-    _refuse_singular(model, t, rows, p=plies, A=A)
+    # the stresses of a laminate follow from those of its plies, so that each must resist shear
+    soft = (plies.height.real > 0) & _singular(plies.through)
+    why = (
+        "ply {} has no stiffness in transverse shear; give its material G12, or G1Z and G2Z "
+        "(MAT8), G33 (MAT2), or E and NU (MAT1)"
+    )
+    t.refuse(soft, why, np.broadcast_to(1 + np.arange(soft.shape[1]), soft.shape))
+    why = (
+        "its plies have no stiffness in a direction of their plane; check E2 and G12, or G11 to G33"
+    )
+    t.refuse(_singular(A), why)
     S = transverse_shear(plies, A, B, D)
     A, B, D, S = _smeared(option, plies, A, B=B, D=D, S=S)
     return Laminate(
@@ -260,28 +224,6 @@ def laminates(model: Model, card: str, rows: Int) -> Laminate:
     )
 
 
-def _refuse_singular(model: Model, t: Table, rows: Int, p: Plies, A: Any_) -> None:
-    """Refuse laminates whose plies have no stiffness in transverse shear, or together none in a
-    direction of the plane.
-
-    The stresses of a laminate follow from those of its plies, so that each must resist shear.
-    """
-    laminate, ply = np.nonzero((p.height.real > 0) & _singular(p.through))
-    if laminate.size:
-        why = (
-            f"ply {ply[0] + 1} has no stiffness in transverse shear; give its material G12, or "
-            "G1Z and G2Z (MAT8), "
-            "G33 (MAT2), or E and NU (MAT1)"
-        )
-        raise card_error(model, t, int(rows[laminate[0]]), why)
-    if (flat := np.flatnonzero(_singular(A))).size:
-        why = (
-            "its plies have no stiffness in a direction of their plane; check E2 and G12, or "
-            "G11 to G33"
-        )
-        raise card_error(model, t, int(rows[flat[0]]), why)
-
-
 def _singular(matrices: Any_) -> Bool:
     """Which matrices (..., k, k) are singular to rounding, (...); complex steps have complex
     ones.
@@ -290,47 +232,39 @@ def _singular(matrices: Any_) -> Bool:
     return np.asarray(size.min(axis=-1) <= np.finfo(np.float64).eps * size.max(axis=-1))
 
 
-def _options(model: Model, t: Table, rows: Int) -> Any_:
-    text = np.char.upper(np.char.strip(t["LAM"][rows].astype(str)))
+def _options(t: CardRows) -> Any_:
+    text = np.char.upper(np.char.strip(t["LAM"].astype(str)))
     for short, name in _SHORT.items():
         text = np.where(text == short, name, text)
     strange = ~np.isin(text, OPTIONS)
-    if strange.any():
-        i = int(np.flatnonzero(strange)[0])
-        raise unsupported_card(
-            model,
-            t,
-            int(rows[i]),
-            f"has LAM {text[i]}; allowed are blank, {', '.join(OPTIONS[1:])}",
-        )
+    t.refuse_unsupported(
+        strange, f"has LAM {{}}; allowed are blank, {', '.join(OPTIONS[1:])}", text
+    )
     return text
 
 
-def _plies(model: Model, t: Table, rows: Int, option: Any_) -> Plies:
+def _plies(t: CardRows, option: Any_) -> Plies:
     """The plies from the bottom up; those of a LAM such as SYM are mirrored."""
-    mid = t.ragged("MID")
-    T = t.ragged("T")
-    theta = t.ragged("THETA")
-    first = mid.offsets[rows]
-    count = mid.sizes[rows]
-    k = np.arange(max(int(count.max(initial=1)), 1))
-    there = k < count[:, None]
-    at = np.where(there, first[:, None] + k, first[:, None])
+    mid, T, theta = (t.ragged(c) for c in ("MID", "T", "THETA"))
+    k = np.arange(max(int(mid.sizes.max()), 1))
+    there = k < mid.sizes[:, None]
+    at = mid.offsets[:-1, None] + np.where(there, k, 0)
     height = np.where(there, T.values[at], 0.0)
-    if (half := np.isin(option, tuple(MIRRORED))).any():
+    half = np.isin(option, tuple(MIRRORED))
+    if half.any():
         at = np.concatenate([at, at[:, ::-1]], axis=1)
         height = np.concatenate([height, np.where(half[:, None], height[:, ::-1], 0.0)], axis=1)
-    used = layers(model, mid.values[at].ravel(), t, np.repeat(rows, at.shape[1]))
-    angle = np.radians(1.0) * theta.values[at]
-    through = used.through.reshape(*at.shape, 2, 2)
-    plane, through = turned(
-        used.plane.reshape(*at.shape, 3, 3), through, np.cos(angle), np.sin(angle)
-    )
-    z0 = t["Z0"][rows]
-    z0 = np.where(np.isnan(z0), -height.sum(axis=1) / 2, z0)
-    z = z0[:, None] + np.cumsum(height, axis=1) - height
+    each = t.take(np.repeat(np.arange(len(t)), at.shape[1]))
+    used = layers(each, mid.values[at].ravel())
+    angle = np.radians(1.0) * theta.values[at].ravel()
+    plane, through = turned(used.plane, used.through, np.cos(angle), np.sin(angle))
+    z0 = np.where(np.isnan(t["Z0"]), -height.sum(axis=1) / 2, t["Z0"])
     return Plies(
-        height=height, z=z, plane=plane, through=through, density=used.density.reshape(at.shape)
+        height=height,
+        z=z0[:, None] + np.cumsum(height, axis=1) - height,
+        plane=plane.reshape(*at.shape, 3, 3),
+        through=through.reshape(*at.shape, 2, 2),
+        density=used.density.reshape(at.shape),
     )
 
 
@@ -369,13 +303,7 @@ def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
         here_b = b + (up * (p.z + up / 2))[..., None, None] * p.plane
         F: Any_ = (here_a @ neutral[:, None] - here_b).swapaxes(-1, -2)
         F = np.linalg.solve(bending[:, None].swapaxes(-1, -2), F).swapaxes(-1, -2)
-        f = np.stack(
-            [
-                np.stack([F[..., 0, 0], F[..., 2, 1]], -1),
-                np.stack([F[..., 2, 0], F[..., 1, 1]], -1),
-            ],
-            -2,
-        )
+        f = matrix((F[..., 0, 0], F[..., 2, 1]), (F[..., 2, 0], F[..., 1, 1]))
         compliance = compliance + np.einsum(
             "pl,plji,pljk,plkm->pim", p.height * w / 2, f, flexible, f, optimize=True
         )
@@ -388,10 +316,12 @@ def _smeared(
     """The sections where LAM simplifies them: MEM, BEND, SMEAR, SMCORE (the last ply is the
     core).
     """
-    membrane, flat, smear, core = (_flag(option, o) for o in SIMPLER)
+    for half, whole in MIRRORED.items():
+        option = np.where(option == half, whole, option)
+    membrane, flat, smear, core = (option[:, None, None] == name for name in SIMPLER)
     total = p.height.sum(axis=1)[:, None, None]
     B = np.where(membrane | flat | smear | core, 0.0, B)
-    rigid = RIGID_SHEAR * _turning(p)[:, None, None] * np.eye(2)
+    rigid = scaled(RIGID_SHEAR * _turning(p), np.eye(2))
     D = np.where(smear, A * total**2 / 12, D)
     S = np.where(smear, rigid, S)
     last = (p.height.real > 0).cumsum(axis=1).argmax(axis=1)
@@ -404,8 +334,3 @@ def _smeared(
     S = np.where(core, tc * p.through[i, last], S)
     A = np.where(core, faces, A)
     return np.where(flat, 0.0, A), B, np.where(membrane, 0.0, D), np.where(membrane, 0.0, S)
-
-
-def _flag(option: Any_, name: str) -> Bool:
-    names = [name, *(half for half, whole in MIRRORED.items() if whole == name)]
-    return np.isin(option, names)[:, None, None]

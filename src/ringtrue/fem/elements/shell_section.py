@@ -7,27 +7,27 @@ What the shell elements share: placing of blocks, drilling, offsets, mass.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.elements.shell_material import RIGID_SHEAR, laminates, layers, turned
 from ringtrue.fem.mesh import (
+    CardRows,
     ElementMatrices,
-    Mesh,
     arm,
     condense,
     congruent,
     frame,
-    lookup,
+    merged,
     nodal,
     node_dofs,
     rotation,
     scaled,
+    taken,
     unit,
 )
-from ringtrue.model.model import Table, card_error
 
 DRILL = 1e-6  # what PARAM,K6ROT multiplies
 LAMINATES = ("PCOMP", "PCOMPG")
@@ -65,10 +65,6 @@ class ShellSection:
     flexible: Bool
     profile: Any_
 
-    def take(self, rows: Any_ | slice) -> ShellSection:
-        """The sections of some elements: rows, flags or a slice."""
-        return ShellSection(*(getattr(self, f.name)[rows] for f in fields(ShellSection)))
-
     def weights(self, w: Any_, N: Float, power: int) -> Any_:
         """Integration weights w (e, gp) times the relative thickness to a power; corner shapes N
         (gp, k).
@@ -82,37 +78,25 @@ class ShellSection:
         return np.asarray(self.density[:, None] * self.weights(w, N, 1) + self.nsm[:, None] * w)
 
 
-def section(m: Mesh, card: str, at: Int, corners: int) -> ShellSection:
-    """The sections of rows `at` (e,) in their material axes.
+def section(t: CardRows, corners: int) -> ShellSection:
+    """The sections of elements in their material axes.
 
     Raises
     ------
     DeckError, UnsupportedCard
         If a property or material is absent or of an unknown kind.
     """
-    t = m.model[card]
-    pid = t["PID"][at]
-    found = {c: m.model[c].find(pid) for c in LAMINATES if c in m.model}
-    shell = np.logical_and.reduce(
-        [np.ones(at.size, dtype=bool), *(rows < 0 for rows in found.values())]
-    )
-    parts = [(shell, _pshell(m, t, at[shell], corners))] if shell.any() else []
-    parts += [
-        (rows >= 0, _laminate(m, c, rows[rows >= 0], t=t, at=at[rows >= 0], corners=corners))
-        for c, rows in found.items()
-    ]
-    parts = [p for p in parts if p[0].any()]
-    if len(parts) == 1:
-        return parts[0][1]
-    made = {}
-    for f in (f.name for f in fields(ShellSection)):
-        values = [(where, getattr(s, f)) for where, s in parts]
-        made[f] = np.zeros(
-            (at.size, *values[0][1].shape[1:]), dtype=np.result_type(*(v.dtype for _, v in values))
-        )
-        for where, v in values:
-            made[f][where] = v
-    return ShellSection(**made)
+    model = t.mesh.model
+    parts = []
+    shell = np.ones(len(t), dtype=bool)
+    for card in LAMINATES:
+        here = np.isin(t["PID"], model[card].ids) if card in model else ~shell & shell
+        if here.any():
+            parts.append((here, _laminate(t.take(here), card, corners)))
+            shell &= ~here
+    if shell.any():
+        parts.append((shell, _pshell(t.take(shell), corners)))
+    return merged(len(t), parts)
 
 
 def in_axes(s: ShellSection, turn: Any_) -> ShellSection:
@@ -122,13 +106,11 @@ def in_axes(s: ShellSection, turn: Any_) -> ShellSection:
     some = directed(s)
     if not some.any():
         return s
-    c = turn[some, 0]
-    n = turn[some, 1]
-    new: dict[str, Any_] = {}
+    turn = turn[some]
+    new = {name: getattr(s, name) for name in ("membrane", "coupling", "bending", "shear")}
     for name in ("membrane", "coupling", "bending"):
-        old = getattr(s, name)
-        plane, through = turned(old[some], s.shear[some], c, n)
-        new[name] = old.astype(np.result_type(old, plane))
+        plane, through = turned(new[name][some], s.shear[some], turn[:, 0], turn[:, 1])
+        new[name] = new[name].astype(np.result_type(new[name], plane))
         new[name][some] = plane
     new["shear"] = s.shear.astype(np.result_type(s.shear, through))
     new["shear"][some] = through
@@ -144,7 +126,7 @@ def directed(s: ShellSection) -> Bool:
     return np.asarray(some)
 
 
-def oriented(m: Mesh, card: str, at: Int, s: ShellSection, axes: Any_, x: Any_) -> ShellSection:
+def oriented(t: CardRows, s: ShellSection, axes: Any_, x: Any_) -> ShellSection:
     """The sections in the element axes (e, 3, 3) of flat elements with nodes x (e, k, 3).
 
     THETA is measured from the side G1-G2.
@@ -155,7 +137,7 @@ def oriented(m: Mesh, card: str, at: Int, s: ShellSection, axes: Any_, x: Any_) 
     side = x[:, 1] - x[:, 0]
     side = unit(side - (side * axes[:, 2]).sum(axis=1)[:, None] * axes[:, 2])
     middle = SurfacePoints(x.mean(axis=1), tangent=side, normal=axes[:, 2])
-    axis = material_axis(m, card, at, middle, turned)
+    axis = material_axis(t, middle, turned)
     return in_axes(s, np.einsum("eij,ej->ei", axes[:, :2], axis))
 
 
@@ -168,7 +150,7 @@ class SurfacePoints:
     normal: Any_
 
 
-def material_axis(m: Mesh, card: str, at: Int, points: SurfacePoints, turned: Bool) -> Any_:
+def material_axis(t: CardRows, points: SurfacePoints, turned: Bool) -> Any_:
     """Direction (e, 3) of the material axis in the plane of the normal at each point.
 
     THETA turns it from the tangent, in the plane; MCID projects the x axis of that frame.
@@ -180,109 +162,88 @@ def material_axis(m: Mesh, card: str, at: Int, points: SurfacePoints, turned: Bo
     DeckError
         If the x axis of the frame is along the normal.
     """
-    t = m.model[card]
-    angle = np.radians(1.0) * t["THETA"][at]
-    cid = t["MCID"][at]
+    angle = np.radians(1.0) * t["THETA"]
     c = np.cos(angle)[:, None]
     s = np.sin(angle)[:, None]
     x, normal = points.x, points.normal
     out = c * points.tangent + s * np.cross(normal, points.tangent)
-    named = np.flatnonzero(cid >= 0)
+    named = np.flatnonzero(t["MCID"] >= 0)
     if named.size:
-        axis = frame(m, cid[named], x[named].real)[:, 0]
+        axis = frame(t.mesh, t["MCID"][named], x[named].real)[:, 0]
         n = normal[named]
         flat = axis - (axis * n).sum(axis=1)[:, None] * n
-        along = named[np.abs(flat).max(axis=1) < 1e-6]
-        if turned[along].any():
-            bad = int(at[along[turned[along]][0]])
-            raise card_error(
-                m.model,
-                t,
-                bad,
-                "the x axis of its frame MCID is along the normal; name another frame",
-            )
+        along = np.abs(flat).max(axis=1) < 1e-6
+        why = "the x axis of its frame MCID is along the normal; name another frame"
+        t.take(named).refuse(along & turned[named], why)
         out = out.astype(np.result_type(out, flat))
-        use = ~np.isin(at[named], at[along])
+        use = ~np.isin(t.at[named], t.at[named[along]])
         out[named[use]] = unit(flat[use])
     return np.asarray(out)
 
 
-def thickness(t: Table, at: Int, corners: int, T: Any_) -> tuple[Any_, Any_]:
+def thickness(t: CardRows, corners: int, T: Any_) -> tuple[Any_, Any_]:
     """Mean thickness (e,) and that of the corners over it (e, k): Ti where given (times T for TFLAG
     1), else T.
     """
-    own = t.stack(*(f"T{i}" for i in range(1, corners + 1)))[at]
+    own = t.stack(*(f"T{i + 1}" for i in range(corners)))
     if np.isnan(own).all():
         return T, np.ones(own.shape)
-    own = np.where((t["TFLAG"][at] == 1)[:, None], own * T[:, None], own)
+    own = np.where((t["TFLAG"] == 1)[:, None], own * T[:, None], own)
     own = np.where(np.isnan(own), T[:, None], own)
     mean = own.mean(axis=1)
     return mean, own / np.where(mean == 0, 1.0, mean)[:, None]
 
 
-def _offset(t: Table, at: Int) -> Any_:
-    z = t["ZOFFS"][at]
-    return np.where(np.isnan(z), 0.0, z)
-
-
-def _pshell(m: Mesh, t: Table, at: Int, corners: int) -> ShellSection:
+def _pshell(t: CardRows, corners: int) -> ShellSection:
     """PSHELL. MID4 couples by -T² G4: its G4 is 1/T² ∫ -z G dz (MSC Nastran)."""
-    row = lookup(m.model, "PSHELL", t["PID"][at], table=t, at=at)
-    p = m.model["PSHELL"]
-    mid1, mid2, mid3, mid4 = (p[c][row] for c in ("MID1", "MID2", "MID3", "MID4"))
-    T, profile = thickness(t, at, corners, p["T"][row])
-    if (lost := (T == 0) & ((mid1 > 0) | (mid2 > 0))).any():
-        i = int(np.flatnonzero(lost)[0])
-        raise card_error(
-            m.model, p, int(row[i]), f"{t.card} {t.ids[at[i]]} has no thickness: T is blank or 0"
-        )
-    stretch = layers(m.model, mid1, p, row, confined=mid2 < 0)
-    bend = layers(m.model, mid2, p, row)
+    p = t.named("PSHELL")
+    mid1, mid2, mid3, mid4 = (p[f"MID{i}"] for i in (1, 2, 3, 4))
+    T, profile = thickness(t, corners, p["T"])
+    lost = (T == 0) & ((mid1 > 0) | (mid2 > 0))
+    p.refuse(lost, f"{t.card} {{}} has no thickness: T is blank or 0", t["EID"])
+    stretch = layers(p, mid1, confined=mid2 < 0)
+    bend = layers(p, mid2)
     own = (mid2 > 0) & (mid3 > 0)
-    core = (
-        layers(m.model, np.where(own, mid3, 0), p, row, core=True).through
-        * p["TST"][row][:, None, None]
-    )
-    rigid = (bend.plane[:, 2, 2] * RIGID_SHEAR * 5 / 6)[:, None, None] * np.eye(2)
-    couple = layers(m.model, mid4, p, row).plane
+    core = layers(p, np.where(own, mid3, 0), core=True)
+    rigid = scaled(bend.plane[:, 2, 2] * RIGID_SHEAR * 5 / 6, np.eye(2))
+    across = np.where(own[:, None, None], scaled(p["TST"], core.through), rigid)
+    couple = layers(p, mid4).plane
     first = mid1 > 0
     turning = np.where(first, stretch.plane[:, 2, 2], bend.plane[:, 2, 2])
-    t1 = T[:, None, None]
-    inertia = (p["I12T3"][row] * T**3 / 12)[:, None, None]
     return ShellSection(
-        membrane=stretch.plane * t1,
-        coupling=-couple * t1 * t1,
-        bending=bend.plane * inertia,
-        shear=np.where(own[:, None, None], core, rigid) * t1,
-        drill=turning * T * m.model.param("K6ROT", 100.0) * DRILL,
+        membrane=scaled(T, stretch.plane),
+        coupling=-scaled(T * T, couple),
+        bending=scaled(p["I12T3"] * T**3 / 12, bend.plane),
+        shear=scaled(T, across),
+        drill=turning * T * t.mesh.model.param("K6ROT", 100.0) * DRILL,
         density=np.where(first, stretch.density, bend.density) * T,
-        nsm=p["NSM"][row] + m.nsm(t.card, at),
+        nsm=p["NSM"] + t.listed_mass,
         loss=np.where(first, stretch.loss, bend.loss),
-        offset=_offset(t, at),
+        offset=np.nan_to_num(t["ZOFFS"]),
         flexible=own & (mid3 != mid2),
         profile=profile,
     )
 
 
-def _laminate(m: Mesh, card: str, row: Int, t: Table, at: Int, corners: int) -> ShellSection:
+def _laminate(t: CardRows, card: str, corners: int) -> ShellSection:
     """PCOMP, PCOMPG; T1.. of the element do not change it, and its loss is the GE of the
     property.
     """
-    rows, inverse = np.unique(row, return_inverse=True)
-    L = laminates(m.model, card, rows)
-    p = m.model[card]
+    p = t.named(card)
+    rows, inverse = np.unique(p.at, return_inverse=True)
+    L = taken(laminates(t.mesh.rows(card, rows)), inverse)
     return ShellSection(
-        membrane=L.membrane[inverse],
-        coupling=L.coupling[inverse],
-        bending=L.bending[inverse],
-        shear=L.shear[inverse],
-        drill=L.turning[inverse] * m.model.param("K6ROT", 100.0) * DRILL,
-        density=L.density[inverse],
-        nsm=p["NSM"][row] + m.nsm(t.card, at),
-        loss=p["GE"][row],
-        offset=_offset(t, at),
-        flexible=np.ones(at.size, dtype=bool),
-        profile=np.ones((at.size, corners)),
+        membrane=L.membrane,
+        coupling=L.coupling,
+        bending=L.bending,
+        shear=L.shear,
+        drill=L.turning * t.mesh.model.param("K6ROT", 100.0) * DRILL,
+        density=L.density,
+        nsm=p["NSM"] + t.listed_mass,
+        loss=p["GE"],
+        offset=np.nan_to_num(t["ZOFFS"]),
+        flexible=np.ones(len(t), dtype=bool),
+        profile=np.ones((len(t), corners)),
     )
 
 
@@ -319,8 +280,7 @@ def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = Non
 
 def of_rotations(slopes: Any_) -> Any_:
     """Columns over slopes (..., k 2) to columns over (θx, θy), the same shape."""
-    parts = slopes.reshape(*slopes.shape[:-1], -1, 2) @ TURN
-    return np.asarray(parts.reshape(slopes.shape))
+    return np.asarray(slopes @ np.kron(np.eye(slopes.shape[-1] // 2), TURN))
 
 
 def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
@@ -350,38 +310,33 @@ def to_nodes(K: Any_, section: ShellSection, axes: Any_, heights: Any_) -> Any_:
 
 
 def finish(
-    m: Mesh, nodes: Int, K: Any_, section: ShellSection, axes: Any_, mass: Any_
+    t: CardRows, nodes: Int, K: Any_, section: ShellSection, axes: Any_, mass: Any_
 ) -> ElementMatrices:
     """Matrices of stiffness K (e, 6k, 6k) and nodal masses (e, k) of corners."""
     e, k = nodes.shape
-    offset = section.offset[:, None, None] * axes[:, None, 2]
-    M = masses(m, np.broadcast_to(offset, (e, k, 3)), mass, np.asarray(_PATTERN[k]))
+    arms = np.broadcast_to(section.offset[:, None, None] * axes[:, None, 2], (e, k, 3))
     return ElementMatrices(
         dofs=node_dofs(nodes),
         stiffness=K,
-        mass=M,
+        mass=masses(arms, mass, pattern=_PATTERN[k] if t.mesh.coupled_mass else None),
         loss=section.loss,
     )
 
 
-def masses(m: Mesh, arms: Any_, mass: Any_, pattern: Any_) -> Any_:
+def masses(arms: Any_, mass: Any_, pattern: Any_ | None) -> Any_:
     """Lumped (e, 6k) or full (e, 6k, 6k) mass of nodal masses (e, k) at arms (e, k, 3) from the
     nodes.
 
-    PARAM,COUPMASS takes `pattern` (k, k) or (e, k, k), which sums to one, times the whole mass.
+    A coupled mass is the `pattern` (k, k) or (e, k, k), which sums to one, times the whole mass.
     """
     e, k = mass.shape
     ends = np.array([1.0, 1, 1, 0, 0, 0])
-    lumped = mass[..., None] * ends
-    coupled = m.model.param("COUPMASS", -1) > 0
-    if not coupled and not np.any(arms):
-        return np.asarray(lumped.reshape(e, 6 * k))
-    M = lumped.reshape(e, -1)[:, :, None] * np.eye(6 * k)
-    if coupled:
-        full = np.einsum("...ij,ab->...iajb", pattern, np.diag(ends)).reshape(
-            *pattern.shape[:-2], 6 * k, 6 * k
-        )
-        M = scaled(mass.sum(1), np.broadcast_to(full, (e, 6 * k, 6 * k)))
+    lumped = (mass[..., None] * ends).reshape(e, 6 * k)
+    if pattern is None and not np.any(arms):
+        return np.asarray(lumped)
+    M = lumped[:, :, None] * np.eye(6 * k)
+    if pattern is not None:
+        M = scaled(mass.sum(1), np.kron(pattern, np.diag(ends)))
     return congruent(nodal(arm(arms)), M) if np.any(arms) else M
 
 

@@ -18,14 +18,13 @@ CTETRA with 4 nodes (constant strain) or 5 to 10 (isoparametric, four points).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import roots_jacobi
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.errors import InputError
 from ringtrue.fem.elements.elasticity import (
     Anisotropic,
     anisotropic,
@@ -43,7 +42,15 @@ from ringtrue.fem.elements.elasticity import (
     solid,
 )
 from ringtrue.fem.elements.shape_functions import SolidRule, cube, kept, line, triangle
-from ringtrue.fem.mesh import ElementMatrices, Isotropic, Mesh, condense, lookup, node_dofs, scaled
+from ringtrue.fem.mesh import (
+    CardRows,
+    ElementMatrices,
+    Isotropic,
+    condense,
+    node_dofs,
+    scaled,
+    taken,
+)
 from ringtrue.model.cards import (
     HEXAHEDRON,
     QUADRILATERAL,
@@ -51,7 +58,7 @@ from ringtrue.model.cards import (
     TRIANGLE,
     WEDGE,
 )
-from ringtrue.model.model import Model, card_error, refuse_rows, unsupported_card
+from ringtrue.model.model import Model, Table
 
 # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
 _CACHED = 2**16
@@ -119,62 +126,56 @@ class SolidShape:
         """Number of corner nodes."""
         return int(self.linear.stiffness.values.shape[1])
 
-    def present(self, model: Model, at: Int) -> Bool:
-        """Which nodes rows `at` (e,) have, (e, n)."""
-        t = model[self.card]
+    def present(self, t: Table, at: Int) -> Bool:
+        """Which nodes rows `at` (e,) of its table have, (e, n)."""
         count = self.corners + len(self.edges)
-        out = np.zeros((at.size, count), dtype=bool)
-        out[:, : self.corners] = True
+        out = np.ones((at.size, count), dtype=bool)
         for k in range(self.corners, count):
-            if f"G{k + 1}" in t.columns:
-                out[:, k] = t[f"G{k + 1}"][at] > 0
+            name = f"G{k + 1}"
+            out[:, k] = t[name][at] > 0 if name in t.columns else False
         return out
 
-    def build(self, m: Mesh, card: str, at: Int) -> ElementMatrices:
-        """Matrices of rows `at` (e,), which have the same midside nodes and kind of material (see
-        `same_midsides`).
+    def kinds(self, model: Model, at: Int) -> Int:
+        """What tells rows `at` (e,) that one call of `build` does not take together: midside nodes
+        and the kind of material, (e, k).
+        """
+        t = model[self.card]
+        other = is_anisotropic(model, t["PID"][at])
+        return np.column_stack([self.present(t, at), other]).astype(np.int64)
+
+    def build(self, t: CardRows) -> ElementMatrices:
+        """Matrices of rows that have the same midside nodes and kind of material (see `kinds`).
 
         Raises
         ------
-        InputError
-            If their midside nodes differ.
         DeckError
             If an element is inside out or has no volume.
         UnsupportedCard
             If a property is that of a fluid.
         """
-        present = self.present(m.model, at)
-        if (present != present[0]).any():
-            raise InputError(
-                f"{card}: rows with different midside nodes in one batch; split them by "
-                "solid.same_midsides"
-            )
-        t = m.model[card]
-        names = [f"G{k + 1}" for k in np.flatnonzero(present[0])]
-        nodes = m.nodes(np.stack([t[name][at] for name in names], axis=1), t, at)
+        m = t.mesh
+        present = self.present(t.table, t.at[:1])[0]
+        nodes = t.nodes(*(f"G{k + 1}" for k in np.flatnonzero(present)))
         x = m.xyz[nodes]
-        flat = self._flat(x.real)
-        refuse_rows(m.model, t, at[flat], "it has no volume; check its nodes")
-        row = lookup(m.model, "PSOLID", t["PID"][at], table=t, at=at)
-        _refuse_fluid(m.model, row)
+        t.refuse(self._flat(x.real), "it has no volume; check its nodes")
+        p = t.named("PSOLID")
+        fluid = np.char.startswith(p["FCTN"].astype(str), "PFLUID")
+        p.refuse_unsupported(fluid, "is a fluid (FCTN PFLUID); allowed is SMECH or blank")
         material: Isotropic | Anisotropic
-        if is_anisotropic(m.model, t["PID"][at[:1]])[0]:
-            material = anisotropic(m, row, x, self.axes(x))
+        if is_anisotropic(m.model, t["PID"][:1])[0]:
+            material = anisotropic(p, x, self.axes(x))
         else:
-            material = moduli(m, row)
-        if (bad := self._inside_out(x.real, present[0])).any():
-            why = (
-                "inside out or too distorted (its Jacobian is not positive); check its node "
-                "order: the corners go "
-                "round one face, then round the opposite one, not row by row"
-            )
-            raise card_error(m.model, t, int(at[bad][0]), why)
-        K, _, rule = self._stiffness(x, material, present[0])
-        M = mass(x, material.rho, rule, m.model.param("COUPMASS", -1) > 0)
+            material = moduli(p)
+        t.refuse(
+            self._inside_out(x.real, present),
+            "inside out or too distorted (its Jacobian is not positive); check its node order: the "
+            "corners go round one face, then round the opposite one, not row by row",
+        )
+        K, rule = self._stiffness(x, material, present)
         return ElementMatrices(
             dofs=node_dofs(nodes, 3),
             stiffness=K,
-            mass=M,
+            mass=mass(x, material.rho, rule, m.coupled_mass),
             loss=material.loss,
         )
 
@@ -200,60 +201,27 @@ class SolidShape:
 
     def _stiffness(
         self, x: Any_, material: Isotropic | Anisotropic, present: Bool
-    ) -> tuple[Any_, Any_, SolidRule]:
-        """Stiffness, determinants, and the rule for the mass; in slices that stay in the cache."""
+    ) -> tuple[Any_, SolidRule]:
+        """Stiffness and the rule for the mass; in slices that stay in the cache."""
         size = max(1, _CACHED // (3 * present.sum()) ** 2)
-        parts = [
-            self._slice(x[k : k + size], _part(material, k, size), present)
-            for k in range(0, len(x), size)
-        ]
-        return (
-            np.concatenate([p[0] for p in parts]),
-            np.concatenate([p[1] for p in parts]),
-            parts[0][2],
-        )
-
-    def _slice(
-        self, x: Any_, material: Isotropic | Anisotropic, present: Bool
-    ) -> tuple[Any_, Any_, SolidRule]:
-        if not present[self.corners :].any():
-            lin = self.linear
-            if lin.pressure is not None:
-                return *projected(x, material, lin.stiffness, lin.pressure), lin.mass
-            return *kernel(
-                x, material, lin.stiffness, bubbles=lin.bubbles, centre=lin.centre
-            ), lin.mass
-        rules = [
-            kept(r, self.edges, present) for r in (self.quadratic.stiffness, self.quadratic.mass)
-        ]
-        return *projected(x, material, rules[0], self.quadratic.pressure), rules[1]
-
-
-def _refuse_fluid(model: Model, row: Int) -> None:
-    p = model["PSOLID"]
-    fluid = np.char.startswith(p["FCTN"][row].astype(str), "PFLUID")
-    if fluid.any():
-        raise unsupported_card(
-            model, p, int(row[fluid][0]), "is a fluid (FCTN PFLUID); allowed is SMECH or blank"
-        )
-
-
-def _part(material: Isotropic | Anisotropic, first: int, size: int) -> Isotropic | Anisotropic:
-    """Elements first..first + size - 1 of a material."""
-    return type(material)(
-        *(getattr(material, f.name)[first : first + size] for f in fields(material))
-    )
-
-
-def same_midsides(shape: SolidShape, model: Model, at: Int) -> Iterable[Int]:
-    """The rows `at` (e,) in groups with the same midside nodes and kind of material."""
-    present = shape.present(model, at)
-    other = is_anisotropic(model, model[shape.card]["PID"][at])
-    code = np.column_stack([present[:, shape.corners :], other]) @ (
-        1 << np.arange(len(shape.edges) + 1)
-    )
-    for c in np.unique(code):
-        yield at[code == c]
+        lin = self.linear
+        linear = not present[self.corners :].any()
+        rule, pressure, of_mass = lin.stiffness, lin.pressure, lin.mass
+        if not linear:
+            rule, of_mass = (
+                kept(r, self.edges, present)
+                for r in (self.quadratic.stiffness, self.quadratic.mass)
+            )
+            pressure = self.quadratic.pressure
+        parts = []
+        for first in range(0, len(x), size):
+            at = slice(first, first + size)
+            some = taken(material, at)
+            if pressure is not None:
+                parts.append(projected(x[at], some, rule, pressure))
+            else:
+                parts.append(kernel(x[at], some, rule, bubbles=lin.bubbles, centre=lin.centre))
+        return np.concatenate(parts), of_mass
 
 
 def kernel(
@@ -262,29 +230,24 @@ def kernel(
     rule: SolidRule,
     bubbles: Float | None = None,
     centre: Float | None = None,
-) -> tuple[Any_, Any_]:
-    """Stiffness (e, 3n, 3n) and the determinants (e, gp) of the map."""
+) -> Any_:
+    """Stiffness (e, 3n, 3n)."""
     _, det, g = jacobian(rule.derivatives, x)
     w = det * rule.weights
     n = g.shape[2]
     if bubbles is not None and centre is not None:
         J0, det0, _ = jacobian(centre, x)
-        g = np.concatenate(
-            [g, incompatible(bubbles, J0[:, 0], det0[:, 0], det=det, weights=w)], axis=2
-        )
+        soft = incompatible(bubbles, J0[:, 0], det0[:, 0], det=det, weights=w)
+        g = np.concatenate([g, soft], axis=2)
     A = gram(g, w)
     if isinstance(material, Anisotropic):
         K = general(A, material.tensor)
     else:
         K = elastic(A, *solid(material.E, material.nu), material.shear)
-    if bubbles is not None:
-        K = condense(K, np.arange(3 * n), np.arange(3 * n, K.shape[1]))
-    return K, det
+    return condense(K, slice(3 * n), slice(3 * n, None)) if bubbles is not None else K
 
 
-def projected(
-    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float
-) -> tuple[Any_, Any_]:
+def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float) -> Any_:
     """As `kernel`, with the dilatation of an isotropic body projected on `pressure` (gp, k),
     against locking.
 
@@ -299,7 +262,7 @@ def projected(
     K = elastic(gram(g, w), c11, c12, material.shear)
     moment = np.einsum("eg,gk,egna->ekna", w, pressure, g).reshape(len(g), pressure.shape[1], -1)
     H = np.einsum("eg,gk,gl->ekl", w, pressure, pressure)
-    return K + scaled(kappa, moment.swapaxes(1, 2) @ np.linalg.solve(H, moment)), det
+    return K + scaled(kappa, moment.swapaxes(1, 2) @ np.linalg.solve(H, moment))
 
 
 def general(A: Any_, C: Any_) -> Any_:
@@ -317,13 +280,12 @@ def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool) -> Any_:
     Zienkiewicz 1976).
     """
     w = determinants(rule.derivatives, x) * rule.weights
-    n = rule.values.shape[1]
     if coupled:
         scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)
-        return scaled(rho, np.einsum("eij,ab->eiajb", scalar, np.eye(3)).reshape(-1, 3 * n, 3 * n))
+        return scaled(rho, np.kron(scalar, np.eye(3)))
     diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
     share = diagonal * (w.sum(1) / diagonal.sum(1))[:, None]
-    return scaled(rho, np.repeat(share, 3, axis=1))
+    return np.asarray(rho[:, None] * np.repeat(share, 3, axis=1))
 
 
 def _hexa_axes(x: Any_) -> Any_:

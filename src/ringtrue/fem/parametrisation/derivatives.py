@@ -21,7 +21,7 @@ from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import Sum, System, full_matrices, reduced, turn
 from ringtrue.fem.constraints import eliminate
-from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.elements import given_matrices
 from ringtrue.fem.mesh import applied, union
 from ringtrue.fem.parametrisation.element_derivatives import (
@@ -196,7 +196,7 @@ def _in_frames(model: Model, system: System) -> sparse.csr_array:
 def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_array) -> Pair:
     """dTᵀ A T + Tᵀ A dT of the full K and M; DMIG turn with the displacement frames."""
     m = mesh(model)
-    K, M = full_matrices(m, [build(m, card, at) for card, build, at in batches(model)])
+    K, M = full_matrices(m, [part for _, _, part in pieces(m)])
     stiffness, mass = (_both(dT, A, system.transform) for A in (K, M))
     given = given_matrices.given_matrices(m)
     dL = None if given is None else _differences(model, p, system, _in_frames)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure
-from ringtrue.fem.element_cards import MATERIAL, PROPERTY, batches, mesh, with_listed_mass
+from ringtrue.fem.element_cards import MATERIAL, PROPERTY, mesh, pieces, with_listed_mass
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
 from ringtrue.fem.parametrisation.changed_model import (
     changed,
@@ -323,18 +323,22 @@ def _stepped(m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]]) -> Iterator[E
     struck off.
     """
     owner = _owners(sweep)
-    rows = {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
+    rows = _owned(owner)
     there = with_listed_mass(
         replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * COMPLEX_STEP))
     )
-    for card, at, part in _parts(there, rows):
+    for card, at, part in pieces(there, rows, SPAN):
         yield _derivatives(m, owner[card][at], part, _imaginary)
         for layer in moduli:
             yield from _proportional(layer, card, at, part)
 
 
+def _owned(owner: dict[str, Int]) -> Rows:
+    return {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
+
+
 def _nominal(m: Mesh, layer: dict[str, Int]) -> Iterator[ElementDerivatives]:
-    for card, at, part in _parts(m, {c: np.flatnonzero(o >= 0) for c, o in layer.items()}):
+    for card, at, part in pieces(m, _owned(layer), SPAN):
         yield from _proportional(layer, card, at, part)
 
 
@@ -352,13 +356,6 @@ def _proportional(
     layer[card][at[pick]] = -1
     K = np.ascontiguousarray(p.stiffness.real[pick])
     yield ElementDerivatives(owner, p.dofs[pick], K, np.zeros(K.shape[:2]))
-
-
-def _parts(m: Mesh, rows: Rows) -> Iterator[tuple[str, Int, ElementMatrices]]:
-    for card, build, every in batches(m.model, rows):
-        for start in range(0, every.size, SPAN):
-            at = every[start : start + SPAN]
-            yield card, at, build(m, card, at)
 
 
 def _imaginary(a: Any_) -> Float:
@@ -384,7 +381,7 @@ def _by_differences(m: Mesh, i: int, move: Move) -> Iterator[ElementDerivatives]
         there = mesh(move.applied(m.model, step))
         parts = [
             _derivatives(m, np.full(at.size, i), part, partial(np.multiply, weight))
-            for _, at, part in _parts(there, rows)
+            for _, at, part in pieces(there, rows, SPAN)
         ]
         if total:
             parts = [
@@ -397,7 +394,7 @@ def _by_differences(m: Mesh, i: int, move: Move) -> Iterator[ElementDerivatives]
 
 def _shortest_edge(m: Mesh, rows: Rows) -> float:
     shortest = diagonal(m.xyz) or 1.0
-    for _, _, part in _parts(m, rows):
+    for _, _, part in pieces(m, rows, SPAN):
         per_node = 6 if part.dofs.shape[1] % 6 == 0 else 3
         node = part.dofs[:, ::per_node] // 6
         node = np.where((node >= 0) & (node < len(m.xyz)), node, -1)
@@ -409,7 +406,7 @@ def _shortest_edge(m: Mesh, rows: Rows) -> float:
 
 def _common_factor(m: Mesh, i: int, name: str, s: Substructure) -> Iterator[ElementDerivatives]:
     """The element matrices themselves: the derivative to a common factor on them."""
-    for _, at, part in _parts(m, rows_of_elements(m.model, name, s.elements)):
+    for _, at, part in pieces(m, rows_of_elements(m.model, name, s.elements), SPAN):
         whole = _derivatives(m, np.full(at.size, i), part, np.asarray)
         if s.matrix == "stiffness":
             yield replace(whole, mass=np.zeros_like(whole.mass))

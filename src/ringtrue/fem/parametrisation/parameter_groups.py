@@ -13,7 +13,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.errors import DeckError, UnsupportedError
-from ringtrue.fem.element_cards import batches, with_listed_mass
+from ringtrue.fem.element_cards import ELEMENTS, batches, with_listed_mass
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, common, union
 from ringtrue.fem.parametrisation.changed_model import changed, rows_of, rows_of_elements, within
 from ringtrue.fem.parametrisation.element_derivatives import is_place
@@ -128,8 +128,8 @@ def built(
         model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
     there = with_listed_mass(Mesh(model, m.xyz, m.cd, m.scalar))
     out = list[ElementMatrices]()
-    for card, build, at in batches(model, rows):
-        part = build(there, card, at)
+    for card, at in batches(model, rows):
+        part = ELEMENTS[card](there.rows(card, at))
         for g, a in zip(groups, factors, strict=True):
             part = g.scaled(part, card, at, a)
         out.append(part)
@@ -185,7 +185,7 @@ def picked(m: Mesh, rows: Rows, wanted: Int) -> Rows:
     """Elements by their numbers, ascending, as `owners` counts them."""
     first = 0
     out = Rows()
-    for card, _, at in batches(m.model, rows):
+    for card, at in batches(m.model, rows):
         here = at[wanted[(wanted >= first) & (wanted < first + at.size)] - first]
         out[card] = np.union1d(out.get(card, here), here)
         first += at.size
@@ -223,7 +223,7 @@ class Together:
     def of(cls, m: Mesh, some: Sequence[Region]) -> Together:
         """The regions, in their order."""
         rows = union(r.rows for r in some)
-        there = [(card, at) for card, _, at in batches(m.model, rows)]
+        there = list(batches(m.model, rows))
         places = []
         for r in some:
             on = [np.flatnonzero(np.isin(at, r.rows.get(card, ()))) for card, at in there]

@@ -167,7 +167,7 @@ class PolynomialTerms:
             return region.rows
         indices = self._products(region, powers)
         left: Rows = {}
-        for card, _, every in batches(self._mesh.model, region.rows):
+        for card, every in batches(self._mesh.model, region.rows):
             for first in range(0, every.size, SPAN):
                 at = every[first : first + SPAN]
                 if not self._added(region, {card: at}, powers, indices):

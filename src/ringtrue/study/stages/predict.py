@@ -325,7 +325,7 @@ def _spring_rows(model: Model, at: Int, dofs: DofSet) -> sparse.csr_array:
     The force that passes from GA to GB or to the ground; dashpots of the springs are not part of
     it.
     """
-    part = bush(mesh(model), "CBUSH", at)
+    part = bush(mesh(model).rows("CBUSH", at))
     k = np.asarray(part.stiffness, dtype=np.float64)[:, :3]
     cols = np.broadcast_to(part.dofs[:, None, :], k.shape)
     rows = np.broadcast_to(np.arange(3 * at.size).reshape(-1, 3)[..., None], k.shape)

@@ -19,7 +19,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.fem.assembly import System
-from ringtrue.fem.element_cards import batches, mesh
+from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.mesh import Mesh
 from ringtrue.fem.parametrisation.changed_model import affected_cards
 from ringtrue.model.model import Model
@@ -201,8 +201,7 @@ def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float,
     none = np.empty(0, dtype=np.int64)
     rows = [none]
     cols = [none]
-    for card, build, at in batches(m.model):
-        part = build(m, card, at)
+    for card, at, part in pieces(m):
         u = full[part.dofs]
         out[first[card] + at] = np.einsum("edk,edk->ek", u, part.stiffness @ u)
         node = np.where(part.dofs < grid, part.dofs // 6, part.dofs - grid + len(m.xyz))
