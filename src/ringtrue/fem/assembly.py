@@ -137,16 +137,6 @@ def mirrored(lower: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array(lower + upper)
 
 
-def sum_up(n: int, parts: Iterable[tuple[Int, Any_]]) -> sparse.csr_array:
-    """Add symmetric element matrices: dofs (e, d), -1 for none, with values (e, d) or (e, d, d),
-    into (n, n) csr.
-    """
-    total = Sum(n)
-    for dofs, block in parts:
-        total.add(dofs, block)
-    return total.total()
-
-
 def reduced(T: sparse.csr_array, A: sparse.csr_array) -> sparse.csr_array:
     """TᵀAT for a symmetric A, exactly symmetric."""
     if (rows := _selected(T)) is not None:
@@ -164,12 +154,15 @@ def _selected(T: sparse.csr_array) -> Int | None:
 
 
 def full_matrices(
-    m: Mesh, parts: list[ElementMatrices]
+    m: Mesh, parts: Iterable[ElementMatrices]
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Stiffness and mass (n, n) over the full basic DOFs; PARAM,WTMASS is in the mass."""
-    K = sum_up(m.size, ((p.dofs, p.stiffness) for p in parts))
-    M = sum_up(m.size, ((p.dofs, p.mass) for p in parts))
-    return K, sparse.csr_array(M * m.model.param("WTMASS", 1.0))
+    K = Sum(m.size)
+    M = Sum(m.size)
+    for p in parts:
+        K.add(p.dofs, p.stiffness)
+        M.add(p.dofs, p.mass)
+    return K.total(), sparse.csr_array(M.total() * m.model.param("WTMASS", 1.0))
 
 
 def turn(m: Mesh) -> sparse.csr_array:

@@ -71,7 +71,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CONM2": lumped.build_point_mass,
 }
 SOLIDS = {s.card: s for s in (solid.HEXA, solid.PENTA, solid.PYRAMID, solid.TETRA)}
-# what tells elements that are built by separate calls, (e, k)
+# what separates elements that one call cannot build together, (e, k)
 KINDS: Mapping[str, Callable[[Model, Int], Int]] = {
     **{card: s.kinds for card, s in SOLIDS.items()},
     "GENEL": given_matrices.sizes,

@@ -21,7 +21,7 @@ from ringtrue.fem.nonstructural_mass import CARDS, sharers
 from ringtrue.model.cards import MADE, resectioned
 from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import positions
-from ringtrue.model.model import Model, Ragged, Table
+from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import REFERENCES
 
 FOLLOWERS = ("CFAST", "CWELD")  # they stand on the corners of shells that they do not name
@@ -179,9 +179,10 @@ def _with_ply(table: Table, rows: Int, name: str, ply: int, change: _Scaling) ->
 
 
 def _with_entries(table: Table, name: str, values: NDArray[Any]) -> Table:
-    """The table with other values of a list."""
-    entries = Ragged(values, table.ragged(name).offsets)
-    return replace(table, columns={**table.columns, name: entries})
+    """The table with other values of a column, plain or of lists."""
+    old = table.columns[name]
+    column = Ragged(values, old.offsets) if isinstance(old, Ragged) else values
+    return replace(table, columns={**table.columns, name: column})
 
 
 def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
@@ -223,20 +224,18 @@ def rows_of(model: Model, target: CardField) -> Rows:
     """Rows of each element card that the target changes; all users of the card where no elements
     are named.
     """
+    ids = np.array([target.id])
     if target.card == "GRID":
-        return users_of_nodes(model, np.array([target.id]))
+        return users_of_nodes(model, ids)
     if target.card in CARDS:
-        return sharers(model, {}, np.array([target.id]))
+        return sharers(model, {}, ids)
+    found = _users(model, target.card, ids)
     # offsets change its length
     if target.card in ("CBAR", "CBEAM") and target.field.startswith("W"):
-        return sharers(model, _users(model, target.card, np.array([target.id])))
-    found = _users(model, target.card, np.array([target.id]))
-    if (
-        target.card == "PSHELL"
-        and {"CWELD", "PWELD"} <= model.tables.keys()
-        and (model["PWELD"]["TYPE"] == "SPOT").any()
-    ):
-        # a spot weld is as long as its sheets are thick
+        return sharers(model, found)
+    # a spot weld is as long as its sheets are thick
+    welds = {"CWELD", "PWELD"} <= model.tables.keys()
+    if target.card == "PSHELL" and welds and "SPOT" in model["PWELD"]["TYPE"]:
         found["CWELD"] = np.arange(len(model["CWELD"]))
     return found
 
@@ -269,10 +268,8 @@ def _naming(table: Table, field: str, ids: Int) -> Int:
     """Rows of a table whose field, one value or a list, holds one of the ids."""
     if field not in table.columns:
         return np.empty(0, dtype=np.int64)
-    column = table.columns[field]
-    if not isinstance(column, Ragged):
-        return np.flatnonzero(np.isin(column, ids))
-    return np.unique(column.owner[np.isin(column.values, ids)])
+    values, owner = table.entries(field)
+    return np.unique(owner[np.isin(values, ids)])
 
 
 def within(model: Model, rows: Rows, elements: Sequence[int]) -> Rows:
@@ -299,17 +296,6 @@ def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> Rows:
     return rows
 
 
-def _node_fields() -> dict[str, list[str]]:
-    made: dict[str, list[str]] = {}
-    for r in REFERENCES:
-        if "GRID" in r.of:
-            made.setdefault(r.card, []).append(r.field)
-    return made
-
-
-_NODES = _node_fields()
-
-
 def users_of_nodes(model: Model, nodes: Int) -> Rows:
     """Rows of each element card that stand on any of the nodes; every row if a frame hangs on one.
 
@@ -332,8 +318,9 @@ def affected_cards(model: Model) -> Iterable[str]:
 
 def _on(table: Table, nodes: Int) -> Bool:
     hit = np.zeros(len(table), dtype=bool)
-    for name in _NODES.get(table.card, []):
-        hit[_naming(table, name, nodes)] = True
+    for r in REFERENCES:
+        if r.card == table.card and "GRID" in r.of:
+            hit[_naming(table, r.field, nodes)] = True
     return hit
 
 
@@ -382,48 +369,36 @@ def _copied(model: Model, card: str, row_id: int, family: str) -> tuple[int, Mod
 
 def _row_added(model: Model, card: str, row_id: int, fresh: int) -> Model:
     table = model[card]
-    row = int(table.find(np.array([row_id]))[0])
+    row = table.find(np.array([row_id]))
     columns: dict[str, Any] = {}
-    for i, (n, column) in enumerate(table.columns.items()):
+    for name, column in table.columns.items():
         if isinstance(column, Ragged):
-            end = column.offsets[-1] + column.offsets[row + 1] - column.offsets[row]
-            columns[n] = Ragged(
-                np.concatenate([column.values, column.row(row)]), np.append(column.offsets, end)
-            )
+            columns[name] = Ragged.of([column.row(int(row[0]))])
         else:
-            columns[n] = np.append(column, fresh if i == 0 else column[row])
-    made = Table(card, columns, np.append(table.file, -1), np.append(table.line, 0))
-    return replace(model, tables={**model.tables, card: made})
+            columns[name] = column[row]
+    columns[next(iter(columns))] = np.array([fresh])
+    made = Table(card, columns, np.array([-1]), np.array([0]))
+    return replace(model, tables={**model.tables, card: stacked(table, made)})
 
 
 def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh: int) -> Model:
-    table = model[card]
-    column = table.columns[field]
-    if isinstance(column, Ragged):
-        values = np.where(
-            np.isin(column.owner, rows) & (column.values == old), fresh, column.values
-        )
-        columns = {**table.columns, field: Ragged(values, column.offsets)}
-        return replace(model, tables={**model.tables, card: replace(table, columns=columns)})
-    out = column.copy()
-    out[rows] = np.where(out[rows] == old, fresh, out[rows])
-    return replace(model, tables={**model.tables, card: table.with_column(field, out)})
+    """The model in which these rows of a card name `fresh` in place of `old`."""
+    values, owner = model[card].entries(field)
+    mine = np.isin(owner, rows) & (values == old)
+    table = _with_entries(model[card], field, np.where(mine, fresh, values))
+    return replace(model, tables={**model.tables, card: table})
 
 
 def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fresh: int) -> Model:
     """Copies of the properties `card` that name material `old`, naming `fresh`, for the element
     rows.
     """
+    naming = model[card].ids[_naming(model[card], field, np.array([old]))]
     for r in [r for r in REFERENCES if card in r.of and r.card in rows]:
-        for pid in np.unique(model[r.card][r.field][rows[r.card]]).tolist():
-            row = model[card].find(np.array([pid]))
-            named = model[card].columns[field]
-            held = named.row(int(row[0])) if isinstance(named, Ragged) else named[row]
-            if row[0] < 0 or not (held == old).any():
-                continue
+        used = model[r.card][r.field][rows[r.card]]
+        for pid in np.intersect1d(used, naming).tolist():
             new, model = _copied(model, card, pid, "P")
-            model = _redirected(
-                model, card, field, rows=model[card].find(np.array([new])), old=old, fresh=fresh
-            )
+            copy = model[card].find(np.array([new]))
+            model = _redirected(model, card, field, rows=copy, old=old, fresh=fresh)
             model = _redirected(model, r.card, r.field, rows=rows[r.card], old=pid, fresh=new)
     return model

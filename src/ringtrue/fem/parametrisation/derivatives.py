@@ -31,7 +31,7 @@ from ringtrue.fem.parametrisation.element_derivatives import (
     moves,
 )
 from ringtrue.fem.parametrisation.interpolation import SEARCH, interpolated, learn
-from ringtrue.fem.parametrisation.parameter_groups import few, groups_of, regions
+from ringtrue.fem.parametrisation.parameter_groups import Pair, few, groups_of, regions
 from ringtrue.fem.parametrisation.polynomials import (
     SAMPLE,
     AffineTerm,
@@ -105,9 +105,6 @@ def matrices_kept(model: Model, *parameters: Parameter, most: int = SEARCH.most)
     if not curved and not any(powers):
         return None
     return max((len(n.factors) for n in found), default=0)
-
-
-Pair = tuple[sparse.csr_array, sparse.csr_array]
 
 
 def system_derivatives(
@@ -196,7 +193,7 @@ def _in_frames(model: Model, system: System) -> sparse.csr_array:
 def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_array) -> Pair:
     """dTᵀ A T + Tᵀ A dT of the full K and M; DMIG turn with the displacement frames."""
     m = mesh(model)
-    K, M = full_matrices(m, [part for _, _, part in pieces(m)])
+    K, M = full_matrices(m, (part for _, _, part in pieces(m)))
     stiffness, mass = (_both(dT, A, system.transform) for A in (K, M))
     given = given_matrices.given_matrices(m)
     dL = None if given is None else _differences(model, p, system, _in_frames)

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.assembly import Sum, System, reduced
 from ringtrue.fem.element_cards import batches
 from ringtrue.fem.mesh import Mesh, Rows
@@ -92,9 +92,9 @@ class AffineTerm:
 SAMPLE = 40  # elements of a kind whose matrices show the powers
 SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 MOST_PRODUCTS = 1024  # of a region; one of more is interpolated
-NODES = (1.0, 2.0, 0.5, 3.0)  # factors at which powers are distinguished
+NODES = np.array([1.0, 2.0, 0.5, 3.0])  # factors at which powers are distinguished
 CUBIC = (1, 2, 3)
-Indices = tuple[int, ...]  # of each group the number of its power, 0 where it does not take part
+Exponents = tuple[int, ...]  # of the factor of each group, 0 where it does not take part
 
 
 def own_powers(m: Mesh, g: ParameterGroup) -> tuple[int, ...] | None:
@@ -117,14 +117,9 @@ def own_powers(m: Mesh, g: ParameterGroup) -> tuple[int, ...] | None:
         one, other, turned, there = (at[a][k] for a in (1, -1, 1j, check))
         even = (one + other) / 2
         odd = (one - other) / 2
-        c = (
-            (even + turned.real) / 2,
-            (odd + turned.imag) / 2,
-            (even - turned.real) / 2,
-            (odd - turned.imag) / 2,
-        )
-        miss = largest(c[0] + check * c[1] + check**2 * c[2] + check**3 * c[3] - there)
-        if not miss <= 1e-10 * largest(there):
+        c = np.stack([even + turned.real, odd + turned.imag, even - turned.real, odd - turned.imag])
+        c = c / 2
+        if not largest(check ** np.arange(4) @ c - there) <= 1e-10 * largest(there):
             return None
         found |= {p for p in CUBIC if largest(c[p]) > 1e-13 * largest(one)}
     return tuple(sorted(found))
@@ -165,66 +160,57 @@ class PolynomialTerms:
         powers = [self._powers[g] for g in region.groups]
         if prod(1 + len(p) for p in powers) > MOST_PRODUCTS:
             return region.rows
-        indices = self._products(region, powers)
+        products = self._products(region, powers)
         left: Rows = {}
         for card, every in batches(self._mesh.model, region.rows):
             for first in range(0, every.size, SPAN):
                 at = every[first : first + SPAN]
-                if not self._added(region, {card: at}, powers, indices):
+                if not self._added(region, {card: at}, products):
                     left[card] = np.union1d(left.get(card, at[:0]), at)
         return left
 
-    def _products(self, region: Region, powers: Sequence[tuple[int, ...]]) -> list[Indices]:
+    def _products(self, region: Region, powers: Sequence[tuple[int, ...]]) -> list[Exponents]:
         """The products that the matrices of a sample hold, and all that these are multiples of."""
-        every = list(itertools.product(*(range(1 + len(p)) for p in powers)))
+        every = list(itertools.product(*((0, *p) for p in powers)))
         if len(powers) == 1:
             return every
         rows = few(region.rows, SAMPLE)
+        points = NODES[np.array(every)]
         try:
             with np.errstate(all="ignore"):
-                values = [_entries(self._mesh, region.groups, rows, _nodes(i)) for i in every]
+                values = [_entries(self._mesh, region.groups, rows, a) for a in points.tolist()]
         except INVALID:
             return every
-        shares = np.linalg.inv(_basis(every, powers, [_nodes(i) for i in every]))
-        held = set[Indices]()
+        shares = np.linalg.inv(_basis(every, points))
+        held = np.zeros(len(every), dtype=bool)
         for k in range(2):
             matrices = np.stack([v[k] for v in values])
             noise = 1e-12 * largest(matrices[0])
-            size = np.abs(shares @ matrices).max(axis=1, initial=0.0)
-            held |= {i for i, s in zip(every, size.tolist(), strict=True) if s > noise}
-        return [i for i in every if any(_divides(i, j) for j in held)]
+            held |= np.abs(shares @ matrices).max(axis=1, initial=0.0) > noise
+        exponents = np.array(every)
+        divides = np.all(exponents[:, None] <= exponents[held], axis=2)
+        return [p for p, multiples in zip(every, divides, strict=True) if multiples.any()]
 
-    def _added(
-        self,
-        region: Region,
-        rows: Rows,
-        powers: Sequence[tuple[int, ...]],
-        indices: Sequence[Indices],
-    ) -> bool:
+    def _added(self, region: Region, rows: Rows, products: Sequence[Exponents]) -> bool:
         """Add elements of one kind; False where they are no polynomials."""
-        if self._fitted(region, rows, powers, indices):
+        if self._fitted(region, rows, products):
             return True
         # others than those of the sample may have further powers
-        whole = [p if g.matrix else CUBIC for g, p in zip(region.groups, powers, strict=True)]
-        every = list(itertools.product(*(range(1 + len(p)) for p in whole)))
-        return len(every) <= MOST_PRODUCTS and self._fitted(region, rows, whole, every)
+        whole = [self._powers[g] if g.matrix else CUBIC for g in region.groups]
+        every = list(itertools.product(*((0, *p) for p in whole)))
+        return len(every) <= MOST_PRODUCTS and self._fitted(region, rows, every)
 
-    def _fitted(
-        self,
-        region: Region,
-        rows: Rows,
-        powers: Sequence[tuple[int, ...]],
-        indices: Sequence[Indices],
-    ) -> bool:
-        points = [_nodes(i) for i in indices]
-        check = tuple(1.78 + 0.07 * i for i in range(len(powers)))
+    def _fitted(self, region: Region, rows: Rows, products: Sequence[Exponents]) -> bool:
+        check = np.array([1.78 + 0.07 * i for i in range(len(region.groups))])
+        points = NODES[np.array(products)]
+        factors = [*points.tolist(), check.tolist()]
         try:
             with np.errstate(all="ignore"):  # a pole is found by what does not hold
-                made = [built(self._mesh, region.groups, rows, a)[0] for a in (*points, check)]
+                made = [built(self._mesh, region.groups, rows, a)[0] for a in factors]
         except INVALID:
             return False
-        basis = _basis(indices, powers, points)
-        there = _basis(indices, powers, [check])[0]
+        basis = _basis(products, points)
+        there = _basis(products, check[None])[0]
         coefficients = []
         for matrices in ([p.stiffness for p in made], [p.mass for p in made]):
             values = np.stack(matrices[:-1])
@@ -233,26 +219,16 @@ class PolynomialTerms:
                 return False
             c[np.abs(c).max(axis=1, initial=0.0) <= 1e-12 * largest(values[0])] = 0.0
             coefficients.append(c.reshape(values.shape))
-        for index, K, M in zip(indices, *coefficients, strict=True):
-            if any(index):
-                self._add_term(self._product(region, powers, index), made[0].dofs, K, M)
-        return True
-
-    def _product(
-        self, region: Region, powers: Sequence[tuple[int, ...]], index: Indices
-    ) -> Product:
-        taking_part = [
-            (g.which, p[k - 1]) for g, p, k in zip(region.groups, powers, index, strict=True) if k
-        ]
-        return Product(*zip(*sorted(taking_part), strict=True))
-
-    def _add_term(self, product: Product, dofs: Int, stiffness: Float, mass: Float) -> None:
-        if not stiffness.any() and not mass.any():
-            return
         size = self._mesh.size
-        K, M = self._sums.setdefault(product, (Sum(size), Sum(size)))
-        K.add(dofs, stiffness)
-        M.add(dofs, mass)
+        for exponents, K, M in zip(products, *coefficients, strict=True):
+            each = zip(region.groups, exponents, strict=True)
+            taking_part = sorted((g.which, p) for g, p in each if p)
+            if taking_part and (K.any() or M.any()):
+                product = Product(*zip(*taking_part, strict=True))
+                stiffness, mass = self._sums.setdefault(product, (Sum(size), Sum(size)))
+                stiffness.add(made[0].dofs, K)
+                mass.add(made[0].dofs, M)
+        return True
 
     def terms(self, system: System) -> list[AffineTerm]:
         """The sums in the free degrees of freedom, fewer parameters first."""
@@ -267,24 +243,7 @@ class PolynomialTerms:
         return out
 
 
-def _nodes(index: Indices) -> tuple[float, ...]:
-    return tuple(NODES[k] for k in index)
-
-
-def _divides(index: Indices, other: Indices) -> bool:
-    return all(i <= j for i, j in zip(index, other, strict=True))
-
-
-def _basis(
-    indices: Sequence[Indices],
-    powers: Sequence[tuple[int, ...]],
-    points: Sequence[tuple[float, ...]],
-) -> Float:
-    """The products (second axis) at the points."""
-    out = np.ones((len(points), len(indices)))
-    for row, point in enumerate(points):
-        for column, index in enumerate(indices):
-            for a, p, k in zip(point, powers, index, strict=True):
-                if k:
-                    out[row, column] *= a ** p[k - 1] - 1.0
-    return out
+def _basis(products: Sequence[Exponents], points: Float) -> Float:
+    """The products (second axis) at the points (k, groups)."""
+    p = np.array(products)
+    return np.asarray(np.where(p > 0, points[:, None] ** p - 1.0, 1.0).prod(axis=2))
