@@ -64,7 +64,7 @@ class System:
 
     def expand(self, x: Any_) -> Any_:
         """Motion of all nodes in basic, (full, ...), from that of the free DOFs (f, ...)."""
-        return np.asarray(self.transform @ x)
+        return self.transform @ x
 
     def loose(self) -> DofSet:
         """Translations that AUTOSPC holds at nodes that can move otherwise, in the displacement
@@ -78,7 +78,7 @@ class System:
         """Unit motions along and about the axes of basic, (f, 6) float64."""
         full = np.zeros((len(self.dofs), 6))
         full[: 6 * len(self.xyz)] = arm(self.xyz).reshape(-1, 6)
-        return np.asarray(self.local @ full)
+        return self.local @ full
 
 
 class Sum:

@@ -237,4 +237,4 @@ def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
 def _scale(K: Float) -> Float:
     """By which rows and columns of K (..., d, d) get a diagonal of ones."""
     size = np.einsum("...ii->...i", K)
-    return np.asarray(1 / np.sqrt(np.where(size > 0, size, 1.0)))
+    return 1 / np.sqrt(np.where(size > 0, size, 1.0))

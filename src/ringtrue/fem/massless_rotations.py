@@ -75,7 +75,7 @@ def _turns(system: System, at: Int) -> Float:
     full = np.zeros((len(system.dofs), 3))
     for a in range(3):
         full[3 + a : 6 * len(system.xyz) : 6, a] = 1.0
-    return np.asarray(system.local[at] @ full)
+    return system.local[at] @ full
 
 
 def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
@@ -88,7 +88,7 @@ def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
     size = np.bincount(chain, whole, count)
     out = np.zeros((count, 3, 3))
     np.add.at(out, chain, R[:, :, None] * AR[:, None, :])
-    return np.asarray(out / np.where(size > 0, size, 1.0)[:, None, None])
+    return out / np.where(size > 0, size, 1.0)[:, None, None]
 
 
 def without_massless_rotations(model: Model, system: System) -> tuple[System, DofSet]:

@@ -40,7 +40,7 @@ def skew(r: Any_) -> Any_:
 def unit(v: Any_) -> Any_:
     """Vectors (..., 3) divided by their length, analytic; one without length stays 0."""
     length = np.sqrt((v * v).sum(axis=-1, keepdims=True))
-    return np.asarray(v / np.where(length == 0, 1.0, length))
+    return v / np.where(length == 0, 1.0, length)
 
 
 def arm(r: Any_) -> Any_:
@@ -441,9 +441,7 @@ class ElementMatrices:
 
 def node_dofs(nodes: Int, count: int = 6) -> Int:
     """The first `count` full DOFs of nodes (e, k) -> (e, k count)."""
-    return np.asarray(
-        (6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1])
-    )
+    return (6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1])
 
 
 def segment(x: Float) -> tuple[Float, Float]:

@@ -86,14 +86,6 @@ class BeamSection:
         return np.asarray(taper | coupled)
 
 
-def _curvature(L: Float) -> tuple[Float, Float]:
-    """Constant and linear part of the curvature of (v1, θ1, v2, θ2), (e, 4) each."""
-    o = np.zeros_like(L)
-    b0 = np.stack([o, -1 / L, o, 1 / L], axis=1)
-    b1 = np.stack([6 / L**2, 3 / L, -6 / L**2, 3 / L], axis=1)
-    return b0, b1
-
-
 def kernel(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     """Local stiffness (e, 12, 12), exact for end loads."""
     K = uniform(L, iso, s)
@@ -110,7 +102,10 @@ def uniform(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     shear).
     """
     A, I1, I2, I12, J = (v.mean(axis=1) for v in (s.A, s.I1, s.I2, s.I12, s.J))
-    b0, b1 = _curvature(L)
+    # constant and linear part of the curvature of (v1, θ1, v2, θ2)
+    o = np.zeros_like(L)
+    b0 = np.stack([o, -1 / L, o, 1 / L], axis=1)
+    b1 = np.stack([6 / L**2, 3 / L, -6 / L**2, 3 / L], axis=1)
     constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
     soft = [1 / (1 + _shear(iso, A, I, k=k, L=L)) for I, k in ((I1, s.k1), (I2, s.k2))]
     EI1 = scaled(iso.E * I1, constant) + scaled(iso.E * I1 * soft[0], linear)
@@ -196,7 +191,7 @@ def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_
         for p, w in rule.tolist():  # a fixed number of points
 
             def value(v: Any_, k: int = k, p: float = p) -> Any_:
-                return np.asarray((0.5 - p) * v[:, k] + (0.5 + p) * v[:, k + 1])
+                return (0.5 - p) * v[:, k] + (0.5 + p) * v[:, k + 1]
 
             yield x[:, k] + part * (0.5 + p), part * w, value
 
@@ -339,7 +334,7 @@ def _at_stations(p: CardRows, name: str, x: Float, entry: Int) -> Any_:
 
 
 def _between(a: Any_, b: Any_, x: Float) -> Any_:
-    return np.asarray(a[:, None] + (b - a)[:, None] * x)
+    return a[:, None] + (b - a)[:, None] * x
 
 
 def offsets(t: CardRows, nodes: Int) -> Float:

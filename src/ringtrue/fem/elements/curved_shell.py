@@ -168,16 +168,17 @@ def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
         (q1**2, q2**2, q1 * q2),
         (2 * p1 * q1, 2 * p2 * q2, p1 * q2 + p2 * q1),
     )
+    N, d, _, arms = _along(rule, shear, x, n)
+    across = np.einsum("kn,ena->eka", N, n)
+    sampled = _rows(d[..., None] * across[:, :, None], N[..., None] * arms)
     inside = [T @ _carried(plane, rows) for rows in (membrane, curvature)]
-    return np.concatenate(
-        [*inside, back @ _carried(shear, _shear_samples(rule, shear, x, n))], axis=2
-    )
+    return np.concatenate([*inside, back @ _carried(shear, sampled)], axis=2)
 
 
 def _carried(s: Samples, rows: Any_) -> Any_:
     """Sampled rows (e, k, d) to the integration points (e, p, c, d)."""
     p, c, k = s.carry.shape
-    return np.asarray((s.carry.reshape(p * c, k) @ rows).reshape(len(rows), p, c, -1))
+    return (s.carry.reshape(p * c, k) @ rows).reshape(len(rows), p, c, -1)
 
 
 def _along(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_, Any_, Any_]:
@@ -186,12 +187,6 @@ def _along(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_, A
     d = np.einsum("knr,kr->kn", d, s.direction)
     xd = np.einsum("kn,ena->eka", d, x)
     return N, d, xd, np.cross(n[:, None], xd[:, :, None])
-
-
-def _shear_samples(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> Any_:
-    N, d, _, arms = _along(rule, s, x, n)
-    across = np.einsum("kn,ena->eka", N, n)
-    return _rows(d[..., None] * across[:, :, None], N[..., None] * arms)
 
 
 def _rows(u: Any_, theta: Any_) -> Any_:

@@ -18,7 +18,7 @@ def gram(gradients: Float, weights: Float) -> Float:
     """A[i,a,j,b] = ∫ ∂aNi ∂bNj; gradients (e, gp, n, d), weights (e, gp) -> (e, n, d, n, d)."""
     e, g, n, d = gradients.shape
     flat = gradients.reshape(e, g, n * d)
-    return np.asarray(((flat * weights[:, :, None]).swapaxes(1, 2) @ flat).reshape(e, n, d, n, d))
+    return ((flat * weights[:, :, None]).swapaxes(1, 2) @ flat).reshape(e, n, d, n, d)
 
 
 def elastic(A: Float, c11: Any_, c12: Any_, G: Any_) -> Any_:

@@ -236,7 +236,7 @@ class Skin:
             away[np.isfinite(away[:, 0]), 0] = -1.0
         best = away.argmin(axis=1)
         row = np.arange(len(point))
-        return np.asarray(np.where(np.isfinite(away[row, best]), found[row, best], -1))
+        return np.where(np.isfinite(away[row, best]), found[row, best], -1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -128,9 +128,7 @@ def _quad_shear(p: Float) -> Samples:
 def _linear(points: Float, p: Float) -> Float:
     """The linear function of three values, (p, 3)."""
     one = np.ones((len(p), 1))
-    return np.asarray(
-        np.linalg.solve(np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T).T
-    )
+    return np.linalg.solve(np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T).T
 
 
 def _triangle_plane(p: Float) -> Samples:

@@ -40,7 +40,7 @@ def flat(x: Float) -> tuple[Float, Float]:
 
 
 def _turned(a: Float, b: Float) -> Float:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def is_convex(x: Float) -> Any_:

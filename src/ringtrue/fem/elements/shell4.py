@@ -71,7 +71,7 @@ def _assumed_shear(xy: Any_, J: Any_) -> Any_:
     mix[:, 1, 2] = (1 - xi) / 2
     mix[:, 1, 3] = (1 + xi) / 2
     rows = np.einsum("grs,esnc->egrnc", mix, cov).reshape(len(xy), 4, 2, 12)
-    return np.asarray(np.linalg.solve(J, rows))
+    return np.linalg.solve(J, rows)
 
 
 def kernel(xy: Any_, s: ShellSection) -> Any_:

@@ -307,7 +307,7 @@ def transverse_shear(p: Plies, A: Any_, B: Any_, D: Any_) -> Any_:
         compliance = compliance + np.einsum(
             "pl,plji,pljk,plkm->pim", p.height * w / 2, f, flexible, f, optimize=True
         )
-    return np.asarray(np.linalg.inv(compliance))
+    return np.linalg.inv(compliance)
 
 
 def _smeared(

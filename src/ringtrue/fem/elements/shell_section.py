@@ -71,7 +71,7 @@ class ShellSection:
         """
         if (self.profile == 1).all():
             return w
-        return np.asarray(w * (self.profile @ N.T) ** power)
+        return w * (self.profile @ N.T) ** power
 
     def masses(self, w: Any_, N: Float) -> Any_:
         """Mass (e, gp) at the integration points."""
@@ -280,7 +280,7 @@ def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = Non
 
 def of_rotations(slopes: Any_) -> Any_:
     """Columns over slopes (..., k 2) to columns over (θx, θy), the same shape."""
-    return np.asarray(slopes @ np.kron(np.eye(slopes.shape[-1] // 2), TURN))
+    return slopes @ np.kron(np.eye(slopes.shape[-1] // 2), TURN)
 
 
 def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
@@ -293,7 +293,7 @@ def drilling(N: Float, gradients: Any_, w: Any_) -> Any_:
     row[..., 1] = -gradients[..., 0] / 2
     row[..., 2] = N
     flat = row.reshape(e, g, 3 * k)
-    return np.asarray((flat * w[:, :, None]).swapaxes(1, 2) @ flat)
+    return (flat * w[:, :, None]).swapaxes(1, 2) @ flat
 
 
 def to_nodes(K: Any_, section: ShellSection, axes: Any_, heights: Any_) -> Any_:

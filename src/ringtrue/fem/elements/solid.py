@@ -136,8 +136,8 @@ class SolidShape:
         return out
 
     def kinds(self, model: Model, at: Int) -> Int:
-        """What tells rows `at` (e,) that one call of `build` does not take together: midside nodes
-        and the kind of material, (e, k).
+        """Midside nodes and kind of material of rows `at` (e,), (e, k): rows that differ in these
+        need calls of `build` of their own.
         """
         t = model[self.card]
         other = is_anisotropic(model, t["PID"][at])

@@ -69,6 +69,11 @@ class _Sweep:
     rows: list[tuple[int, Rows]] = field(default_factory=list)
     taken: dict[str, Bool] = field(default_factory=dict)
 
+    def take(self, model: Model, rows: Rows) -> None:
+        """These rows feel its steps, too."""
+        for card, at in rows.items():
+            self.taken.setdefault(card, np.zeros(len(model[card]), dtype=bool))[at] = True
+
 
 def is_place(target: CardField) -> bool:
     """Whether a field is the place of a node or of a beam's end, or a direction."""
@@ -184,7 +189,7 @@ def _bundles(
                 _join(model, made.setdefault(targets, []), targets, i=i, rows=rows)
     sweeps = [s for group in made.values() for s in group]
     for s in sweeps:  # what the steps change, not only what the parameters own
-        s.taken = _mask(model, reach[s.targets].rows)
+        s.take(model, reach[s.targets].rows)
     return sweeps, [_owners(s) for s in layers]
 
 
@@ -273,8 +278,7 @@ def _join(
         s = _Sweep(targets)
         bundle.append(s)
     s.rows.append((i, rows))
-    for c, at in rows.items():
-        s.taken.setdefault(c, np.zeros(len(model[c]), dtype=bool))[at] = True
+    s.take(model, rows)
 
 
 def _merged(model: Model, sweeps: list[_Sweep]) -> list[_Sweep]:
@@ -307,14 +311,6 @@ def sole_material(model: Model, card: str) -> Int:
     one = ((mids == top[:, None]) | (mids <= 0)).all(axis=1) & (top > 0)
     row = np.arange(len(t)) if name == card else model[name].find(t["PID"])
     out[row >= 0] = np.where(one, top, -1)[row[row >= 0]]
-    return out
-
-
-def _mask(model: Model, rows: Rows) -> dict[str, Bool]:
-    out = {}
-    for card, at in rows.items():
-        out[card] = np.zeros(len(model[card]), dtype=bool)
-        out[card][at] = True
     return out
 
 

@@ -125,7 +125,7 @@ class InterpolationNodes:
         """What determines c (r,): the scaled entries, less those at nominal, from the `entries` of
         its rows.
         """
-        return np.asarray(self.weights * (found[self.places] - self.start))
+        return self.weights * (found[self.places] - self.start)
 
     def solved(self, changes: Float) -> Float:
         """c (r, ...) from scaled entries (r, ...) less those at nominal, or both their
@@ -173,7 +173,7 @@ class _Learner:
         c = np.linalg.solve(self.changes[:, self.places].T, changes[:, self.places].T)
         rest = (changes - c.T @ self.changes) / size[:, None]
         if np.abs(rest).max(initial=0.0) < SEARCH.holds:
-            return np.asarray(some[-1][0])
+            return some[-1][0]
         # chosen anew among all: what stood out by 1e-9 alone at few points is a poor node once
         # others are seen
         self.factors = np.vstack([self.factors, *(a for a, _ in some)])

@@ -64,10 +64,8 @@ class ParameterGroup:
             return part
         on = np.isin(at, self.rows.get(card, at[:0]))
         matrix = part.stiffness if self.matrix == "stiffness" else part.mass
-        return replace(
-            part,
-            **{self.matrix: matrix * np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))},
-        )
+        factor = np.where(on, a, 1.0).reshape(-1, *[1] * (matrix.ndim - 1))
+        return replace(part, **{self.matrix: matrix * factor})
 
 
 def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterGroup]:
@@ -271,7 +269,7 @@ def owners(m: Mesh, region: Region) -> Int:
 
     wide = 1 + max(region.which)
     (found,) = entries(m, [region], np.ones(wide), numbers)
-    return np.asarray(found.astype(np.int64) % (count // 2))
+    return found.astype(np.int64) % (count // 2)
 
 
 def roots(x: Any_) -> Any_:
