@@ -83,9 +83,10 @@ def test_complex_modes_of_proportional_damping():
     g = 0.04
     damped = type(model)(model.tables, {"G": g}, model.case)
     with EmbeddedSolver().open(damped) as analysis:
-        modes = analysis.complex_modes(ModesRequest(6))
+        modes = analysis.complex_modes(ModesRequest(6)).modes
         real = analysis.modes(ModesRequest(6)).modes
-        band = analysis.complex_modes(ModesRequest(band=(0.0, float(real.frequencies[3]) * 1.01)))
+        request = ModesRequest(band=(0.0, float(real.frequencies[3]) * 1.01))
+        band = analysis.complex_modes(request).modes
     s = 1j * 2 * np.pi * real.frequencies * np.sqrt(1 + 1j * g)
     assert modes.norm is Norm.MODAL_A
     assert np.allclose(modes.frequencies, np.abs(s) / (2 * np.pi))

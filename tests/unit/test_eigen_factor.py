@@ -108,16 +108,16 @@ def test_modes_are_those_of_any_engine(method):
     assert got.complete
 
 
-def test_lack_of_memory_is_foreseen():
-    pencil = Pencil(
-        chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0], limit=20_000
-    )
+def test_lack_of_memory_is_foreseen(monkeypatch: pytest.MonkeyPatch):
+    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0])
+    monkeypatch.setattr(memory, "available", lambda: 20_000)
     with pytest.raises(
         OutOfMemory, match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free"
     ) as e:
         pencil.at(-1.0)
     assert e.value.needed > e.value.available == 20_000
-    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), limit=1_000_000)
+    monkeypatch.setattr(memory, "available", lambda: 1_000_000)
+    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)))
     pencil.at(-1.0)
     with pytest.raises(OutOfMemory, match="basis of 306 vectors of 1000 DOFs"):
         solve_modes(pencil, 50)

@@ -15,6 +15,7 @@ from eigen_shell import shell
 from scipy import linalg, sparse
 
 from ringtrue.core.dofs import DofSet
+from ringtrue.eigen import damped as damped_problem
 from ringtrue.eigen.damped import DynamicStiffness, full_modes, project
 from ringtrue.eigen.eigenpairs import residual_vectors
 from ringtrue.eigen.engines import installed
@@ -59,11 +60,12 @@ def held() -> EmbeddedAnalysis:
 
 
 @pytest.mark.parametrize("method", ENGINES)
-def test_full_problem_is_that_of_the_dense_companion(method):
+def test_full_problem_is_that_of_the_dense_companion(method, monkeypatch):
+    monkeypatch.setattr(damped_problem, "choose", lambda *_: method)
     n = 40
     k, m = chain(n)
     d, h = at(n, (3, 6.0), (20, 2.0)), at(n, (9, 15.0))
-    full = full_modes(DynamicStiffness(k, m, d, h, method=method), 12.0)
+    full = full_modes(DynamicStiffness(k, m, d, h), 12.0)
     zero, eye = np.zeros((n, n)), np.eye(n)
     s = linalg.eigvals(np.block([[zero, eye], [-(k + 1j * h).toarray(), -d.toarray()]]))
     want = s[(s.imag > 0.01 * np.abs(s)) & (np.abs(s) <= 12.0)]
@@ -92,26 +94,17 @@ def test_bad_upper_end():
         full_modes(DynamicStiffness(*chain(5)), 0.0)
 
 
-def test_projected_and_full_modes_agree(held):
-    request = ModesRequest(8)
-    full = held.damped_modes(request, problem="full")
-    near = held.damped_modes(ModesRequest(16))  # on more real modes than eight take
-    near = replace(near, modes=near.modes.take(slice(8)), residuals=near.residuals[:8])
+def test_modes_of_a_band_are_those_of_a_count(held):
+    full = held.complex_modes(ModesRequest(8))
     assert full.residuals.max() < 1e-6  # of a thin shell's lowest modes: rounding of Kφ
-    assert near.residuals.max() < 1e-3
-    assert np.allclose(near.modes.frequencies, full.modes.frequencies, rtol=1e-4)
-    assert np.allclose(near.modes.damping, full.modes.damping, rtol=1e-2)
     assert full.modes.damping.max() > 0.2
-    band = held.damped_modes(
-        ModesRequest(band=tuple(full.modes.frequencies[[2, 5]] * [0.999, 1.001])), problem="full"
-    )
+    ends = tuple(full.modes.frequencies[[2, 5]] * [0.999, 1.001])
+    band = held.complex_modes(ModesRequest(band=ends))
     assert np.allclose(band.modes.frequencies, full.modes.frequencies[2:6], rtol=1e-9)
-    with pytest.raises(InputError, match="allowed are projected"):
-        held.damped_modes(request, problem="exact")
 
 
 def test_complex_modes_of_a_free_structure_are_elastic():
-    """Rigid-body motions do not oscillate: both ways leave them out and give as many others as are
+    """Rigid-body motions do not oscillate: they are left out, and as many others are given as are
     asked for.
     """
     model = shell(6, 4)
@@ -119,10 +112,9 @@ def test_complex_modes_of_a_free_structure_are_elastic():
     damped = replace(system, structural=sparse.csr_array(0.02 * system.stiffness))
     analysis = EmbeddedAnalysis(model, damped)
     real = analysis.modes(ModesRequest(12)).modes.frequencies[6:]
-    for problem in ("projected", "full"):
-        modes = analysis.damped_modes(ModesRequest(6), problem=problem).modes
-        assert np.allclose(modes.frequencies, real * (1 + 0.02**2) ** 0.25, rtol=1e-6)
-        assert np.allclose(modes.damping, np.sin(np.arctan(0.02) / 2), rtol=1e-4)
+    modes = analysis.complex_modes(ModesRequest(6)).modes
+    assert np.allclose(modes.frequencies, real * (1 + 0.02**2) ** 0.25, rtol=1e-6)
+    assert np.allclose(modes.damping, np.sin(np.arctan(0.02) / 2), rtol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["receptance", "accelerance"])
@@ -143,15 +135,14 @@ def test_superposition_with_residual_vectors_is_the_direct_solution(held, kind):
 
 
 @pytest.mark.parametrize("method", ENGINES)
-def test_direct_response_of_a_chain_in_closed_form(method):
+def test_direct_response_of_a_chain_in_closed_form(method, monkeypatch):
     """H at the first mass of a held chain of two, dashpot c on it: (2k − mω²)/det."""
+    monkeypatch.setattr(damped_problem, "choose", lambda *_: method)
     k, m = chain(2)
     c, f = 3.0, np.array([0.0, 1.0, 2.2, 5.0])
     w = 2 * np.pi * f
     row = sparse.csr_array(np.array([[1.0, 0.0]]))
-    got = direct(
-        DynamicStiffness(k, m, at(2, (0, c)), method=method), f, row, row, kind="receptance"
-    )
+    got = direct(DynamicStiffness(k, m, at(2, (0, c))), f, row, row, kind="receptance")
     a, b = 200 - w**2 + 1j * w * c, 200 - w**2
     assert np.allclose(got[:, 0, 0], b / (a * b - 100.0**2), rtol=1e-10)
 

@@ -14,8 +14,6 @@ from ringtrue.core.testmodel import Observation
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.basis import observed_system
-from ringtrue.reduction.parametric import reduced_model
 from ringtrue.solvers.observed import FullModel, reduced
 
 COUNT = 14
@@ -107,13 +105,3 @@ def test_subset_of_parameters(case):
     assert np.allclose(a.d_lambda, b.d_lambda[:, [2, 0]])
     with pytest.raises(InputError, match="active"):
         two.linearise(np.zeros(3))
-    with pytest.raises(InputError, match="there are 3"):
-        fast.with_parameters([3])
-
-
-def test_points_in_the_basis(case):
-    full, _ = case
-    x = np.log([1.5, 0.6, 1.4])
-    system = observed_system(full.model, assemble(full.model), full.parameters, full.observation)
-    made = reduced_model(system, COUNT, points=[x])
-    assert np.allclose(made.modes(x).frequencies, full.modes(x).frequencies, rtol=ROUNDING)

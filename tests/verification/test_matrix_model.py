@@ -82,7 +82,7 @@ def test_damping_is_used() -> None:
     """Stiffness-proportional damping D = βK: ζ = βω/2."""
     with _plate().open() as analysis:
         f = analysis.modes(ModesRequest(4)).modes.frequencies
-        zeta = analysis.complex_modes(ModesRequest(4)).damping
+        zeta = analysis.complex_modes(ModesRequest(4)).modes.damping
     assert np.allclose(zeta, 1e-5 * 2 * np.pi * f / 2, rtol=1e-6)
 
 

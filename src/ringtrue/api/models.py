@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -216,7 +216,7 @@ def solve_modes(
                     "complex modes: the deck has no damping; it is that of dashpots, GE, PARAM G, "
                     "ALPHA1 and ALPHA2"
                 )
-            solve = partial(analysis.damped_modes, problem="full")
+            solve = analysis.complex_modes
         found = asked.of(solve) if asked else solve(ModesRequest(count or 20, band))
         loose: tuple[str, ...] = ()
         if isinstance(analysis, EmbeddedAnalysis):

@@ -17,7 +17,7 @@ from scipy import linalg, sparse
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
-from ringtrue.eigen.engines import Engine, Method, Pattern, choose, factorise
+from ringtrue.eigen.engines import Engine, Pattern, choose, factorise
 from ringtrue.errors import InputError, NotConverged, SingularModel
 
 RESIDUAL_LIMIT = 1e-6  # of a solve; what a factor in double precision exceeds only on a pole
@@ -32,8 +32,6 @@ class DynamicStiffness:
     stiffness, mass : (f, f) csr_array float64
         Symmetric, both triangles.
     viscous, structural : (f, f) csr_array float64, optional
-    method : str
-        A factorisation of `engines`.
     """
 
     def __init__(
@@ -42,8 +40,6 @@ class DynamicStiffness:
         mass: sparse.csr_array,
         viscous: sparse.csr_array | None = None,
         structural: sparse.csr_array | None = None,
-        *,
-        method: Method = "auto",
     ) -> None:
         none = sparse.csr_array(stiffness.shape, dtype=np.float64)
         self.stiffness = stiffness
@@ -51,11 +47,7 @@ class DynamicStiffness:
         self.viscous: sparse.csr_array = none if viscous is None else viscous
         self.structural: sparse.csr_array = none if structural is None else structural
         parts = (stiffness, mass, self.viscous, self.structural)
-        if len({a.shape for a in parts}) > 1:
-            raise InputError(
-                f"K, M, D and H differ in size: {', '.join(str(a.shape) for a in parts)}"
-            )
-        self.method = choose(method, self.size)
+        self.method = choose("auto", self.size)
         self._pattern = Pattern(*(a for a in parts if a.nnz))
         self._entries = [self._pattern.entries(a) for a in parts]
         self._engine: Engine | None = None

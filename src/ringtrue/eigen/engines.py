@@ -191,15 +191,13 @@ def choose(method: Method, size: int) -> Method:
     return method
 
 
-def factorise(method: Method, pattern: Pattern, values: Any_, limit: int | None = None) -> Engine:
+def factorise(method: Method, pattern: Pattern, values: Any_) -> Engine:
     """A factor by a method that `choose` gave.
 
     Parameters
     ----------
     pattern, values : Pattern and (nnz,) float64 or complex128
         The upper triangle.
-    limit : int, optional
-        Bytes that the factor may take; what is free if not given.
 
     Raises
     ------
@@ -207,9 +205,9 @@ def factorise(method: Method, pattern: Pattern, values: Any_, limit: int | None 
         Before the factor is made.
     """
     if method == "pardiso":
-        return Pardiso(pattern, values, limit)
+        return Pardiso(pattern, values)
     if method == "rslab":
-        return Rslab(pattern, values, limit)
+        return Rslab(pattern, values)
     return SuperLu(pattern, values) if method == "superlu" else Dense(pattern, values)
 
 
@@ -334,7 +332,7 @@ class Pardiso:
     singular = False
     weak: Int = np.empty(0, dtype=np.int64)
 
-    def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
+    def __init__(self, pattern: Pattern, values: Any_) -> None:
         # the class below the public one, which walks through the rows in Python and cannot stop
         # after the analysis
         from pymklpardiso._mkl_pardiso import PardisoSolver
@@ -353,7 +351,7 @@ class Pardiso:
         self._trim()
         with self._calls():
             self._solver.run_phase(11)
-        memory.require(self.bytes, f"the factorisation of {self._rows} DOFs", limit)
+        memory.require(self.bytes, f"the factorisation of {self._rows} DOFs")
         self.refactor(values)
 
     @contextmanager
@@ -421,7 +419,7 @@ class Rslab:
     singular = False
     weak: Int = np.empty(0, dtype=np.int64)
 
-    def __init__(self, pattern: Pattern, values: Any_, limit: int | None = None) -> None:
+    def __init__(self, pattern: Pattern, values: Any_) -> None:
         import rslab
 
         rows = sparse.csr_array(
@@ -431,7 +429,7 @@ class Rslab:
         # CSC of the lower triangle: same arrays
         self._symbolic = rslab.analyze(sparse.csc_array(rows.T), path="ldlt")
         self.bytes = int(self._symbolic.memory_plan(values.dtype.name)["peak_bytes"])
-        memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs", limit)
+        memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs")
         self.refactor(values)
 
     @property

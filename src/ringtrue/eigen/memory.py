@@ -35,7 +35,7 @@ def available() -> int:
     return max(min(free), 0)
 
 
-def require(needed: int, what: str, limit: int | None = None) -> None:
+def require(needed: int, what: str) -> None:
     """Refuse a step that needs more bytes than there are.
 
     Parameters
@@ -43,14 +43,12 @@ def require(needed: int, what: str, limit: int | None = None) -> None:
     needed : int, bytes
     what : str
         The step, as the subject of the message: "the factorisation of 300000 DOFs".
-    limit : int, optional
-        Bytes that may be used; what is available if not given.
 
     Raises
     ------
     OutOfMemory
     """
-    there = available() if limit is None else limit
+    there = available()
     if needed > there:
         raise OutOfMemory(
             f"{what} needs {_text(needed)} of memory; {_text(there)} are free. Use a machine "

@@ -238,8 +238,6 @@ class Pencil:
     method : {"auto", "pardiso", "rslab", "superlu", "dense"}
     labels : callable, optional
         Names of rows for errors, (k,) int64 -> list of str.
-    limit : int, optional
-        Bytes of memory that a step may take; what is free on the machine if not given.
     """
 
     def __init__(
@@ -249,7 +247,6 @@ class Pencil:
         *,
         method: Method = "auto",
         labels: Labels | None = None,
-        limit: int | None = None,
     ) -> None:
         self.stiffness = _symmetric(stiffness, "the stiffness")
         self.mass = _symmetric(mass, "the mass")
@@ -258,7 +255,6 @@ class Pencil:
                 f"stiffness {self.stiffness.shape} and mass {self.mass.shape} differ in size"
             )
         self.method = choose(method, self.size)
-        self._limit = limit
         if self.method == "superlu":
             log.warning(
                 "neither pymklpardiso nor rslab is used: SuperLU is slower and takes more memory"
@@ -312,7 +308,7 @@ class Pencil:
         if self._strengthened:  # for one shift alone: a factor must not depend on those before it
             self.close()
         if self._factor is None:
-            return engine(self.method, self._pattern, values, self._limit)
+            return engine(self.method, self._pattern, values)
         self._factor.refactor(values)
         return self._factor
 
@@ -326,7 +322,6 @@ class Pencil:
         memory.require(
             8 * self.size * columns,
             f"the basis of {columns} vectors of {self.size} DOFs",
-            self._limit,
         )
 
     def _probe(self, factor: Engine, shift: float) -> tuple[float, Float]:

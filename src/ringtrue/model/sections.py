@@ -52,22 +52,14 @@ def _bar(width: float, height: float) -> Properties:
 
 def _box(width: float, height: float, flange: float, web: float) -> Properties:
     """DIM3 is the thickness of the top and bottom, DIM4 that of the sides."""
-    _positive(width - 2 * web, height - 2 * flange, flange, web)
-    inside = width - 2 * web, height - 2 * flange
-    area = width * height - inside[0] * inside[1]
-    middle = width - web, height - flange
-    return {
-        "A": area,
-        "I1": (width * height**3 - inside[0] * inside[1] ** 3) / 12,
-        "I2": (height * width**3 - inside[1] * inside[0] ** 3) / 12,
-        "J": 2
-        * flange
-        * web
-        * (middle[0] * middle[1]) ** 2
-        / (middle[0] * web + middle[1] * flange),
-        "K1": 2 * inside[1] * web / area,
-        "K2": 2 * inside[0] * flange / area,
-    }
+    return _box1(
+        width,
+        height,
+        top=flange,
+        bottom=flange,
+        right=web,
+        left=web,
+    )
 
 
 def _box1(
@@ -121,6 +113,11 @@ def _open(
     return values | {"N1": yc - centre[0], "N2": zc - centre[1]}
 
 
+def _sheared(values: Properties, along_y: float, along_z: float) -> Properties:
+    """With the shear factors K1 and K2 of these shear areas."""
+    return values | {"K1": along_y / values["A"], "K2": along_z / values["A"]}
+
+
 def _i(
     height: float, bottom: float, top: float, web: float, t_bottom: float, t_top: float
 ) -> Properties:
@@ -139,11 +136,7 @@ def _i(
     values = _open(
         parts, ((bottom, t_bottom), (top, t_top), (between, web)), (t_bottom / 2 + up, 0.0)
     )
-    area = values["A"]
-    return values | {
-        "K1": clear * web / area,
-        "K2": 5 / 6 * (bottom * t_bottom + top * t_top) / area,
-    }
+    return _sheared(values, clear * web, 5 / 6 * (bottom * t_bottom + top * t_top))
 
 
 def _i1(flanges: float, web: float, clear: float, height: float) -> Properties:
@@ -161,8 +154,7 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
     z = inside / 2 + sides / 4
     parts = ((side, height, -z, 0.0), (side, height, z, 0.0), (inside, bar, 0.0, 0.0))
     values = _open(parts, ((height, side), (height, side), (inside + side, bar)), (0.0, 0.0))
-    area = values["A"]
-    return values | {"K1": 5 / 6 * sides * height / area, "K2": inside * bar / area}
+    return _sheared(values, 5 / 6 * sides * height, inside * bar)
 
 
 def _cross(arms: float, upright: float, height: float, bar: float) -> Properties:
@@ -173,11 +165,7 @@ def _cross(arms: float, upright: float, height: float, bar: float) -> Properties
     z = upright / 2 + arms / 4
     parts = ((upright, height, 0.0, 0.0), (arms / 2, bar, -z, 0.0), (arms / 2, bar, z, 0.0))
     values = _open(parts, ((height, upright), (arms, bar)), (0.0, 0.0))
-    area = values["A"]
-    return values | {
-        "K1": 5 / 6 * upright * height / area,
-        "K2": 5 / 6 * (arms + upright) * bar / area,
-    }
+    return _sheared(values, 5 / 6 * upright * height, 5 / 6 * (arms + upright) * bar)
 
 
 def _t(width: float, height: float, flange: float, web: float) -> Properties:
@@ -186,8 +174,7 @@ def _t(width: float, height: float, flange: float, web: float) -> Properties:
     _positive(clear, width - web, flange, web)
     parts = ((width, flange, 0.0, 0.0), (web, clear, 0.0, -height / 2))
     values = _open(parts, ((width, flange), (height - flange / 2, web)), (0.0, 0.0))
-    area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 5 / 6 * width * flange / area}
+    return _sheared(values, clear * web, 5 / 6 * width * flange)
 
 
 def _t1(height: float, web: float, flange: float, bar: float) -> Properties:
@@ -221,8 +208,7 @@ def _chan(width: float, height: float, web: float, flange: float) -> Properties:
     h = height - flange
     out = 3 * b**2 * flange / (6 * b * flange + h * web)
     values = _open(parts, ((b, flange), (b, flange), (h, web)), (0.0, -out))
-    area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 2 * overhang * flange / area}
+    return _sheared(values, clear * web, 2 * overhang * flange)
 
 
 def _chan1(overhang: float, web: float, clear: float, height: float) -> Properties:
@@ -243,8 +229,7 @@ def _l(width: float, height: float, foot: float, upright: float) -> Properties:
     _positive(clear, overhang, foot, upright)
     parts = ((width, foot, overhang / 2, 0.0), (upright, clear, 0.0, height / 2))
     values = _open(parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0))
-    area = values["A"]
-    return values | {"K1": clear * upright / area, "K2": overhang * foot / area}
+    return _sheared(values, clear * upright, overhang * foot)
 
 
 def _z(flange: float, web: float, clear: float, height: float) -> Properties:
@@ -256,8 +241,7 @@ def _z(flange: float, web: float, clear: float, height: float) -> Properties:
     parts = ((web, height, 0.0, 0.0), (flange, t, -z, y), (flange, t, z, -y))
     side = flange + web / 2
     values = _open(parts, ((side, t), (side, t), (height - t, web)), (0.0, 0.0))
-    area = values["A"]
-    return values | {"K1": clear * web / area, "K2": 2 * flange * t / area}
+    return _sheared(values, clear * web, 2 * flange * t)
 
 
 def _hat(height: float, t: float, top: float, brim: float) -> Properties:
@@ -274,8 +258,7 @@ def _hat(height: float, t: float, top: float, brim: float) -> Properties:
     )
     strips = ((2 * side, t), (up, t), (up, t), (brim + t / 2, t), (brim + t / 2, t))
     values = _open(parts, strips, (_hat_centre(up, 2 * side, brim + t / 2), 0.0))
-    area = values["A"]
-    return values | {"K1": 2 * clear * t / area, "K2": (top - 2 * t + 2 * brim) * t / area}
+    return _sheared(values, 2 * clear * t, (top - 2 * t + 2 * brim) * t)
 
 
 def _hat_centre(h: float, a: float, c: float) -> float:

@@ -49,11 +49,6 @@ class AffineSystem:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms))
-        lost = [
-            i for t in self.terms for i in t.function.which if not 0 <= i < len(self.parameters)
-        ]
-        if lost:
-            raise InputError(f"terms of parameters {lost}: there are {len(self.parameters)}")
 
     def terms_of(self, which: int) -> tuple[Pair, ...]:
         """K and M that one parameter adds by itself: of each of its powers, or at some factors

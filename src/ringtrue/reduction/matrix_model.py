@@ -73,21 +73,6 @@ class DenseModel:
             d_mass=f,
             observation=f,
         )
-        n = self.stiffness.shape[0]
-        p = len(self.parameters)
-        if (
-            self.d_stiffness.shape != (p, n, n)
-            or self.d_mass.shape != (p, n, n)
-            or self.observation.shape[1] != n
-        ):
-            raise InputError(
-                f"{p} parameters and {n} DOFs: got d_stiffness {self.d_stiffness.shape}, "
-                f"d_mass {self.d_mass.shape}, observation {self.observation.shape}"
-            )
-        if n > 3000:
-            raise InputError(
-                f"{n} DOFs: dense matrices are for 3000 and less; reduce the model first"
-            )
 
     @classmethod
     def springs(
@@ -176,12 +161,11 @@ def matrices_at(model: object, x: Float) -> MatricesAtPoint:
     """
     if isinstance(model, ReducedModel):
         return _reduced(model, x)
-    give = getattr(model, "matrices", None)
-    if give is None:
-        raise InputError(
-            f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
-        )
-    return give(x)  # type: ignore[no-any-return]
+    if isinstance(model, DenseModel):
+        return model.matrices(x)
+    raise InputError(
+        f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
+    )
 
 
 def _reduced(model: ReducedModel, x: Float) -> MatricesAtPoint:

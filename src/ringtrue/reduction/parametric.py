@@ -40,34 +40,6 @@ MANY = 2400  # static sensitivities from which on random mixtures of them stand 
 MASSLESS = 1e-14
 
 
-@dataclass(frozen=True, slots=True)
-class BasisOptions:
-    """What goes into the basis.
-
-    Attributes
-    ----------
-    extra : float
-        Modes computed, as a multiple of those returned.
-    size : int
-        Most vectors kept at the start; enrichment adds to it. 0: 320, or half as many again as
-        modes if that is more.
-    drop : float
-        Sensitivity vectors below this share of the largest (strain energy norm) are dropped.
-    """
-
-    extra: float = 1.3
-    size: int = 0
-    drop: float = 1e-5
-
-    def modes(self, count: int) -> int:
-        """How many modes of the nominal model a basis that returns `count` holds."""
-        return int(np.ceil(self.extra * count)) + 4
-
-    def vectors(self, modes: int) -> int:
-        """How many vectors the basis has at most at the start."""
-        return self.size or max(320, 3 * modes // 2)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
     """An `ObservedModel` on a reduced basis.
@@ -111,9 +83,6 @@ class ReducedModel:
         base : (all parameters,) float64, optional
             Where the others stay; as they are now if not given.
         """
-        lost = [i for i in active if not 0 <= i < len(self.system.parameters)]
-        if lost:
-            raise InputError(f"parameters {lost}: there are {len(self.system.parameters)}")
         return replace(
             self,
             active=tuple(active),
@@ -215,7 +184,7 @@ class ReducedModel:
         lam[:moving] = np.einsum("ij,ij->j", low, k @ low)
         return lam, y
 
-    def error(self, x: Float, *, modes: int | None = None) -> float:
+    def error(self, x: Float) -> float:
         """An estimate of the largest relative frequency error at x, from residuals: ½ rᵀ(K₀ −
         σM₀)⁻¹r / (λ − σ).
 
@@ -224,8 +193,6 @@ class ReducedModel:
         """
         everything = self.full_vector(x)
         lam, phi = self.vectors(x)
-        lam = lam[:modes]
-        phi = phi[:, :modes]
         r = self.system.stiffness @ phi - (self.system.mass @ phi) * lam
         a = self.system.parameters.factors(everything)
         for t in self.system.terms:
@@ -315,7 +282,6 @@ def _static(
     sensitivities: StaticSensitivities,
     terms: Sequence[Pair],
     most: int,
-    drop: float,
     progress: Progress | None,
 ) -> Float:
     """At most `most` principal directions of the static sensitivities: of each, or of random
@@ -323,6 +289,7 @@ def _static(
     """
     pencil = sensitivities.pencil
     count = sensitivities.count
+    drop = 1e-5  # share of the largest (strain energy norm) below which directions are left out
     x = np.zeros((pencil.size, 0))
     if most <= 0:
         return x
@@ -341,7 +308,7 @@ def _static(
 
 def modes_of(count: int) -> int:
     """How many modes of the nominal model a basis that returns `count` holds."""
-    return BasisOptions().modes(count)
+    return int(np.ceil(1.3 * count)) + 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,7 +320,7 @@ class KnownModes:
     pencil : Pencil
         Of its K and M.
     modes : EigenModes, optional
-        Its lowest; used where they are as many as `BasisOptions.modes` asks for.
+        Its lowest; used where they are as many as `modes_of` asks for.
     shift : float, optional
         A good negative shift, (rad/s)², to find more from; sought if not given.
     """
@@ -367,29 +334,22 @@ def reduced_model(
     system: AffineSystem,
     count: int,
     *,
-    options: BasisOptions | None = None,
-    points: Sequence[Float] = (),
     known: KnownModes | None = None,
     progress: Progress | None = None,
 ) -> ReducedModel:
-    """Build the basis: modes at x = 0, static sensitivities to every parameter, modes at further
-    points.
+    """Build the basis: modes at x = 0 and static sensitivities to every parameter.
 
     Parameters
     ----------
     system : AffineSystem
     count : int
         Modes returned by the reduced model, the lowest.
-    options : BasisOptions, optional
-    points : sequence of (p,) float64
-        Points x where the modes of the full model are added.
     known : KnownModes, optional
     """
-    options = options or BasisOptions()
     known = known or KnownModes(Pencil(system.stiffness, system.mass))
     pencil = known.pencil
     modes = known.modes
-    wanted = options.modes(count)
+    wanted = modes_of(count)
     if modes is None or modes.values.size < wanted:
         modes = solve_modes(pencil, wanted, shift=known.shift, progress=part(progress, 0.0, 0.3))
     n = min(count, modes.values.size)
@@ -397,15 +357,14 @@ def reduced_model(
     x = _static(
         StaticSensitivities(pencil, modes, n),
         [t for i in range(len(system.parameters)) for t in system.terms_of(i)],
-        most=options.vectors(modes.values.size) - modes.values.size,
-        drop=options.drop,
+        most=max(320, 3 * modes.values.size // 2) - modes.values.size,
         progress=part(progress, 0.3, 0.8),
     )
     if progress is not None:
         progress(0.8, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
-    model = ReducedModel(
+    return ReducedModel(
         system,
         basis=project(system, vectors),
         pencil=pencil,
@@ -414,9 +373,6 @@ def reduced_model(
         active=tuple(range(len(system.parameters))),
         base=np.zeros(len(system.parameters)),
     )
-    for point in points:  # snapshots
-        model, _ = model.enrich(point, progress=progress)
-    return model
 
 
 def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> ReducedModel:
@@ -432,13 +388,7 @@ def condensed(model: ReducedModel, points: Sequence[Float], size: int) -> Reduce
     size : int
         Vectors kept; not fewer than the modes of the model.
 
-    Raises
-    ------
-    InputError
-        If there is no point, or fewer vectors than modes.
     """
-    if not len(points) or size < model.count:
-        raise InputError(f"{len(points)} points (>= 1), {size} vectors for {model.count} modes")
     b = model.basis
     if size >= b.size:
         return model

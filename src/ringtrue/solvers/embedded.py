@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -23,7 +23,7 @@ from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivative
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, residual_vectors, rounding
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import RESIDUAL_LIMIT, Pencil
-from ringtrue.errors import InputError, SingularModel
+from ringtrue.errors import SingularModel
 from ringtrue.fem.assembly import System, assemble, refuse_held
 from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.fem.parametrisation.derivatives import system_derivatives
@@ -195,39 +195,22 @@ class EmbeddedAnalysis:
         a = self.system
         return DynamicStiffness(a.stiffness, a.mass, a.viscous, a.structural)
 
-    def complex_modes(self, request: ModesRequest) -> ModeSet:
-        """Complex modes in unit modal A, see `damped_modes`; those without oscillation are left
-        out.
-        """
-        return self.damped_modes(request).modes
-
-    def damped_modes(
-        self, request: ModesRequest, *, problem: Literal["projected", "full"] = "projected"
-    ) -> ModesResult:
-        """Complex modes with their residuals ‖Q(s)φ‖ relative to the sum of its terms.
+    def complex_modes(self, request: ModesRequest) -> ModesResult:
+        """Complex modes of the full quadratic problem, in unit modal A, with their residuals
+        ‖Q(s)φ‖ relative to the sum of its terms; those without oscillation are left out.
 
         Parameters
         ----------
         request : ModesRequest
             The lowest `count`, or all with |s|/2π in the band.
-        problem : {"projected", "full"}
-            Projected on half as many real modes more, with the static answers to the dampers. The
-            full quadratic problem costs a complex factorisation more, and holds for any damping.
         """
-        if problem not in ("projected", "full"):
-            raise InputError(f"problem {problem!r}; allowed are projected, full")
-        real, found = self._projected(request)
-        keep = np.arange(min(request.count, found.poles.size))
-        if request.band is not None:
-            low, high = request.band
-            keep = np.flatnonzero((found.frequencies >= low) & (found.frequencies <= high))
-        poles = found.poles[keep]
-        if problem == "full":
-            poles, shapes, residuals, proof = self._full(request, np.abs(poles))
+        near = self._projected(request)
+        if request.band is None:
+            near = near[: request.count]
         else:
-            shapes = real @ found.shapes[:, keep]
-            proof = f"projected on {real.shape[1]} real modes and static answers"
-            residuals = self.dynamic.residuals(poles, shapes)
+            hz = near / (2 * np.pi)
+            near = near[(hz >= request.band[0]) & (hz <= request.band[1])]
+        poles, shapes, residuals, proof = self._full(request, near)
         modes = ModeSet(
             frequencies=np.abs(poles) / (2 * np.pi),
             damping=-poles.real / np.abs(poles),
@@ -236,10 +219,18 @@ class EmbeddedAnalysis:
             norm=Norm.MODAL_A,
             source="embedded, complex",
         )
-        return ModesResult(modes, residuals, problem == "full", proof, autospc=self.system.autospc)
+        return ModesResult(
+            modes,
+            residuals,
+            complete=True,
+            proof=proof,
+            autospc=self.system.autospc,
+        )
 
-    def _projected(self, request: ModesRequest) -> tuple[Float, damped.ComplexModes]:
-        """Real modes and residual vectors of the dampers (f, n), and the complex modes in them."""
+    def _projected(self, request: ModesRequest) -> Float:
+        """Moduli |s| (m,) of the complex modes in the space of half as many real modes more and of
+        the static answers to the dampers.
+        """
         count = request.count
         if request.band is not None:
             high = request.band[1]
@@ -263,7 +254,7 @@ class EmbeddedAnalysis:
             # rigid-body motions do not oscillate, nor does what is damped above critical
             missing = count - found.poles.size
             if missing <= 0 or size >= largest:
-                return vectors, found
+                return np.abs(found.poles)
             size += missing
 
     def _damper_loads(self) -> Float:
