@@ -108,11 +108,6 @@ def self_orthogonality(a: Any_, mass: Mass) -> Float:
     return cross_orthogonality(a, a, mass)
 
 
-def mass_mac(a: Any_, b: Any_, mass: Mass) -> Float:
-    """MAC over the mass, (ma, mb): the square of the cross-orthogonality."""
-    return np.asarray(cross_orthogonality(a, b, mass) ** 2)
-
-
 def pseudo_inverse(shapes: Any_) -> Float:
     """Φ⁺ (m, n) of real shapes of full column rank; Φ⁺y are the modal coordinates of readings y.
 

@@ -78,7 +78,7 @@ def test_symmetric_geometry_has_rivals() -> None:
     """A brick comes to lie on itself by half a turn about each axis."""
     x = np.linspace(-1, 1, 9)
     brick = np.stack(np.meshgrid(3 * x, 2 * x, x), axis=-1).reshape(-1, 3)
-    assert nearest_fit(brick[::7], brick, keep=1.0).rivals == 3
+    assert nearest_fit(brick[::7], brick).rivals == 3
     # nor do a few points decide that come to lie on others, wherever they start
     some = brick[np.random.default_rng(5).choice(len(brick), 20, replace=False)]
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])

@@ -83,7 +83,7 @@ def test_rigid_interpolation_is_exact_for_rigid_motions() -> None:
     place = np.concatenate([rng.uniform(0, 1000, (20, 3)), xyz[[4]]])
     axes = rng.standard_normal((21, 3))
     test = sensors(place / 1000, axes)
-    o = observe(test, node, xyz, dofs, tolerance=600.0, unit=1e-3, method="rigid", neighbours=5)
+    o = observe(test, node, xyz, dofs, tolerance=600.0, unit=1e-3, method="rigid")
     shift, turn = rng.standard_normal(3), rng.standard_normal(3) * 1e-3
     u = np.concatenate([rigid_motion(xyz, shift, turn), np.zeros((27, 3))], axis=1).ravel()
     want = (rigid_motion(place, shift, turn) * test.axes).sum(axis=1)

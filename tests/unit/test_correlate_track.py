@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from ringtrue.correlation.pairing import follow, track
+from ringtrue.correlation.pairing import track
 from ringtrue.correlation.table import significance
 from ringtrue.errors import InputError
 
@@ -25,11 +25,11 @@ def oscillators(x: float, coupling: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_track_of_a_given_sequence() -> None:
     found = [oscillators(x, 0.2) for x in np.linspace(0, 1, 5)]
-    t = track([f for f, _ in found], [p for _, p in found], MASS, count=2)
+    t = track([f for f, _ in found], [p for _, p in found], count=2)
     assert t.index[-1].tolist() == [1, 0]
     assert t.frequencies.shape == (5, 2)
     with pytest.raises(InputError, match="compute more"):
-        follow(np.eye(3), np.eye(3)[:, :2])
+        track([np.ones(3), np.ones(2)], [np.eye(3), np.eye(3)[:, :2]])
 
 
 def test_significance_at_the_stated_rate() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -29,3 +30,29 @@ def freeze_fields(obj: object, **dtypes: Any) -> None:
     """
     for name, dtype in dtypes.items():
         object.__setattr__(obj, name, frozen(getattr(obj, name), dtype))
+
+
+DTYPES = {
+    "Float": np.float64,
+    "Complex": np.complex128,
+    "Int": np.int64,
+    "Bool": np.bool_,
+    "Any_": None,
+}
+
+
+def freeze_arrays(obj: Any) -> None:
+    """Make the arrays of a frozen dataclass read-only, of the dtypes that its annotations name."""
+    for f in fields(obj):
+        if f.type in DTYPES:
+            array = frozen(getattr(obj, f.name), DTYPES[f.type])
+            object.__setattr__(obj, f.name, array)
+
+
+class FrozenArrays:
+    """The base of frozen dataclasses of which nothing but the arrays needs care."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)

@@ -125,9 +125,9 @@ class Locks:
     def __post_init__(self) -> None:
         for side in (0, 1):
             modes = [pair[side] for pair in self.forced]
-            if len(set(modes)) != len(modes):
+            if twice := [m for m in modes if modes.count(m) > 1]:
                 raise ConfigError(
-                    f"locks: mode {_twice(modes) + 1} of {'AB'[side]} is forced into two pairs"
+                    f"locks: mode {twice[0] + 1} of {'AB'[side]} is forced into two pairs"
                 )
         both = sorted(set(self.forced) & set(self.forbidden))
         if both:
@@ -153,14 +153,14 @@ class Locks:
         return forced, free
 
 
-def _twice(modes: list[int]) -> int:
-    return next(m for m in modes if modes.count(m) > 1)
-
-
 NO_LOCKS = Locks()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Followed:
     """Pairs that the user decides where modes of B change places: each is known by its shape in a
     first model.
@@ -182,10 +182,9 @@ class Followed:
         """Those of some modes of A, ascending (k,), which are counted anew."""
 
         def kept(which: tuple[int, ...], shapes: Float) -> tuple[tuple[int, ...], Float]:
-            stay = np.isin(np.array(which, dtype=np.int64), modes)
-            return tuple(
-                np.searchsorted(modes, np.array(which, dtype=np.int64)[stay]).tolist()
-            ), shapes[:, stay]
+            every = np.array(which, dtype=np.int64)
+            stay = np.isin(every, modes)
+            return tuple(np.searchsorted(modes, every[stay]).tolist()), shapes[:, stay]
 
         return Followed(*kept(self.forced, self.shapes), *kept(self.forbidden, self.barred))
 
@@ -205,7 +204,11 @@ class Followed:
         return Locks(forced, forbidden)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class ComparedModes:
     """Two sets of modes at the same channels.
 
@@ -225,14 +228,18 @@ class ComparedModes:
     def error(self) -> Float:
         """(f_B − f_A)/f_A, (ma, mb)."""
         scale = np.maximum(np.abs(self.fa), NIL)[:, None]
-        return np.asarray((self.fb[None, :] - self.fa[:, None]) / scale)
+        return (self.fb[None, :] - self.fa[:, None]) / scale
 
     def take(self, rows: Int, columns: Int) -> ComparedModes:
         """Some modes of A and of B."""
         return ComparedModes(self.fa[rows], self.a[:, rows], self.fb[columns], self.b[:, columns])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Scores:
     """All that the assignment rests on.
 
@@ -272,7 +279,8 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
     b = modes.b
     error = modes.error
     if not len(a):
-        return Scores(np.full(error.shape, np.nan), np.full(error.shape, np.nan), error, ())
+        none = np.full(error.shape, np.nan)
+        return Scores(none, none, error, ())
     single = mac(a, b)
     # once: with hundreds of modes there are as many groups
     merged = single.copy()
@@ -281,11 +289,8 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
     shared = list[list[tuple[float, Int]]]()
     turns = []
     for ga in (g for g in groups_a if g.size > 1 and mixed):
-        share = np.where(
-            (np.abs(error[ga]) <= settings.frequency_gate).any(axis=0),
-            share_in(units[1], a[:, ga]),
-            0.0,
-        )
+        in_reach = (np.abs(error[ga]) <= settings.frequency_gate).any(axis=0)
+        share = np.where(in_reach, share_in(units[1], a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
             near = fade(np.abs(fb - here) / max(WORTH.close * settings.close * here, NIL))[0]
@@ -319,7 +324,7 @@ def peak_shares(shapes: Any_) -> Float:
     """
     peak = np.abs(above_rounding(shapes)).max(axis=0, initial=0.0)
     seen = peak[peak > 0]
-    return np.asarray(peak / np.median(seen) if seen.size else np.ones_like(peak))
+    return peak / np.median(seen) if seen.size else np.ones_like(peak)
 
 
 def _mixed(
@@ -335,10 +340,8 @@ def _mixed(
     held = near * np.clip((share - settings.mac_gate) / WORTH.shared, 0.0, 1.0)
     best = np.lexsort((-share, -held))[: single.shape[0]]
     held = held[best]
-    out = []
-    for k in range(2, int(np.count_nonzero(held)) + 1):
-        out.append((float(held[k - 1] * _blurred(single[:, best[:k]], settings)), best[:k]))
-    return out
+    sets = [best[:k] for k in range(2, np.count_nonzero(held) + 1)]
+    return [(float(held[s.size - 1]) * _blurred(single[:, s], settings), s) for s in sets]
 
 
 def _blurred(block: Float, settings: PairingSettings) -> float:
@@ -376,7 +379,7 @@ def _weighed(
         of = dict(close)
         for sets in mixed:
             members = [m for s, m in sets if s >= high]
-            one = tuple(sorted({j for m in members[-1].tolist() for j in of[m]})) if members else ()
+            one = tuple(sorted({j for m in members[-1] for j in of[m]})) if members else ()
             if len(one) <= settings.largest_group:
                 of.update(dict.fromkeys(one, one))
         for g in dict.fromkeys(g for g in of.values() if len(g) > 1):
@@ -442,9 +445,8 @@ def assign(
     -------
     rows, columns : (k,) int64, ascending rows
     """
-    value = (
-        np.log((1 - settings.mac_gate + WORTH.soft) / (1 - score.merged + WORTH.soft)) + WORTH.soft
-    )
+    left = 1 - score.merged + WORTH.soft
+    value = np.log((1 - settings.mac_gate + WORTH.soft) / left) + WORTH.soft
     worth = value * (1 - 0.5 * (score.error / settings.frequency_gate) ** 2)
     worth += WORTH.tie * score.mac  # decides between the members of a rotated group
     allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)

@@ -60,7 +60,6 @@ class FaultLimits:
 
 
 LIMITS = FaultLimits()
-LEAST_PAIRS = 3  # to judge a channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +95,8 @@ class ChannelFault:
 
     Attributes
     ----------
-    i, j : int
-        The row; with a swap the first and the last row, else `j` is `i`.
+    i : int
+        The row; with a swap the first.
     fault : {"reversed", "swapped", "scaled", "dead"}
     factor : float
         What the row reads over what it should.
@@ -108,10 +107,9 @@ class ChannelFault:
     """
 
     i: int
-    j: int
     fault: Fault
     factor: float
-    gain: float
+    gain: float = 0.0
     moved: tuple[tuple[int, int, float], ...] = ()
 
 
@@ -193,16 +191,18 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     error = ((y - b) ** 2).sum(axis=1)
     size_y = np.linalg.norm(y, axis=1)
     size_b = np.linalg.norm(b, axis=1)
-    usual = max(float(np.median(error[at])), 1e-8 * float((size_b**2).mean())) if at.size else 0.0
+    usual = max(np.median(error[at]), 1e-8 * float((size_b**2).mean())) if at.size else 0.0
     own = (y * b).sum(axis=1)
     live = size_b > 0.1 * np.median(size_b)
     cosine = own / np.where(size_y * size_b > 0, size_y * size_b, 1.0)
     factor = own / np.where(size_b > 0, size_b**2, 1.0)
     silent = live & (size_y < LIMITS.dead * size_b)
     able = np.isin(np.arange(b.shape[0]), at) & live
-    found = _dead(error, silent & able) + _reversed(
-        y, b, error, (cosine < -LIMITS.correlation) & able & ~silent
-    )
+    dead = np.flatnonzero(silent & able).tolist()
+    found = [ChannelFault(i, "dead", 0.0, float(error[i])) for i in dead]
+    turned = error - ((y + b) ** 2).sum(axis=1)
+    backwards = np.flatnonzero((cosine < -LIMITS.correlation) & able & ~silent).tolist()
+    found += [ChannelFault(i, "reversed", -1.0, float(turned[i])) for i in backwards]
     far = (factor > LIMITS.far) | (factor < 1 / LIMITS.far)
     positive = (
         able & ~silent & (cosine > np.where(far, LIMITS.correlation, LIMITS.scaled_correlation))
@@ -214,33 +214,6 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     need = usual * LIMITS.gain
     grave = [f for f in found if f.gain > (need / 2 if f.fault == "dead" else need)]
     return max(grave, key=lambda f: (f.gain, -f.i), default=None)
-
-
-def _dead(error: Float, which: Any_) -> list[ChannelFault]:
-    return [
-        ChannelFault(
-            i=i,
-            j=i,
-            fault="dead",
-            factor=0.0,
-            gain=float(error[i]),
-        )
-        for i in np.flatnonzero(which).tolist()
-    ]
-
-
-def _reversed(y: Float, b: Float, error: Float, which: Any_) -> list[ChannelFault]:
-    turned = ((y + b) ** 2).sum(axis=1)
-    return [
-        ChannelFault(
-            i=i,
-            j=i,
-            fault="reversed",
-            factor=-1.0,
-            gain=float(error[i] - turned[i]),
-        )
-        for i in np.flatnonzero(which).tolist()
-    ]
 
 
 def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) -> list[ChannelFault]:
@@ -256,13 +229,7 @@ def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) ->
     gain = error[at] - rest
     good = rest < LIMITS.explained * error[at]
     return [
-        ChannelFault(
-            i=i,
-            j=i,
-            fault="scaled",
-            factor=float(factor[i]),
-            gain=g,
-        )
+        ChannelFault(i, "scaled", float(factor[i]), g)
         for i, g in zip(at[good].tolist(), gain[good].tolist(), strict=True)
     ]
 
@@ -280,28 +247,16 @@ def _swapped(y: Float, b: Float, error: Float, at: Int) -> list[ChannelFault]:
     correlated = np.abs(cross) > LIMITS.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
     np.fill_diagonal(correlated, False)
     left = np.where(correlated, left, np.inf)
-    rounds = [
-        _pair(left, error[at]),
-        _three(left[:MOST_THREES, :MOST_THREES], error[at]),
-    ]
+    few = left[:MOST_THREES, :MOST_THREES]
     out = []
-    for gain, order in rounds:
+    for gain, order in (_pair(left, error[at]), _three(few, error[at])):
         if gain > 0:
             moved = [
                 (p, q, float(np.sign(cross[p, q])))
                 for p, q in zip(order, (*order[1:], order[0]), strict=True)
             ]
             rows = tuple(sorted((int(at[p]), int(at[q]), sign) for p, q, sign in moved))
-            out.append(
-                ChannelFault(
-                    i=rows[0][0],
-                    j=rows[-1][0],
-                    fault="swapped",
-                    factor=rows[0][2],
-                    gain=gain,
-                    moved=rows,
-                )
-            )
+            out.append(ChannelFault(rows[0][0], "swapped", rows[0][2], gain, rows))
     return out
 
 
@@ -344,11 +299,8 @@ def suspect_channels(
     Raises
     ------
     InputError
-        With fewer than `LEAST_PAIRS` pairs: no channel could be judged.
+        With fewer than 3 pairs: no channel could be judged.
     """
-    if len(pairing) < LEAST_PAIRS:
-        needed = f"at least {LEAST_PAIRS} are needed to judge a channel"
-        raise InputError(f"{len(pairing)} pairs: {needed}")
     left, right = paired_shapes(a, b, pairing, settings)
     now = float(paired_mac(left, right).mean())
     out: list[Suspect] = []
@@ -366,37 +318,32 @@ def suspects_of(
 ) -> list[Suspect]:
     """A fault in words, a suspect for each channel; `now` and `then` are mean MACs, 0..1."""
     effect = f"mean MAC {100 * now:.1f} % -> {100 * then:.1f} %"
-    one = channels[f.i]
-    if f.fault == "swapped":
-        return [
-            Suspect(
-                channel=channels[row],
-                fault="swapped",
-                message=f"reads what {channels[real]} "
-                f"should{' with the opposite sign' if sign < 0 else ''}; put right: {effect}",
-                partner=channels[real],
-                factor=sign,
-                mac_now=now,
-                mac_mended=then,
-            )
-            for row, real, sign in f.moved
-        ]
-    text = f"reads {f.factor:.3g} times what it should{_usual(f.factor)}; divided by it: {effect}"
-    if f.fault == "dead":
-        text = f"reads next to nothing of what it should; left out: {effect}"
-    if f.fault == "reversed":
-        text = f"reads with the opposite sign in all modes; turned: {effect}"
-    return [
-        Suspect(
-            channel=one,
+    out = []
+    for row, real, factor in f.moved or ((f.i, f.i, f.factor),):
+        partner = channels[real] if f.moved else ""
+        suspect = Suspect(
+            channel=channels[row],
             fault=f.fault,
-            message=text,
-            partner="",
-            factor=f.factor,
+            message=f"{_looks(f.fault, partner, factor)}: {effect}",
+            partner=partner,
+            factor=factor,
             mac_now=now,
             mac_mended=then,
         )
-    ]
+        out.append(suspect)
+    return out
+
+
+def _looks(fault: Fault, partner: str, factor: float) -> str:
+    """What a channel reads, and how it would be mended."""
+    if fault == "dead":
+        return "reads next to nothing of what it should; left out"
+    if fault == "reversed":
+        return "reads with the opposite sign in all modes; turned"
+    if fault == "scaled":
+        return f"reads {factor:.3g} times what it should{_usual(factor)}; divided by it"
+    opposite = " with the opposite sign" if factor < 0 else ""
+    return f"reads what {partner} should{opposite}; put right"
 
 
 def _usual(factor: float) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Complex, Float, FrozenArrays, Int
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
 
@@ -24,11 +24,15 @@ def frac(a: Complex, b: Complex) -> Float:
     ----------
     a, b : (freq, out, in) complex128
     """
+    return _share(a, b, axis=0)
+
+
+def _share(a: Complex, b: Complex, axis: int) -> Float:
+    """|Σ a* b|²/(Σ|a|² Σ|b|²) over an axis; 0 where one of the two is 0."""
     _same(a, b)
-    below = (np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0)
-    return np.asarray(
-        np.abs((a.conj() * b).sum(axis=0)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
-    )
+    below = (np.abs(a) ** 2).sum(axis=axis) * (np.abs(b) ** 2).sum(axis=axis)
+    cross = np.abs((a.conj() * b).sum(axis=axis)) ** 2
+    return np.asarray(cross / np.where(below > 0, below, 1.0), dtype=np.float64)
 
 
 def fdac(a: Complex, b: Complex) -> Float:
@@ -74,11 +78,7 @@ def shape_correlation(a: Complex, b: Complex) -> Float:
     ----------
     a, b : (freq, out, in) complex128
     """
-    _same(a, b)
-    below = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
-    return np.asarray(
-        np.abs((a.conj() * b).sum(axis=1)) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
-    )
+    return _share(a, b, axis=1)
 
 
 def amplitude_correlation(a: Complex, b: Complex) -> Float:
@@ -92,8 +92,12 @@ def amplitude_correlation(a: Complex, b: Complex) -> Float:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Levels:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Levels(FrozenArrays):
     """Mean response levels in bands.
 
     Attributes
@@ -105,9 +109,6 @@ class Levels:
 
     centre: Float
     difference: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, centre=np.float64, difference=np.float64)
 
 
 def band_levels(a: Complex, b: Complex, freqs: Float) -> Levels:
@@ -163,8 +164,12 @@ class OutputSummary:
     deviation: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrfComparison:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class FrfComparison(FrozenArrays):
     """Two sets of FRFs on their common outputs, inputs and lines.
 
     Attributes
@@ -188,27 +193,6 @@ class FrfComparison:
     shape: Float
     amplitude: Float
     levels: Levels
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            freqs=f,
-            frac=f,
-            deviation=f,
-            shape=f,
-            amplitude=f,
-        )
-
-    @property
-    def mean_shape(self) -> Float:
-        """(freq,) global shape correlation, mean of the inputs."""
-        return np.asarray(self.shape.mean(axis=1))
-
-    @property
-    def mean_amplitude(self) -> Float:
-        """(freq,) global amplitude correlation, mean of the inputs."""
-        return np.asarray(self.amplitude.mean(axis=1))
 
     def by_input(self) -> tuple[InputSummary, ...]:
         """What the measures say of each input."""
@@ -250,18 +234,15 @@ def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
         raise InputError(f"FRFs are {a.kind} and {b.kind}; convert one of them")
     step = float(np.median(np.diff(a.freqs))) if a.freqs.size > 1 else 1.0
     at = np.searchsorted(b.freqs, a.freqs - 1e-4 * step).clip(max=max(b.freqs.size - 1, 0))
-    line = (
-        np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step)
-        if b.freqs.size
-        else np.zeros(0, np.int64)
-    )
+    line = np.zeros(0, dtype=np.int64)
+    if b.freqs.size:
+        line = np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step)
     outs = _common([c.id for c in a.outputs], [c.id for c in b.outputs])
     ins = _common([c.id for c in a.inputs], [c.id for c in b.inputs])
     if not (line.size and outs[0] and ins[0]):
         raise InputError(
             f"FRFs have {line.size} lines, {len(outs[0])} outputs and {len(ins[0])} inputs in "
-            "common; "
-            "synthesise those of the model on the lines of the test"
+            "common; synthesise those of the model on the lines of the test"
         )
     left = a.data[np.ix_(line, outs[1], ins[1])]
     right = b.data[np.ix_(at[line], outs[2], ins[2])]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Float, freeze_fields
+from ringtrue.core.arrays import Any_, Float, FrozenArrays
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.channel_faults import Suspect, suspect_channels
@@ -61,8 +61,12 @@ class CloseSubspace:
     angles: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ChannelMeasures:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class ChannelMeasures(FrozenArrays):
     """How far each channel agrees over all pairs.
 
     Attributes
@@ -78,12 +82,13 @@ class ChannelMeasures:
     contribution: Float
     elimination: Elimination
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, comac=np.float64, ecomac=np.float64, contribution=np.float64)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShapeComplexity:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class ShapeComplexity(FrozenArrays):
     """How far the shapes of a set are from real ones.
 
     Attributes
@@ -98,12 +103,13 @@ class ShapeComplexity:
     mpd: Float
     mcf: Float
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, mpc=np.float64, mpd=np.float64, mcf=np.float64)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CompleteCorrelation:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class CompleteCorrelation(FrozenArrays):
     """What can be said of two paired sets of modes in addition to deviation and MAC.
 
     Attributes
@@ -137,9 +143,6 @@ class CompleteCorrelation:
     suspects: tuple[Suspect, ...]
     significance: Significance
     notes: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, auto_mac=np.float64, scale=None)
 
     def judges(self, check: OrthogonalityCheck) -> bool:
         """Whether a check has a verdict: one that fails has none over a mass that an ordinary test
@@ -188,10 +191,10 @@ def complete(
     if not np.isfinite(of_pairs).any():
         notes.append("deviations not judged: no standard deviation of a frequency is known")
     suspects: tuple[Suspect, ...] = ()
-    if len(pairing) < 3:
-        notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
-    else:
+    if len(pairing) >= 3:
         suspects = suspect_channels(a, b, pairing, settings=settings)
+    else:
+        notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
     checks: tuple[OrthogonalityCheck, ...] = ()
     if len(pairing):
         pairs = PairedSets(a, b, pairing.a, pairing.b, turning(a, b, pairing, settings))
@@ -217,7 +220,11 @@ def complete(
         auto_mac=np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
         by_channel=_by_channel(left, right),
         scale=modal_scale_factor(left, right),
-        complexity=ShapeComplexity(mpc=mpc(a.shapes), mpd=mpd(a.shapes), mcf=mcf(a.shapes)),
+        complexity=ShapeComplexity(
+            mpc=mpc(a.shapes),
+            mpd=mpd(a.shapes),
+            mcf=mcf(a.shapes),
+        ),
         checks=checks,
         subspaces=subspaces(a, b, pairing, settings),
         suspects=suspects,
@@ -279,7 +286,7 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             ecomac=channels.ecomac,
             contribution=channels.contribution,
         ),
-        "worst_comac": [c.channels[i] for i in worst.tolist()],
+        "worst_comac": [c.channels[i] for i in worst],
         "elimination": _rows(channel=[c.channels[i] for i in removed], mean_mac_after=after),
         "complexity": _rows(
             mode=np.arange(1, c.complexity.mpc.size + 1),
@@ -299,21 +306,14 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             for k in c.checks
         ],
         "subspaces": [
-            {"a": _from_one(x.a), "b": _from_one(x.b), "angles_deg": np.rad2deg(x.angles).tolist()}
+            {
+                "a": [i + 1 for i in x.a],
+                "b": [i + 1 for i in x.b],
+                "angles_deg": np.rad2deg(x.angles).tolist(),
+            }
             for x in c.subspaces
         ],
-        "suspects": [
-            {
-                "channel": x.channel,
-                "fault": x.fault,
-                "partner": x.partner or None,
-                "factor": x.factor,
-                "mac_now": x.mac_now,
-                "mac_mended": x.mac_mended,
-                "message": x.message,
-            }
-            for x in c.suspects
-        ],
+        "suspects": [asdict(x) | {"partner": x.partner or None} for x in c.suspects],
         "significance": _significance_json(c.significance, pairing),
         "notes": list(c.notes),
     }
@@ -342,10 +342,6 @@ def _rows(**columns: Sequence[Any] | Any_) -> list[dict[str, Any]]:
     """Columns of one length as one dict a row, with plain values."""
     plain = [c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*plain, strict=True)]
-
-
-def _from_one(modes: Sequence[int]) -> list[int]:
-    return [i + 1 for i in modes]
 
 
 def _number(x: Any) -> Any:

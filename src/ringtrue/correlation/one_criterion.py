@@ -11,7 +11,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 from scipy.special import betainc
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays, Int
 from ringtrue.correlation.assignment import WORTH, ComparedModes, PairingSettings, Scores, scores
 from ringtrue.shapes import auto_mac, unit
 
@@ -55,8 +55,12 @@ class FrequencyOnlySettings:
 FREQUENCY_ONLY = FrequencyOnlySettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ByFrequency:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class ByFrequency(FrozenArrays):
     """The likeliest assignment.
 
     Attributes
@@ -70,9 +74,6 @@ class ByFrequency:
     rows: Int
     columns: Int
     rival: Int
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, rows=np.int64, columns=np.int64, rival=np.int64)
 
 
 def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) -> ByFrequency:
@@ -97,30 +98,27 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
     offsets = _offsets(error[allowed & ~forced])
     given = FREQUENCY_ONLY
     scatter = given.scatter
+
+    def best(about: list[float], which: Bool) -> _Assigned:
+        found = [_assigned(error, c, scatter, allowed=which, forced=forced) for c in about]
+        return min(found, key=lambda t: t.cost)
+
     for _ in range(2):
-        off = min(
-            (_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets),
-            key=lambda t: t.cost,
-        ).off
+        off = best(offsets, allowed).off
         squares = off @ off + given.prior_pairs * given.scatter**2
         scatter = float(np.sqrt(squares / (max(off.size - 1, 0) + given.prior_pairs)))
-    tried = [_assigned(error, c, scatter, allowed=allowed, forced=forced) for c in offsets]
-    best = min(tried, key=lambda t: t.cost)
-    rows = np.flatnonzero(best.partner >= 0)
+    first = best(offsets, allowed)
+    rows = np.flatnonzero(first.partner >= 0)
     offsets = _offsets(error[wide & ~forced])
-    loose = [_assigned(error, c, scatter, allowed=wide, forced=forced).cost for c in offsets]
-    near = [c for c, cost in zip(offsets, loose, strict=True) if cost < best.cost + given.far]
+    near = [c for c in offsets if best([c], wide).cost < first.cost + given.far]
     rival = []
-    for i, j in zip(rows.tolist(), best.partner[rows].tolist(), strict=True):
+    for i, j in zip(rows, first.partner[rows], strict=True):
         other = wide.copy()
         other[i, j] = False
-        second = min(
-            (_assigned(error, c, scatter, allowed=other, forced=forced) for c in near),
-            key=lambda t: t.cost,
-        )
-        clear = forced[i].any() or second.cost >= best.cost + given.doubt
+        second = best(near, other)
+        clear = forced[i].any() or second.cost >= first.cost + given.doubt
         rival.append(NO_RIVAL if clear else int(second.partner[i]))
-    return ByFrequency(rows, best.partner[rows], np.array(rival, dtype=np.int64))
+    return ByFrequency(rows, first.partner[rows], np.array(rival, dtype=np.int64))
 
 
 def _offsets(errors: Float) -> list[float]:
@@ -128,7 +126,11 @@ def _offsets(errors: Float) -> list[float]:
     return list(map(float, np.linspace(*ends, FREQUENCY_ONLY.offsets)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Assigned:
     """Cost, partner (ma,) of each mode of A, -1 for none, and deviations of the free pairs from
     their common offset.
@@ -188,7 +190,11 @@ class LikeShapesSettings:
 LIKE_SHAPES = LikeShapesSettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Extended:
     """Pairs within the frequency gate and beyond it.
 

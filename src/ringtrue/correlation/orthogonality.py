@@ -5,15 +5,15 @@ user's own.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, FrozenArrays, Int
 from ringtrue.core.modes import ModeSet
-from ringtrue.errors import ConfigError, InputError
+from ringtrue.errors import ConfigError
 from ringtrue.shapes import (
     auto_mac,
     cross_orthogonality,
@@ -93,9 +93,7 @@ class Verdict:
         return text + (f", {len(self.failures)} entries beyond the limits" if self.failures else "")
 
 
-def judge(
-    matrix: Float, gate: Gate = TRADE, *, a: Any_ | None = None, b: Any_ | None = None
-) -> Verdict:
+def judge(matrix: Float, gate: Gate, rows: Int, columns: Int) -> Verdict:
     """Hold a self- or cross-orthogonality matrix against a gate.
 
     Parameters
@@ -103,71 +101,32 @@ def judge(
     matrix : (ma, mb) float64
         Magnitudes, 0..1 (`shapes`).
     gate : Gate
-    a, b : (k,) int, optional
-        The pairs: rows and columns of `matrix` that belong together. The matrix must be square if
-        not given. Only the rows and columns that have a partner are judged.
-
-    Raises
-    ------
-    InputError
-        If the pairs do not fit the matrix.
+    rows, columns : (k,) int64
+        The pairs, which belong together. Only they are judged.
     """
-    rows, cols = _paired_rows(np.asarray(matrix), a, b)
-    block = np.abs(np.asarray(matrix, dtype=np.float64)[np.ix_(rows, cols)])
-    own = np.diag(block)
-    off = block.copy()
+    off = np.abs(matrix[np.ix_(rows, columns)])
+    own = np.diag(off).copy()
     np.fill_diagonal(off, 0.0)
-    found = [
-        Failure(
-            a=int(rows[i]),
-            b=int(cols[i]),
-            value=float(own[i]),
-            limit=gate.diagonal,
-            diagonal=True,
-        )
-        for i in np.flatnonzero(own < gate.diagonal)
-    ]
-    found += [
-        Failure(
-            a=int(rows[i]),
-            b=int(cols[j]),
-            value=float(off[i, j]),
-            limit=gate.off_diagonal,
-            diagonal=False,
-        )
+    low = [(i, i, own[i], gate.diagonal) for i in np.flatnonzero(own < gate.diagonal).tolist()]
+    high = [
+        (i, j, off[i, j], gate.off_diagonal)
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
+    ]
+    found = [
+        Failure(int(rows[i]), int(columns[j]), float(value), limit, diagonal=i == j)
+        for i, j, value, limit in low + high
     ]
     # the farthest beyond its limit first; the halves of a symmetric matrix differ in rounding,
     # which orders nothing
     # 9: of an entry, by which failures are ordered
     found.sort(key=lambda f: (-round(abs(f.value - f.limit), 9), f.a, f.b))
-    least = float(own.min()) if own.size else float("nan")
     return Verdict(
         gate=gate,
         passed=bool(own.size) and not found,
-        least_diagonal=least,
+        least_diagonal=float(own.min()) if own.size else float("nan"),
         largest_off_diagonal=float(off.max(initial=0.0)),
         failures=tuple(found),
     )
-
-
-def _paired_rows(matrix: Any_, a: Any_ | None, b: Any_ | None) -> tuple[Int, Int]:
-    if (
-        matrix.ndim != 2
-        or (a is None) != (b is None)
-        or (a is None and matrix.shape[0] != matrix.shape[1])
-    ):
-        raise InputError(
-            f"orthogonality {matrix.shape}: give the pairs (a and b) unless it is square"
-        )
-    rows = np.arange(matrix.shape[0]) if a is None else np.asarray(a, dtype=np.int64)
-    cols = np.arange(matrix.shape[1]) if b is None else np.asarray(b, dtype=np.int64)
-    top = (rows.max(initial=-1), cols.max(initial=-1))
-    if rows.shape != cols.shape or top[0] >= matrix.shape[0] or top[1] >= matrix.shape[1]:
-        raise InputError(
-            f"pairs {rows.shape} and {cols.shape} up to {top} for a matrix {matrix.shape}"
-        )
-    return rows, cols
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
@@ -177,20 +136,22 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
         "passed": verdict.passed,
         "least_diagonal": verdict.least_diagonal if np.isfinite(verdict.least_diagonal) else None,
         "largest_off_diagonal": verdict.largest_off_diagonal,
-        "failures": [
-            {"a": f.a + 1, "b": f.b + 1, "value": f.value, "limit": f.limit, "diagonal": f.diagonal}
-            for f in verdict.failures[:20]  # failures
-        ],
+        "failures": [asdict(f) | {"a": f.a + 1, "b": f.b + 1} for f in verdict.failures[:20]],
     }
 
 
 Mass = Any_ | sparse.csr_array
 Lift = Callable[[ModeSet], Any_]
+CheckKind = Literal["model", "self", "cross"]
 READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OrthogonalityCheck:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class OrthogonalityCheck(FrozenArrays):
     """An orthogonality matrix and what the gate says of it.
 
     Attributes
@@ -208,14 +169,15 @@ class OrthogonalityCheck:
     name: str
     matrix: Float
     verdict: Verdict
-    kind: Literal["model", "self", "cross"]
+    kind: CheckKind
     mass: str
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, matrix=np.float64)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class PairedSets:
     """Two mode sets and their pairs.
 
@@ -245,24 +207,23 @@ class PairedSets:
     ) -> tuple[OrthogonalityCheck, ...]:
         """Checks of the matrices of B as read, of A with itself, and (name, matrix) of A with B."""
         read = f"modes of the model read with {100 * READ:g} % error"
-        matrices: tuple[tuple[str, Float, Verdict, Literal["model", "self", "cross"]], ...] = (
-            (read, model, judge(model, gate), "model"),
-            ("self-orthogonality", own, judge(own, gate, a=self.rows, b=self.rows), "self"),
-            (*cross, judge(cross[1], gate, a=self.rows, b=self.columns), "cross"),
+        compared = self.compared
+        kinds: tuple[tuple[CheckKind, str, Float, Int, Int], ...] = (
+            ("model", read, model, compared, compared),
+            ("self", "self-orthogonality", own, self.rows, self.rows),
+            ("cross", *cross, self.rows, self.columns),
         )
         return tuple(
-            OrthogonalityCheck(
-                name=f"{name}, {mass} mass",
-                matrix=x,
-                verdict=verdict,
-                kind=kind,
-                mass=mass,
-            )
-            for name, x, verdict, kind in matrices
+            OrthogonalityCheck(f"{name}, {mass} mass", x, judge(x, gate, *pairs), kind, mass)
+            for kind, name, x, *pairs in kinds
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class OrthogonalityTest:
     """How the orthogonality of shapes is judged.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, FrozenArrays, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.assignment import ComparedModes, PairingSettings, scores
 from ringtrue.correlation.one_criterion import scores_among
@@ -39,10 +39,10 @@ def paired_shapes(
         Those of the pairing.
     """
     b = b.rows(a.channels)
-    turn = turning(a, b, pairing, settings)[:, pairing.b] if pairing.subspace.any() else None
-    return a.shapes[:, pairing.a], np.array(
-        b.shapes[:, pairing.b]
-    ) if turn is None else b.shapes @ turn
+    left = a.shapes[:, pairing.a]
+    if not pairing.subspace.any():
+        return left, b.shapes[:, pairing.b]
+    return left, b.shapes @ turning(a, b, pairing, settings)[:, pairing.b]
 
 
 def turning(
@@ -100,13 +100,13 @@ def _rotated(a: Any_, b: Any_, pairing: Pairing, at: Any_, group: tuple[int, ...
     rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
     columns = [*pairing.b[at].tolist(), *(j for j in group if j not in pairing.b[at])]
     out = np.concatenate([turn, rest], axis=1)[:, np.argsort(columns)]
-    return np.asarray(out * _phase(out.diagonal().conj()))
+    return out * _phase(out.diagonal().conj())
 
 
 def _phase(z: Any_) -> Any_:
     """z/|z|, 1 where z is 0."""
     size = np.abs(z)
-    return np.asarray(np.where(size > 0, z / np.where(size > 0, size, 1.0), 1.0))
+    return np.where(size > 0, z / np.where(size > 0, size, 1.0), 1.0)
 
 
 def comac(a: Any_, b: Any_) -> Float:
@@ -175,8 +175,12 @@ def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Elimination:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Elimination(FrozenArrays):
     """Channels left out one after the other, each the one whose loss raises the mean MAC most.
 
     Attributes
@@ -190,29 +194,22 @@ class Elimination:
     order: Int
     mac: Float
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, order=np.int64, mac=np.float64)
-
     @property
     def mean_mac(self) -> Float:
         """(k + 1,)"""
         return np.asarray(self.mac.mean(axis=1))
 
 
-def eliminate(
-    a: Any_, b: Any_, *, most: int | None = None, least_channels: int | None = None
-) -> Elimination:
+def eliminate(a: Any_, b: Any_) -> Elimination:
     """Sequential sensor elimination: the channels that spoil the MAC most, the worst first.
+
+    A tenth of the channels, 1 to 20, are left out. Twice as many as there are pairs stay, all but
+    one at most: a MAC over fewer says little.
 
     Parameters
     ----------
     a, b : (n, m) float64 or complex128
         Paired shapes.
-    most : int, optional
-        Channels to leave out; a tenth of them (1 to 20) if not given.
-    least_channels : int, optional
-        Channels that must stay; twice the number of pairs, at most n − 1, if not given: a MAC over
-        fewer says little.
 
     Notes
     -----
@@ -221,9 +218,8 @@ def eliminate(
     """
     a, b = _checked(a, b)
     n, m = a.shape
-    stay = min(2 * m, n - 1) if least_channels is None else least_channels
-    # 20: channels left out unless more are asked for
-    count = max(0, min(min(max(1, n // 10), 20) if most is None else most, n - stay))
+    most = min(max(1, n // 10), 20)
+    count = max(0, min(most, n - min(2 * m, n - 1)))
     part = a.conj() * b
     aa = np.abs(a) ** 2
     bb = np.abs(b) ** 2

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays, Int, freeze_arrays
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.correlation.assignment import (
     NO_LOCKS,
@@ -28,66 +28,15 @@ from ringtrue.correlation.assignment import (
 )
 from ringtrue.correlation.one_criterion import NO_RIVAL, by_frequency, pairs_by_shape
 from ringtrue.errors import InputError
-from ringtrue.shapes import Mass, above_rounding, mac, mass_mac
+from ringtrue.shapes import above_rounding, mac
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """Where the modes of one point are at the next.
-
-    Attributes
-    ----------
-    index : (m,) int64
-        Position at the new point of each mode followed.
-    overlap : (m,) float64, 0..1
-        Squared overlap (MAC over the mass, if given) of old and new shape.
-    runner_up : (m,) float64, 0..1
-        The best of the other new modes.
-    """
-
-    index: Int
-    overlap: Float
-    runner_up: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, index=np.int64, overlap=np.float64, runner_up=np.float64)
-
-
-def follow(old: Any_, new: Any_, mass: Mass | None = None) -> Step:
-    """The one-to-one assignment of greatest total overlap between the shapes of two points.
-
-    Parameters
-    ----------
-    old : (n, m) float64 or complex128
-        The modes followed.
-    new : (n, k) float64 or complex128, k >= m
-    mass : (n, n), optional
-        The overlap is then that of the mass product, which is exact; without it shapes at few
-        channels may look equal.
-
-    Raises
-    ------
-    InputError
-        If there are fewer new modes than followed ones.
-    """
-    old = np.asarray(old)
-    new = np.asarray(new)
-    m = old.shape[1]
-    if new.shape[1] < m:
-        raise InputError(
-            f"{m} modes to follow, {new.shape[1]} at the new point; compute more there"
-        )
-    share = mac(old, new) if mass is None else mass_mac(old, new, mass)
-    rows, cols = linear_sum_assignment(-share)
-    index = cols[np.argsort(rows)]
-    best = share[np.arange(m), index]
-    other = share.copy()
-    other[np.arange(m), index] = 0.0
-    return Step(index, best, other.max(axis=1, initial=0.0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Tracks(FrozenArrays):
     """Modes along a path.
 
     Attributes
@@ -108,11 +57,6 @@ class Tracks:
     overlap: Float
     solves: int = 0
 
-    def __post_init__(self) -> None:
-        freeze_fields(
-            self, points=np.float64, index=np.int64, frequencies=np.float64, overlap=np.float64
-        )
-
     @property
     def worst(self) -> Float:
         """(m,) smallest overlap of each mode along the path: below about 0.6 its identity was
@@ -122,35 +66,36 @@ class Tracks:
 
 
 def track(
-    frequencies: Sequence[Float],
-    shapes: Sequence[Any_],
-    mass: Mass | None = None,
-    *,
-    count: int | None = None,
+    frequencies: Sequence[Float], shapes: Sequence[Any_], *, count: int | None = None
 ) -> Tracks:
     """Follow the `count` lowest modes of the first point (all) through a given sequence.
+
+    From point to point by the one-to-one assignment of greatest total MAC.
 
     Parameters
     ----------
     frequencies : sequence of (m_i,) float64, Hz
     shapes : sequence of (n, m_i) float64 or complex128
-    mass : (n, n), optional
+
+    Raises
+    ------
+    InputError
+        If a point has fewer modes than are followed.
     """
-    if len(frequencies) != len(shapes) or not len(shapes):
-        raise InputError(f"{len(frequencies)} sets of frequencies for {len(shapes)} sets of shapes")
-    m = np.shape(shapes[0])[1] if count is None else count
+    m = shapes[0].shape[1] if count is None else count
+    if (fewest := min(s.shape[1] for s in shapes)) < m:
+        raise InputError(f"{m} modes to follow, {fewest} at a point; compute more there")
     index = [np.arange(m)]
     overlap = [np.ones(m)]
     for before, now in pairwise(shapes):  # each point rests on the one before
-        step = follow(np.asarray(before)[:, index[-1]], now, mass)
-        index.append(step.index)
-        overlap.append(step.overlap)
-    where = np.arange(len(shapes), dtype=np.float64)[:, None]
-    f = np.array([np.asarray(f)[i] for f, i in zip(frequencies, index, strict=True)])
+        share = mac(before[:, index[-1]], now)
+        rows, columns = linear_sum_assignment(-share)
+        index.append(columns)
+        overlap.append(share[rows, columns])
     return Tracks(
-        points=where,
+        points=np.arange(float(len(shapes)))[:, None],
         index=np.array(index),
-        frequencies=f,
+        frequencies=np.array([f[i] for f, i in zip(frequencies, index, strict=True)]),
         overlap=np.array(overlap),
         solves=len(shapes),
     )
@@ -159,7 +104,11 @@ def track(
 __all__ = ["Locks", "Pairing", "PairingSettings", "pair_modes"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Pairing:
     """A one-to-one assignment between modes of set A (test) and set B (model or second test).
 
@@ -200,15 +149,10 @@ class Pairing:
     gated_a: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
-        integer = np.int64
-        number = np.float64
-        flag = np.bool_
-        freeze_fields(self, a=integer, b=integer, unpaired_a=integer, unpaired_b=integer)
-        freeze_fields(self, mac=number, frequency_error=number, subspace=flag)
-        for name, size in (("beyond", len(self.a)), ("gated_a", len(self.unpaired_a))):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros(size, dtype=flag))
-        freeze_fields(self, rival=integer, beyond=flag, gated_a=flag)
+        for name, size in (("beyond", self.a.size), ("gated_a", self.unpaired_a.size)):
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, np.zeros(size, dtype=np.bool_))
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return int(self.a.size)
@@ -219,7 +163,7 @@ class Pairing:
         return tuple(
             f"{a} {i + 1} is taken for {b} {j + 1}, and may as well be "
             + (f"{b} {k + 1}" if k >= 0 else f"no mode of {b}")
-            for i, j, k in zip(self.a.tolist(), self.b.tolist(), self.rival.tolist(), strict=False)
+            for i, j, k in zip(self.a, self.b, self.rival, strict=False)
             if k != NO_RIVAL
         )
 
@@ -228,7 +172,7 @@ class Pairing:
         a, b = names
         pairs = [
             f"{a} {self.a[k] + 1} with {b} {self.b[k] + 1} ({100 * self.frequency_error[k]:+.3g} %)"
-            for k in np.flatnonzero(self.beyond).tolist()
+            for k in np.flatnonzero(self.beyond)
         ]
         why = "paired beyond the frequency gate, as they look like no other mode"
         return (f"{why}: {', '.join(pairs)}",) if pairs else ()
@@ -274,9 +218,7 @@ def pair_modes(
     """
     b = b.rows(a.channels)
     for name, m in zip(names, (a, b), strict=True):
-        if gaps := [
-            m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1)).tolist()
-        ]:
+        if gaps := [m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1))]:
             raise InputError(
                 f"shapes of {name} have gaps (NaN) at "
                 f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
@@ -294,7 +236,13 @@ def pair_modes(
     if a.channels:
         paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
         free = np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
-        more = pairs_by_shape(modes, score, paired=paired, free=free, gates=settings)
+        more = pairs_by_shape(
+            modes,
+            score,
+            paired=paired,
+            free=free,
+            gates=settings,
+        )
         rows = more.rows
         cols = more.columns
         score = more.score
@@ -371,7 +319,11 @@ def _hidden(b: ModeSet, settings: PairingSettings) -> list[str]:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Side:
     """One of the two sets.
 
@@ -396,7 +348,11 @@ class _Side:
         return f"{self.name} {i + 1 + self.first}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Reasons:
     """Why modes are unpaired, in words."""
 

@@ -6,15 +6,16 @@ The geometry of a test laid onto the model: best-fit rotation, shift and scale.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations, product
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.dofs import DofSet, parsed
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
@@ -31,6 +32,9 @@ class AlignmentSearch:
         Steps from one start, at most.
     rounds : int
         Rounds of small turns out of shallow minima.
+    keep : float
+        Share of the points used at each step, the nearest; the rest may be gross errors (trimmed:
+        Chetverikov and others, 2002).
     gross : float
         Times the rms of the nearest points: another that is farther off is set aside.
     exact : float
@@ -41,6 +45,7 @@ class AlignmentSearch:
 
     steps: int = 100
     rounds: int = 6
+    keep: float = 0.9
     gross: float = 3.0
     exact: float = 1e-3
     rival: float = 3.0
@@ -52,8 +57,12 @@ TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Alignment(FrozenArrays):
     """x_target = scale · R x_source + shift.
 
     Attributes
@@ -78,27 +87,19 @@ class Alignment:
     used: Bool
     rivals: int = 0
 
-    def __post_init__(self) -> None:
-        freeze_fields(
-            self, rotation=np.float64, shift=np.float64, residual=np.float64, used=np.bool_
-        )
-
     @property
     def rms(self) -> float:
         """Root mean square of the residual of the points used."""
-        return (
-            float(np.sqrt((self.residual[self.used] ** 2).mean()))
-            if self.used.any()
-            else float("nan")
-        )
+        used = self.residual[self.used]
+        return float(np.sqrt((used**2).mean())) if used.size else float("nan")
 
     def __call__(self, xyz: Float) -> Float:
         """Source points (n, 3) in the target's frame and unit."""
-        return np.asarray(self.scale * (np.asarray(xyz) @ self.rotation.T) + self.shift)
+        return self.scale * (np.asarray(xyz) @ self.rotation.T) + self.shift
 
     def turn(self, axes: Float) -> Float:
         """Directions (n, 3) in the target's frame."""
-        return np.asarray(np.asarray(axes) @ self.rotation.T)
+        return np.asarray(axes) @ self.rotation.T
 
     def move(self, test: TestModel) -> TestModel:
         """The test model in the frame of the target."""
@@ -202,10 +203,10 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
             break
         r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
         mu *= 1.4
-    return np.asarray(weight)
+    return weight
 
 
-def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
+def nearest_fit(source: Float, nodes: Float) -> Alignment:
     """The placement that brings points onto their nearest nodes (iterative closest points, Besl and
     McKay, 1992).
 
@@ -219,9 +220,6 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
         Test points, any frame.
     nodes : (k, 3) float64
         Nodes of the model where sensors can be, not fewer than the points.
-    keep : float
-        Share of the points used at each step, the nearest; the rest may be gross errors (trimmed:
-        Chetverikov and others, 2002).
 
     Notes
     -----
@@ -230,34 +228,25 @@ def nearest_fit(source: Float, nodes: Float, *, keep: float = 0.9) -> Alignment:
     """
     source = _check_points(source, "test points")
     nodes = _check_points(nodes, "nodes")
-    tree = KDTree(nodes)
-    found = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _starts(source, nodes)]
+    reached = partial(_icp, source, nodes, KDTree(nodes))
+    found = [reached(start) for start in _starts(source, nodes)]
     win = min(found, key=lambda f: f.rms)
     for _ in range(SEARCH.rounds):  # out of shallow minima, until no turn helps
-        again = [_icp(source, nodes, tree, fit=start, keep=keep) for start in _turned(win, source)]
-        best = min(again, key=lambda f: f.rms)
+        best = min(map(reached, _turned(win, source)), key=lambda f: f.rms)
         if best.rms > 0.99 * win.rms:
             break
         win = best
     reach = diagonal(nodes)
-    found += [
-        win,
-        *(_icp(source, nodes, tree, fit=start, keep=keep) for start in _about(win, _middle(nodes))),
-    ]
-    cost = _costs(found, max(win.rms, SEARCH.exact * reach))
+    found += [win, *map(reached, _about(win, _middle(nodes)))]
+    scale = max(win.rms, SEARCH.exact * reach)
+    # minus the log-likelihood of the distances of all points, Cauchy: a gross error counts, but
+    # not alone
+    cost = np.array([np.log1p((f.residual / scale) ** 2).sum() for f in found])
     win = found[int(np.argmin(cost))]
-    near = [f for f, c in zip(found, cost.tolist(), strict=True) if c <= cost.min() + SEARCH.rival]
+    near = [f for f, c in zip(found, cost, strict=True) if c <= cost.min() + SEARCH.rival]
     used = win.residual <= max(SEARCH.gross * win.rms, 1e-9 * reach)
-    return replace(
-        win, used=used, rivals=_distinct([f(source) for f in near], win(source), 0.02 * reach)
-    )
-
-
-def _costs(fits: list[Alignment], scale: float) -> Float:
-    """Minus the log-likelihood (k,) of the distances of all points, Cauchy: a gross error counts,
-    but not alone.
-    """
-    return np.array([float(np.log1p((f.residual / scale) ** 2).sum()) for f in fits])
+    rivals = _distinct([f(source) for f in near], win(source), 0.02 * reach)
+    return replace(win, used=used, rivals=rivals)
 
 
 def _distinct(places: list[Float], first: Float, tolerance: float) -> int:
@@ -300,11 +289,9 @@ def _starts(source: Float, nodes: Float) -> list[_Motion]:
     cn = _middle(nodes)
     us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
     for flip in axis_turns():
-        both = (
-            flip,
-            _proper(un).T @ flip @ _proper(us),
-        )  # of the axes given, and of the principal ones
-        out += [(rotation, cn - rotation @ cs) for rotation in both]
+        # of the axes given, and of the principal ones
+        for rotation in (flip, _proper(un).T @ flip @ _proper(us)):
+            out.append((rotation, cn - rotation @ cs))
     return out
 
 
@@ -324,11 +311,11 @@ def _proper(axes: Float) -> Float:
 
 def _nearest(tree: KDTree, xyz: Float) -> tuple[Float, Int]:
     distance, index = tree.query(xyz)
-    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
+    return np.asarray(distance), np.asarray(index)
 
 
-def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -> Alignment:
-    count = max(4, int(np.ceil(keep * len(source))))
+def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion) -> Alignment:
+    count = max(4, int(np.ceil(SEARCH.keep * len(source))))
     count = min(count, len(source))
     before = np.inf
     for _ in range(SEARCH.steps):  # each step rests on the last
@@ -344,8 +331,8 @@ def _icp(source: Float, nodes: Float, tree: KDTree, fit: _Motion, keep: float) -
     rotation, shift = fit
     distance, _ = _nearest(tree, source @ rotation.T + shift)
     return Alignment(
-        rotation=rotation,
-        shift=shift,
+        rotation,
+        shift,
         scale=1.0,
         residual=distance,
         used=used,
@@ -367,6 +354,8 @@ class SensorDistance:
         Share of the size of a model, if nothing is said.
     nodes : int
         Nodes whose distances give the mesh width.
+    neighbours : int
+        Nodes of a rigid fit.
     extent : float
         Share of the size of a test.
     unit : float
@@ -376,6 +365,7 @@ class SensorDistance:
     same: float = 1e-6
     size: float = 0.03
     nodes: int = 2000
+    neighbours: int = 4
     extent: float = 0.25
     unit: float = 10.0
 
@@ -392,7 +382,6 @@ def observe(
     tolerance: float | None = None,
     unit: float = 1.0,
     method: Method = "nearest",
-    neighbours: int = 4,
 ) -> Observation:
     """Match the channels of a test with a model.
 
@@ -412,11 +401,8 @@ def observe(
         Model length unit in metres (mm-t-s: 1e-3).
     method : {"nearest", "rigid"}
         "nearest" takes the translations of the nearest node, of several at one place that with the
-        number of the sensor's point. "rigid" fits a rigid motion to the translations of the
-        `neighbours` nearest nodes for sensors that are not on a node (exact for any rigid-body
-        motion).
-    neighbours : int
-        Nodes of the rigid fit, 3 or more.
+        number of the sensor's point. "rigid" fits a rigid motion to the translations of the four
+        nearest nodes for sensors that are not on a node (exact for any rigid-body motion).
 
     Raises
     ------
@@ -424,18 +410,12 @@ def observe(
         If sensors are too far away (all are named with their distance) or a DOF they need is not in
         the model.
     ConfigError
-        On an unknown method or too few neighbours.
+        On an unknown method.
     """
-    if method not in ("nearest", "rigid"):
-        raise ConfigError(
-            f"no observation method {method!r}{did_you_mean(method, ('nearest', 'rigid'))}"
-        )
-    if method == "rigid" and neighbours < 3:
-        raise ConfigError(
-            f"{neighbours} neighbours cannot fix a rigid motion; allowed are 3 and more"
-        )
+    if method not in (known := get_args(Method)):
+        raise ConfigError(f"no observation method {method!r}{did_you_mean(method, known)}")
     at = test.channel_xyz() / unit
-    k = min(neighbours, len(node_ids)) if method == "rigid" else 1
+    k = min(DISTANCE.neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
     distance = np.asarray(found[0], dtype=np.float64)
     nearest = np.asarray(found[1], dtype=np.int64)
@@ -455,9 +435,9 @@ def observe(
     if not (distance[:, 0] <= tolerance).all():
         far = _Distances(np.asarray(node_ids), xyz, nearest[:, 0], distance[:, 0])
         raise _too_far(test, far, tolerance, unit)
-    weights = (
-        _rigid_weights(at, xyz[nearest], distance, test.axes) if k > 1 else test.axes[:, None, :]
-    )
+    weights = test.axes[:, None, :]
+    if k > 1:
+        weights = _rigid_weights(at, xyz[nearest], distance, test.axes)
     matrix = _matrix(weights, np.asarray(node_ids)[nearest], dofs, test.channels)
     return Observation(
         matrix=matrix,
@@ -481,13 +461,8 @@ def default_tolerance(xyz: Float) -> float:
     """
     some = np.unique(np.linspace(0, len(xyz) - 1, DISTANCE.nodes).astype(np.int64))
     width = _spacing(xyz, some)
-    return (
-        max(
-            DISTANCE.size * diagonal(xyz),
-            float(np.median(np.where(np.isfinite(width), width, 0.0))),
-        )
-        or np.inf
-    )
+    usual = float(np.median(np.where(np.isfinite(width), width, 0.0)))
+    return max(DISTANCE.size * diagonal(xyz), usual) or np.inf
 
 
 def _by_number(
@@ -503,7 +478,11 @@ def _by_number(
     return np.where((ids[own] == points) & near, own, nearest[:, 0])[:, None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Distances:
     """The nodes, and of each channel which is nearest and how far."""
 
@@ -518,34 +497,30 @@ def _too_far(test: TestModel, found: _Distances, tolerance: float, unit: float) 
     ids, xyz, nearest, distance = found.ids, found.xyz, found.nearest, found.distance
     far = np.flatnonzero(~(distance <= tolerance))
     shown = "; ".join(
-        f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}"
-        for i in far[:8].tolist()
+        f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}" for i in far[:8]
     )
     # of another unit it is far less than a distance
     extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit
     times = float(extent / (diagonal(xyz) or np.inf))
-    between = bool(
-        (distance[far] <= np.minimum(_spacing(xyz, nearest[far]), DISTANCE.extent * extent)).all()
-    )
+    mesh_width = np.minimum(_spacing(xyz, nearest[far]), DISTANCE.extent * extent)
     do = (
-        "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, "
-        "[correlate] tolerance) to "
-        f"{1.1 * unit * distance[far].max():.2g} m; with match = rigid they read the motion of "
-        "the nodes around them"
-        if between
-        else f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or "
+        f"Check the unit factor ({unit:g} m) and the origin and axes of the test model, or "
         "raise the tolerance"
     )
     if times > DISTANCE.unit or 0 < times < 1 / DISTANCE.unit**2:
         do = (
             f"The test is {times:.4g} times the model in size: places of a test are in m, the "
-            "unit of length of "
-            f"the model is taken for {unit:g} m (--units, [model] units)"
+            f"unit of length of the model is taken for {unit:g} m (--units, [model] units)"
+        )
+    elif (distance[far] <= mesh_width).all():
+        do = (
+            "They stand between nodes of a coarse mesh: raise the tolerance (--tolerance, "
+            f"[correlate] tolerance) to {1.1 * unit * distance[far].max():.2g} m; with match = "
+            "rigid they read the motion of the nodes around them"
         )
     return DataError(
         f"{far.size} of {distance.size} channels are farther than {tolerance:g} (model unit) "
-        f"from every node: {shown}. "
-        f"{do}"
+        f"from every node: {shown}. {do}"
     )
 
 

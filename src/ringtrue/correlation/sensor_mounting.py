@@ -55,11 +55,16 @@ class MountingSearchSettings:
 
 SEARCH = MountingSearchSettings()
 
+LEAST_GAIN = -float(np.log(LIKE_SHAPES.chance))  # of log-likelihood
 AXES = ("X", "Y", "Z")
 Reading = tuple[str, str]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Readings:
     """A test and a model, with what the model does along all axes of the sheet at each sensor.
 
@@ -169,35 +174,21 @@ def readings_by_name(test: ModeSet, model: ModeSet) -> Readings:
     """
     n = len(test.channels)
     labels = [split_label(c) for c in test.channels]
+    along = [label for label in labels if label is not None and label[2] in AXES]
     motion = np.full((3, n, len(model)), np.nan, dtype=model.shapes.dtype)
     axes = np.zeros((n, 3))
-    if any(label is None or label[2] not in AXES for label in labels):
-        index, sign = match_channels(test.channels, model.channels)
+    if len(along) < n:
+        wanted = [list(test.channels)]
         axes[:, 0] = 1.0
-        motion[0] = model.shapes[index] * sign[:, None]
-        return Readings(
-            test=test,
-            frequencies=model.frequencies,
-            motion=motion,
-            axes=axes,
-            groups=("",) * n,
-        )
-    for k, axis in enumerate(AXES):
-        index, sign = match_channels(
-            [f"{label[0]}+{axis}" for label in labels if label], model.channels
-        )
+    else:
+        wanted = [[f"{point}+{axis}" for point, _, _ in along] for axis in AXES]
+        for i, (_, sense, axis) in enumerate(along):
+            axes[i, AXES.index(axis)] = sense
+    for k, names in enumerate(wanted):
+        index, sign = match_channels(names, model.channels)
         known = index >= 0
         motion[k, known] = model.shapes[index[known]] * sign[known, None]
-    for i, label in enumerate(labels):
-        assert label is not None
-        axes[i, AXES.index(label[2])] = label[1]
-    return Readings(
-        test=test,
-        frequencies=model.frequencies,
-        motion=motion,
-        axes=axes,
-        groups=("",) * n,
-    )
+    return Readings(test, model.frequencies, motion, axes, ("",) * n)
 
 
 def mendings_json(found: Sequence[Mending]) -> list[dict[str, Any]]:
@@ -249,12 +240,15 @@ def find_mendings(
         return ()
     strength = linalg.svdvals(unit(given.test.shapes[:, usable]))
     patterns = int((strength > LIKE_SHAPES.pattern * strength.max(initial=0.0)).sum())
-    search = _MountingSearch(given=given, settings=settings, usable=usable, patterns=patterns)
+    search = _MountingSearch(
+        given=given,
+        settings=settings,
+        usable=usable,
+        patterns=patterns,
+    )
     for _ in range(SEARCH.changes):
         before = search.fit(shapes, axes)
-        if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= -np.log(
-            LIKE_SHAPES.chance
-        ):
+        if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= LEAST_GAIN:
             break  # nothing could gain enough
         best = search.likeliest(shapes, axes, before)
         if best is None:
@@ -265,7 +259,11 @@ def find_mendings(
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _MountingFit:
     """MAC (k,) of the chosen test modes with their best partners, 0 without one, and these, -1 for
     none.
@@ -276,7 +274,11 @@ class _MountingFit:
     seen: Any_
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _MountingChange:
     """Shapes and axes after a change; `cost` is the logarithm of the number of changes of its
     kind.
@@ -290,7 +292,11 @@ class _MountingChange:
     faults: tuple[ChannelFault, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _MountingSearch:
     given: Readings
     settings: PairingSettings
@@ -347,7 +353,7 @@ class _MountingSearch:
         rough = [self.fit(c.shapes, c.axes, rotated=False) for c in turns]
         worth = [-np.inf if f is None else self.gain(before.mac, f.mac) for f in rough]
         order = np.argsort(worth, kind="stable")[::-1][: SEARCH.turns]
-        changes = [turns[i] for i in order.tolist() if np.isfinite(worth[i])]
+        changes = [turns[i] for i in order if np.isfinite(worth[i])]
         changes += [*self._signs(shapes, axes), *self._channels(shapes, axes, before)]
         judged = []
         for change in changes:
@@ -355,7 +361,7 @@ class _MountingSearch:
             if after is None:
                 continue
             net = self.gain(before.mac, after.mac) - change.cost
-            if net > -np.log(LIKE_SHAPES.chance) and after.mac.mean() >= self.settings.mac_gate:
+            if net > LEAST_GAIN and after.mac.mean() >= self.settings.mac_gate:
                 judged.append((net, change, after))
         if not judged:
             return None
@@ -363,11 +369,9 @@ class _MountingSearch:
         likely = [(change, after) for net, change, after in judged if net > top - SEARCH.rival]
         change, after = min(likely, key=lambda pair: self._strangeness(*pair))
         others = [c for c, _ in likely if c is not change and c.kind == "axes"]
-        rivals = (
-            [_axes_words(c.group, self._readings(c)) for c in others]
-            if change.kind == "axes"
-            else []
-        )
+        if change.kind != "axes":
+            others = []
+        rivals = [_axes_words(c.group, self._readings(c)) for c in others]
         return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
 
     def _strangeness(self, change: _MountingChange, after: _MountingFit) -> tuple[float, int]:
@@ -395,16 +399,14 @@ class _MountingSearch:
         then = float(after.mac.mean())
         names = self.given.test.channels
         suspects = [s for f in change.faults for s in suspects_of(f, names, now, then)]
-        gate = self.settings.mac_gate
-        pairs = int((before.mac >= gate).sum()), int((after.mac >= gate).sum())
-        readings = self._readings(change) if change.kind == "axes" else ()
+        few, more = (int((f.mac >= self.settings.mac_gate).sum()) for f in (before, after))
         return Mending(
             kind=change.kind,
             group=change.group,
-            axes=readings,
+            axes=self._readings(change) if change.kind == "axes" else (),
             rivals=rivals,
             suspects=tuple(suspects),
-            pairs=pairs,
+            pairs=(few, more),
             mac=(now, then),
         )
 
@@ -425,14 +427,7 @@ class _MountingSearch:
         made.pop(_without_sign(axes))
         cost = float(np.log(max(len(made), 1)))
         return [
-            _MountingChange(
-                shapes=shapes,
-                axes=turned,
-                cost=cost,
-                kind="axes",
-                group=group,
-            )
-            for group, turned in made.values()
+            _MountingChange(shapes, turned, cost, "axes", group) for group, turned in made.values()
         ]
 
     def _readings(self, change: _MountingChange) -> tuple[Reading, ...]:
@@ -467,10 +462,10 @@ class _MountingSearch:
         for _ in range(SEARCH.rounds):
             rows, columns = linear_sum_assignment(-np.where(possible, like, 0.0))
             kept = possible[rows, columns]
-            if not kept.any():
-                return []
             left = a[:, rows[kept]]
             right = b[:, columns[kept]]
+            if not kept.any():
+                return []
             product = (unit(left).conj() * unit(right)).real
             first = linalg.svd(product, full_matrices=False)[0][:, 0]
             sign = np.where(first < 0, -1.0, 1.0)
@@ -483,16 +478,7 @@ class _MountingSearch:
         turned = np.flatnonzero((same * np.sign(cosine) < 0) & certain)
         if not turned.size:
             return []
-        faults = tuple(
-            ChannelFault(
-                i=i,
-                j=i,
-                fault="reversed",
-                factor=-1.0,
-                gain=0.0,
-            )
-            for i in turned.tolist()
-        )
+        faults = tuple(ChannelFault(i, "reversed", -1.0) for i in turned.tolist())
         k = turned.size
         cost = float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + np.log(n))
         return [
@@ -501,7 +487,6 @@ class _MountingSearch:
                 axes=axes,
                 cost=cost,
                 kind="signs",
-                group="",
                 faults=faults,
             )
         ]
@@ -509,9 +494,9 @@ class _MountingSearch:
     def _channels(self, shapes: Any_, axes: Float, before: _MountingFit) -> list[_MountingChange]:
         """Single channels reversed or swapped, judged by what pairs there are."""
         partner = before.partner
-        some = np.flatnonzero((partner >= 0) & (before.mac >= WORTH.hold * self.settings.mac_gate))
-        if some.size < 3:
-            some = np.flatnonzero(partner >= 0)
+        paired = partner >= 0
+        like = paired & (before.mac >= WORTH.hold * self.settings.mac_gate)
+        some = np.flatnonzero(like if like.sum() >= 3 else paired)
         if some.size < 3:
             return []
         left = shapes[:, self.usable][:, some]
@@ -526,7 +511,6 @@ class _MountingSearch:
                 axes=axes,
                 cost=cost,
                 kind="channels",
-                group="",
                 faults=tuple(faults),
             )
         ]

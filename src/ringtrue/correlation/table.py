@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.errors import InputError
@@ -38,8 +38,12 @@ class CorrelationRow:
     significance: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrelationTable:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class CorrelationTable(FrozenArrays):
     """Paired modes side by side.
 
     Attributes
@@ -67,19 +71,6 @@ class CorrelationTable:
     all_fe_hz: Float
     names: tuple[str, str] = ("test", "FE")
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            test_hz=f,
-            fe_hz=f,
-            std_hz=f,
-            used=np.bool_,
-            mac=f,
-            all_test_hz=f,
-            all_fe_hz=f,
-        )
-
     def __len__(self) -> int:
         return int(self.test_hz.size)
 
@@ -96,7 +87,7 @@ class CorrelationTable:
     @property
     def deviation_percent(self) -> Float:
         """(f_FE − f_test)/f_test, (k,) %."""
-        return np.asarray(100 * self.deviation_hz / np.maximum(np.abs(self.test_hz), NIL))
+        return 100 * self.deviation_hz / np.maximum(np.abs(self.test_hz), NIL)
 
     @property
     def mac_percent(self) -> Float:
@@ -105,7 +96,7 @@ class CorrelationTable:
         """
         if not self.mac.size:
             return np.full(len(self), np.nan)
-        return np.asarray(100 * self.mac[self.pairing.a, self.pairing.b])
+        return 100 * self.mac[self.pairing.a, self.pairing.b]
 
     @property
     def subspace_mac_percent(self) -> Float:
@@ -119,7 +110,7 @@ class CorrelationTable:
     @property
     def significance(self) -> Float:
         """|Δf| in standard deviations of the test frequency, (k,); NaN where that is unknown."""
-        return np.asarray(np.abs(self.deviation_hz) / self.std_hz)
+        return np.abs(self.deviation_hz) / self.std_hz
 
     def mean_deviation(self, which: Bool | None = None) -> float:
         """Mean |Δf|, %, of the pairs `which` (all); NaN without a pair."""
@@ -210,8 +201,12 @@ def correlation_table(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Significance:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Significance(FrozenArrays):
     """Deviations against their combined standard deviation.
 
     Attributes
@@ -234,17 +229,6 @@ class Significance:
     p: Float
     significant: Bool
     rate: float
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            deviation=f,
-            std=f,
-            z=f,
-            p=f,
-            significant=np.bool_,
-        )
 
     @property
     def chi_square(self) -> tuple[float, int, float]:
