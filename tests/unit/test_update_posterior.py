@@ -198,7 +198,7 @@ def test_a_mode_that_is_not_used_counts_as_evidence_and_not_for_itself() -> None
     assert held.fold[3] == -1
     assert not held.in_turn[3]
     assert held.in_turn.sum() == MODES - 1
-    assert not held.inside()[3]
+    assert not held.inside(0.9)[3]
     # one error of 5 % among eight: 1.7 % in the mean square, some of it by parameters that such
     # errors leave uncertain
     error = float(np.hypot(conf.target.weights.frequency, held.parameter_std[3]))

@@ -88,7 +88,6 @@ def test_springs_are_found_through_crossings(truth: tuple[float, ...]) -> None:
     at = model.modes(x)
     aim = Target(at.frequencies, at.shapes, np.full(6, 1e-3), np.ones(6, dtype=bool), WEIGHTS)
     found = tune(model, aim)
-    assert found.considered == 720
     assert found.certain
     assert not found.ambiguity()
     np.testing.assert_array_equal(found.best.pairs[:, 0], found.best.pairs[:, 1])

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import least_squares, linear_sum_assignment, lsq_linear
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int, freeze_arrays
 from ringtrue.eigen.damped import ComplexModes, complex_modes
 from ringtrue.errors import InputError
 
@@ -25,7 +25,11 @@ EDGE = 1e-2  # standard deviations: nearer to a bound is at it
 FAINT = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Mechanism:
     """One source of damping with an unknown coefficient.
 
@@ -52,12 +56,7 @@ class Mechanism:
     std: float = np.inf
 
     def __post_init__(self) -> None:
-        freeze_fields(self, matrix=np.float64)
-        square = self.matrix.ndim == 2 and self.matrix.shape[0] == self.matrix.shape[1]
-        if not square or self.kind not in ("viscous", "structural"):
-            raise InputError(
-                f"mechanism {self.name}: matrix {self.matrix.shape}, kind {self.kind!r}"
-            )
+        freeze_arrays(self)
         if not self.lower < self.upper or not self.std > 0:
             raise InputError(
                 f"mechanism {self.name}: bounds {self.lower}, {self.upper} must rise, std "
@@ -65,8 +64,12 @@ class Mechanism:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DampingFit:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class DampingFit(FrozenArrays):
     """Identified damping.
 
     Attributes
@@ -98,22 +101,10 @@ class DampingFit:
     structural: Float
     ratio: Float
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            coefficients=f,
-            covariance=f,
-            start=f,
-            viscous=f,
-            structural=f,
-            ratio=f,
-        )
-
     @property
     def std(self) -> Float:
         """(k,) float64."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     def modes(self, values: Float) -> ComplexModes:
         """Complex modes with this damping, eigenvalues λ (n,) as given."""
@@ -146,30 +137,25 @@ def fit_poles(
     Raises
     ------
     InputError
-        If sizes differ, or data and priors leave a coefficient free.
+        If data and priors leave a coefficient free.
     """
-    zeta = np.asarray(damping, dtype=np.float64)
-    sigma = np.asarray(std, dtype=np.float64)
-    at = np.asarray(modes, dtype=np.int64)
-    _check_mechanisms(mechanisms, values.size)
-    same_size = zeta.shape == sigma.shape == at.shape
-    if not same_size or not (sigma > 0).all() or np.unique(at).size != at.size:
-        raise InputError(
-            f"damping {zeta.shape}, std {sigma.shape} (> 0), modes {at.shape} (each once)"
-        )
+    if not mechanisms:
+        raise InputError("no mechanism of damping: give loss factors or dashpots")
+    if not (std > 0).all() or np.unique(modes).size != modes.size:
+        raise InputError(f"damping: std {std} (> 0), modes {modes} (each once)")
     none = np.zeros((values.size, values.size))
     base = base or (none, none)
     # ζ to first order, for light damping: cᵀD/(2ω) of dashpots, cᵀH/(2ω²) of loss factors
-    w = np.sqrt(values[at])
-    rows = [
-        np.diag(m.matrix)[at] / (2 * w if m.kind == "viscous" else 2 * w**2) for m in mechanisms
-    ]
-    known = np.diag(base[0])[at] / (2 * w) + np.diag(base[1])[at] / (2 * w**2)
-    start = _linear(np.array(rows).T / sigma[:, None], (zeta - known) / sigma, mechanisms)
+    w = np.sqrt(values[modes])
+    below = {"viscous": 2 * w, "structural": 2 * w**2}
+    rows = np.array([np.diag(m.matrix)[modes] / below[m.kind] for m in mechanisms])
+    d, h = (np.diag(b)[modes] for b in base)
+    known = d / below["viscous"] + h / below["structural"]
+    start = _linear(rows.T / std[:, None], (damping - known) / std, mechanisms)
 
     def residual(c: Float) -> tuple[Float, Float]:
-        got, slope = _ratios(values, mechanisms, assembled(mechanisms, c, base), at)
-        return (got - zeta) / sigma, slope / sigma[:, None]
+        got, slope = _ratios(values, mechanisms, assembled(mechanisms, c, base), modes)
+        return (got - damping) / std, slope / std[:, None]
 
     return _refined(residual, start, mechanisms, base)
 
@@ -192,9 +178,7 @@ def mode_damping(
     -------
     damping, std : (t,) float64
     """
-    zeta, slope = _ratios(
-        values, mechanisms, (fit.viscous, fit.structural), np.asarray(modes, dtype=np.int64)
-    )
+    zeta, slope = _ratios(values, mechanisms, (fit.viscous, fit.structural), modes)
     return zeta, np.asarray(np.sqrt(np.einsum("tk,kl,tl->t", slope, fit.covariance, slope)))
 
 
@@ -238,31 +222,21 @@ def assembled(
     return viscous, structural
 
 
-def _check_mechanisms(mechanisms: Sequence[Mechanism], n: int) -> None:
-    """Refuse mechanisms that are none, not of `n` modes, or twice of one name."""
-    if not mechanisms:
-        raise InputError("no mechanism of damping: give loss factors or dashpots")
-    wrong = [m.name for m in mechanisms if m.matrix.shape != (n, n)]
-    if wrong or len({m.name for m in mechanisms}) != len(mechanisms):
-        raise InputError(
-            f"mechanisms need matrices ({n}, {n}) and names of their own; wrong: {' '.join(wrong)}"
-        )
-
-
 def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
     """Bounded least squares with the priors as rows, (k,)."""
-    weight = np.array([1 / m.std for m in mechanisms])
+    low, high, prior, weight = _known(mechanisms)
     rows = np.concatenate([rows, np.diag(weight)])
     size = np.linalg.norm(rows, axis=0)
     if (size == 0).any():
         lost = mechanisms[int(np.argmin(size))].name
         raise InputError(f"no datum depends on {lost!r}: leave it out, or give it a prior std")
-    rhs = np.concatenate([rhs, weight * np.array([m.prior for m in mechanisms])])
-    bounds = (
-        np.array([m.lower for m in mechanisms]) * size,
-        np.array([m.upper for m in mechanisms]) * size,
-    )
-    return np.asarray(lsq_linear(rows / size, rhs, bounds).x / size)
+    rhs = np.concatenate([rhs, weight * prior])
+    return np.asarray(lsq_linear(rows / size, rhs, (low * size, high * size)).x / size)
+
+
+def _known(mechanisms: Sequence[Mechanism]) -> Float:
+    """Bounds, priors and 1 over their standard deviations, (4, k)."""
+    return np.array([(m.lower, m.upper, m.prior, 1 / m.std) for m in mechanisms]).T
 
 
 def _refined(
@@ -274,10 +248,7 @@ def _refined(
     """Bounded nonlinear least squares from the linear solution, with priors; the covariance at the
     end.
     """
-    prior = np.array([m.prior for m in mechanisms])
-    weight = np.array([1 / m.std for m in mechanisms])
-    low = np.array([m.lower for m in mechanisms])
-    high = np.array([m.upper for m in mechanisms])
+    low, high, prior, weight = _known(mechanisms)
     _, first = residual(np.clip(start, low, high))
     scale = 1 / np.maximum(np.linalg.norm(first, axis=0), FAINT)
     scale = np.minimum(scale, 1 / np.maximum(weight, FAINT))

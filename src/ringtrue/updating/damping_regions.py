@@ -99,15 +99,15 @@ class DampingRegion:
     std: float | None = None
 
     def __post_init__(self) -> None:
-        wrong = [t for t in self.targets if not _is_dashpot(t) and not _is_loss(t)]
-        if wrong or len({_is_dashpot(t) for t in self.targets}) != 1:
-            got = ", ".join(f"{t.card} {t.id} {t.field}" for t in wrong or self.targets)
+        loss = {t for t in self.targets if t.field == "GE" and t.card in (*OWN_LOSS, *SPRINGS)}
+        dashpots = {t for t in self.targets if _is_dashpot(t)}
+        if set(self.targets) not in (loss, dashpots) or not self.targets:
+            wrong = [t for t in self.targets if t not in loss | dashpots] or self.targets
+            got = ", ".join(f"{t.card} {t.id} {t.field}" for t in wrong)
             raise InputError(
                 f"damping region {self.name}: got {got or 'no target'}; allowed are loss factors "
-                "(GE of "
-                f"{', '.join((*OWN_LOSS, *SPRINGS))}) or dashpots (B1 .. B6 of PBUSH, B of "
-                "PDAMP, CDAMP2 and CDAMP4, "
-                "CE and CR of PVISC), not both in one region"
+                f"(GE of {', '.join((*OWN_LOSS, *SPRINGS))}) or dashpots (B1 .. B6 of PBUSH, B of "
+                "PDAMP, CDAMP2 and CDAMP4, CE and CR of PVISC), not both in one region"
             )
 
     @property
@@ -131,10 +131,6 @@ def _is_dashpot(t: CardField) -> bool:
     return t.field in DASHPOTS.get(t.card, ())
 
 
-def _is_loss(t: CardField) -> bool:
-    return t.field == "GE" and t.card in (*OWN_LOSS, *SPRINGS)
-
-
 def default_regions(
     model: Model, suspension: ParameterSet, properties: Mapping[str, Sequence[int]]
 ) -> tuple[DampingRegion, ...]:
@@ -154,8 +150,13 @@ def default_regions(
     properties : mapping of name to property numbers
         Regions are called by these names where they belong to few enough of them.
     """
-    sprung = [(p.name, [t for t in p.targets if _is_spring(t)]) for p in suspension.parameters]
-    soft = {t.id for _, targets in sprung for t in targets}
+    sprung = []
+    for p in suspension.parameters:
+        bushes = [t for t in p.targets if t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field)]
+        if bushes:
+            dashpots = tuple(CardField("PBUSH", t.id, f"B{t.field[1]}") for t in bushes)
+            sprung.append(DampingRegion(p.name, dashpots))
+    soft = {t.id for r in sprung for t in r.targets}
     found = [
         DampingRegion(
             _name(model, card, ids, properties), tuple(CardField(card, i, "GE") for i in ids)
@@ -165,21 +166,17 @@ def default_regions(
         for ids in _alike(model[card], properties, soft if card == "PBUSH" else ())
     ]
     if "CELAS2" in model:
-        found.append(
-            DampingRegion(
-                "CELAS2", tuple(CardField("CELAS2", int(i), "GE") for i in model["CELAS2"].ids)
-            )
-        )
-    found += [
-        DampingRegion(name, tuple(CardField("PBUSH", t.id, f"B{t.field[1]}") for t in targets))
-        for name, targets in sprung
-        if targets
-    ]
-    return _told_apart(found)
-
-
-def _is_spring(t: CardField) -> bool:
-    return t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field) is not None
+        ids = model["CELAS2"].ids.tolist()
+        found.append(DampingRegion("CELAS2", tuple(CardField("CELAS2", i, "GE") for i in ids)))
+    found += sprung
+    names = [r.name for r in found]
+    # the card behind a name that two regions would share
+    return tuple(
+        replace(r, name=f"{r.name} ({r.targets[0].card} {r.targets[0].id})")
+        if names.count(r.name) > 1
+        else r
+        for r in found
+    )
 
 
 def _alike(
@@ -194,13 +191,10 @@ def _alike(
         keys = [frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))]
     elif table.card in ("PBUSH", "PELAS"):
         stiffness = np.stack([table[k] for k in STIFFNESS[table.card]], axis=1)
-        named = [
-            frozenset(name for name, members in properties.items() if i in members) for i in ids
-        ]
-        keys = [
-            (name, *(f"{k:.9e}" for k in row))
-            for name, row in zip(named, stiffness.tolist(), strict=True)
-        ]
+        keys = []
+        for i, row in zip(ids, stiffness.tolist(), strict=True):
+            named = frozenset(name for name, members in properties.items() if i in members)
+            keys.append((named, *(f"{k:.9e}" for k in row)))
     else:
         keys = list(ids)
     groups: dict[object, list[int]] = {}
@@ -229,45 +223,27 @@ def _name(
     names = [name for name, pids in properties.items() if mine & set(pids)]
     if 0 < len(names) <= 2 and mine <= {p for name in names for p in properties[name]}:
         return ", ".join(names)
+    first = int(model[card].find(np.array(ids[:1]))[0])
     if card in ("PCOMP", "PCOMPG"):
-        made_of = np.unique(
-            model[card].ragged("MID").row(int(model[card].find(np.array(ids[:1]))[0]))
-        )
-        return f"laminates of materials {', '.join(str(i) for i in made_of.tolist())}"
+        made_of = np.unique(model[card].ragged("MID").row(first))
+        return f"laminates of materials {', '.join(map(str, made_of.tolist()))}"
     if card in STIFFNESS:
         return f"{card} {listed(ids)}"
     if len(ids) > 1:
-        return (
-            "material of density "
-            f"{float(model[card]['RHO'][model[card].find(np.array(ids[:1]))[0]]):g}"
-        )
+        return f"material of density {float(model[card]['RHO'][first]):g}"
     return f"{card} {ids[0]}"
-
-
-def _told_apart(regions: Sequence[DampingRegion]) -> tuple[DampingRegion, ...]:
-    """The card behind a name that two regions would share."""
-    names = [r.name for r in regions]
-    return tuple(
-        replace(r, name=f"{r.name} ({r.targets[0].card} {r.targets[0].id})")
-        if names.count(r.name) > 1
-        else r
-        for r in regions
-    )
 
 
 def undamped(model: Model) -> Model:
     """A copy of the model without loss factors and dashpots."""
-    fields = dict.fromkeys((*OWN_LOSS, *SPRINGS), ("GE",))
-    fields = {
-        card: (*fields.get(card, ()), *DASHPOTS.get(card, ())) for card in {**fields, **DASHPOTS}
-    }
+    fields = [(card, "GE") for card in (*OWN_LOSS, *SPRINGS)]
+    fields += [(card, name) for card, names in DASHPOTS.items() for name in names]
     tables = dict(model.tables)
-    for card, names in fields.items():
-        for name in names if card in tables else ():
+    for card, name in fields:
+        if card in tables:
             tables[card] = tables[card].with_column(name, np.zeros(len(tables[card])))
-    for name in (
-        f"GE{i}" for i in range(2, 7)
-    ):  # a blank one goes with GE, the others have a value of their own
+    for name in (f"GE{i}" for i in range(2, 7)):
+        # a blank one goes with GE, the others have a value of their own
         if "PBUSH" in tables and name in tables["PBUSH"].columns:
             tables["PBUSH"] = tables["PBUSH"].with_column(name, 0 * tables["PBUSH"][name])
     return replace(model, tables=tables)
@@ -315,7 +291,11 @@ def _held(model: Model, region: DampingRegion) -> list[FieldChange]:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Dampers:
     """The regions that take part, their mechanisms, and the damping of the deck that is not theirs.
 
@@ -372,9 +352,9 @@ def dampers(
         kept.append(r)
         mechanisms.append(
             Mechanism(
-                name=r.name,
-                kind=r.kind,
-                matrix=matrix,
+                r.name,
+                r.kind,
+                matrix,
                 lower=r.lower,
                 upper=upper,
                 prior=expected,
@@ -397,14 +377,12 @@ def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
     mechanisms: dict[str, Mechanism] = {}
     for i, part in enumerate(parts):
         for r, m in zip(part.regions, part.mechanisms, strict=True):
-            wide = (
-                np.zeros((first[-1], first[-1]))
-                if r.name not in regions
-                else mechanisms[r.name].matrix.copy()
-            )
+            if r.name not in regions:
+                regions[r.name] = r
+                mechanisms[r.name] = replace(m, matrix=np.zeros((first[-1], first[-1])))
+            wide = mechanisms[r.name].matrix.copy()
             wide[first[i] : first[i + 1], first[i] : first[i + 1]] = m.matrix
-            mechanisms[r.name] = replace(mechanisms.get(r.name, m), matrix=wide)
-            regions.setdefault(r.name, r)
+            mechanisms[r.name] = replace(mechanisms[r.name], matrix=wide)
     d, h = (linalg.block_diag(*(p.base[k] for p in parts)) for k in range(2))
     return Dampers(tuple(regions.values()), tuple(mechanisms.values()), (d, h))
 

@@ -17,7 +17,7 @@ from scipy import linalg
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError
 
@@ -86,8 +86,12 @@ FLAGS = FlagLimits()
 Kind = Literal["bound", "prior", "silent", "form"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Identifiability:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Identifiability(FrozenArrays):
     """Standard deviations of x in units of the prior's.
 
     Attributes
@@ -96,47 +100,26 @@ class Identifiability:
         Posterior, all others known: the best that the data can do.
     together : (p,) float64
         Posterior, all candidates free.
-    bound : (p,) float64
-        Cramér-Rao without a prior, all candidates free; infinite where the data leave a direction
-        open.
-    inflation : (p,) float64
-        bound² over that with all others known: what the others cost (variance inflation factor).
     """
 
     alone: Float
     together: Float
-    bound: Float
-    inflation: Float
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, alone=f, together=f, bound=f, inflation=f)
 
 
 def identifiability(sensitivities: Float) -> Identifiability:
-    """Cramér-Rao bounds with and without the prior.
+    """Cramér-Rao bounds with the prior.
 
     Parameters
     ----------
     sensitivities : (r, p) float64
     """
     g = _columns(sensitivities)
-    information = np.sum(g**2, axis=0)
-    s, vt = _right(g)
-    together = np.sqrt(np.sum(vt**2 / (1 + s[:, None] ** 2), axis=0))
-    seen = s > max(g.shape) * np.finfo(float).eps * s.max(initial=0.0)
-    open_ = np.sum(vt[~seen] ** 2, axis=0) > 1e-12
-    bound = np.sqrt(np.sum((vt[seen] / s[seen][:, None]) ** 2, axis=0))
-    bound = np.where(open_, np.inf, bound)
-    return Identifiability(1 / np.sqrt(1 + information), together, bound, bound**2 * information)
-
-
-def _right(g: Float) -> tuple[Float, Float]:
-    """Singular values (p,) of g (r, p) and its right vectors (p, p); the left ones would be (r,
-    r).
-    """
+    # the left vectors of many residuals would be (r, r)
     _, s, vt = linalg.svd(g, full_matrices=g.shape[0] < g.shape[1])
-    return np.concatenate([s, np.zeros(vt.shape[0] - s.size)]), np.asarray(vt)
+    share = np.ones(len(vt))
+    share[: s.size] = 1 / (1 + s**2)
+    together = np.sqrt(share @ vt**2)
+    return Identifiability(1 / np.sqrt(1 + np.sum(g**2, axis=0)), together)
 
 
 def cosines(sensitivities: Float) -> Float:
@@ -231,15 +214,14 @@ def stood_for(
     """
     rank = {name: i for i, name in enumerate(first)}
     norm = np.linalg.norm(sensitivities, axis=0)
-    size = np.round(
-        norm / max(float(norm.max(initial=0.0)), 1e-300), COLLINEARITY.decimals
-    ).tolist()
+    largest = max(norm.max(initial=0.0), 1e-300)
+    size = np.round(norm / largest, COLLINEARITY.decimals).tolist()
 
     def turn(i: int) -> tuple[int, float]:
         return rank.get(names[i], len(rank)), -size[i]
 
     _, held = told_apart(sensitivities, sorted(range(len(names)), key=turn))
-    return {names[i]: tuple(names[j] for j in by.tolist()) for i, by in held.items()}
+    return {names[i]: tuple(names[j] for j in by) for i, by in held.items()}
 
 
 def _columns(sensitivities: Float) -> Float:
@@ -291,25 +273,20 @@ def plausibility(
     a = parameters.factors(x)
     flags: list[Flag] = []
     for i, p in enumerate(parameters.parameters):  # over parameters: text for people
-        if x[i] <= low[i] + margin[i] or x[i] >= high[i] - margin[i]:
-            side, end = ("lower", p.lower) if x[i] <= low[i] + margin[i] else ("upper", p.upper)
-            text = (
-                f"{_said(p, a[i])} is at its {side} bound {_found(p, end)}; the error may lie "
-                "elsewhere"
-            )
-            flags.append(Flag(p.name, "bound", float(a[i]), text))
-        if abs(away[i]) > FLAGS.beyond:
-            text = (
-                f"{_said(p, a[i])} is {abs(away[i]):.1f} prior standard deviations from the "
-                "nominal value"
-            )
-            flags.append(Flag(p.name, "prior", float(a[i]), text))
-        if ratios[i] > FLAGS.silent and abs(away[i]) > 0.25:
-            text = (
-                f"{_said(p, a[i])}, but the data do not determine it (posterior/prior "
-                f"{ratios[i]:.2f})"
-            )
-            flags.append(Flag(p.name, "silent", float(a[i]), text))
+        said = _said(p, a[i])
+        found: dict[Kind, str] = {}
+        below = x[i] <= low[i] + margin[i]
+        if below or x[i] >= high[i] - margin[i]:
+            side, end = ("lower", p.lower) if below else ("upper", p.upper)
+            where = f"its {side} bound {_found(p, end)}"
+            found["bound"] = f"{said} is at {where}; the error may lie elsewhere"
+        far = abs(away[i])
+        if far > FLAGS.beyond:
+            found["prior"] = f"{said} is {far:.1f} prior standard deviations from the nominal value"
+        if ratios[i] > FLAGS.silent and far > 0.25:
+            open_ = f"posterior/prior {ratios[i]:.2f}"
+            found["silent"] = f"{said}, but the data do not determine it ({open_})"
+        flags += [Flag(p.name, kind, float(a[i]), text) for kind, text in found.items()]
     return tuple(flags)
 
 
@@ -346,7 +323,7 @@ def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Fl
     """
     open_ = (interval[:, 0] <= 1) & (interval[:, 1] >= 1)
     slight = np.array([0.0 if p.lump else FLAGS.slight for p in parameters.parameters])
-    return np.asarray((np.abs(factor - 1) > slight) & (open_ | (share < FLAGS.kept)))
+    return (np.abs(factor - 1) > slight) & (open_ | (share < FLAGS.kept))
 
 
 def _found(p: Parameter, *factors: float) -> str:
@@ -377,19 +354,14 @@ def form_flags(
         low, high = interval[i].tolist()
         open_ = low <= 1 <= high
         p = parameters.parameters[i]
-        why = (
-            [f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"]
-            if open_
-            else []
-        )
+        why = []
+        if open_:
+            why.append(f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}")
         if share[i] < FLAGS.kept:
             turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
             why.append(f"its change {turned} when some of the modes are left out")
-        tied = [
-            n
-            for j, n in enumerate(parameters.names)
-            if j != i and abs(correlation[i, j]) > FLAGS.tied
-        ]
+        near = np.setdiff1d(np.flatnonzero(np.abs(correlation[i]) > FLAGS.tied), [i])
+        tied = [parameters.names[j] for j in near]
         whence = "it may take up an error of the model's form"
         if open_ and tied:
             whence = f"the test knows it and {', '.join(tied)} together, not each by itself"

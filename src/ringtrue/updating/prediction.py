@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, FrozenArrays, freeze_arrays
 from ringtrue.core.iterate import Progress
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
@@ -21,7 +21,11 @@ MASSLESS = 1e-14  # of the largest 1/λ
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Damping:
     """Damping ratio over frequency, as a table, with its uncertainty.
 
@@ -38,14 +42,9 @@ class Damping:
     std: float = 0.0
 
     def __post_init__(self) -> None:
-        freeze_fields(self, frequencies=np.float64, ratios=np.float64)
+        freeze_arrays(self)
         rising = self.frequencies.size > 0 and (np.diff(self.frequencies) > 0).all()
-        if (
-            self.frequencies.shape != self.ratios.shape
-            or not rising
-            or (self.ratios < 0).any()
-            or self.std < 0
-        ):
+        if not rising or (self.ratios < 0).any():
             raise InputError(
                 f"damping: {self.frequencies.shape} rising frequencies, {self.ratios.shape} "
                 "ratios >= 0"
@@ -53,7 +52,7 @@ class Damping:
 
     def at(self, frequencies: Float) -> Float:
         """ζ at frequencies in Hz, interpolated."""
-        return np.asarray(np.interp(frequencies, self.frequencies, self.ratios))
+        return np.interp(frequencies, self.frequencies, self.ratios)
 
     def drawn(self, rng: np.random.Generator | None) -> Ratios:
         """ζ of modes at the best point, or as drawn."""
@@ -61,8 +60,12 @@ class Damping:
         return lambda lam, y: factor * self.at(np.sqrt(lam) / (2 * np.pi))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RegionDamping:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class RegionDamping(FrozenArrays):
     """Loss factors and dashpots of regions in the basis of a model's small matrices.
 
     Attributes
@@ -87,20 +90,6 @@ class RegionDamping:
     base: tuple[Float, Float]
     scatter: float = 0.0
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, coefficients=f, covariance=f, matrices=f, viscous=np.bool_)
-        k = self.coefficients.size
-        r = self.base[0].shape[0]
-        if (
-            self.matrices.shape != (k, r, r)
-            or self.covariance.shape != (k, k)
-            or self.viscous.shape != (k,)
-        ):
-            raise InputError(
-                f"damping of {k} regions: matrices {self.matrices.shape} for {r} vectors"
-            )
-
     def drawn(self, rng: np.random.Generator | None) -> Ratios:
         """ζ of modes at the best point, or with coefficients and scatter as drawn; none is below
         0.
@@ -121,7 +110,11 @@ class RegionDamping:
         return ratios
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Rows:
     """What is looked at, in the basis of the model's small matrices; it may change with the
     parameters.
@@ -144,7 +137,11 @@ class Rows:
         return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class HarmonicLoad:
     """Loads that turn with e^{+iωt}.
 
@@ -192,7 +189,7 @@ def harmonic(
     wk = np.sqrt(lam)
     below = lam - w**2 + 2j * ratios(lam, y) * wk * w
     q = (load.amplitude @ (y.T @ load.vectors).T) / below
-    return np.asarray(q @ (rows.at(_every(model, x)) @ y).T)
+    return q @ (rows.at(_every(model, x)) @ y).T
 
 
 def _all_modes(k: Float, m: Float) -> tuple[Float, Float]:
@@ -212,8 +209,12 @@ def _every(model: ObservedModel, x: Float) -> Float:
     return model.system.parameters.factors(everything)  # type: ignore[attr-defined,no-any-return]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bands:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Bands(FrozenArrays):
     """Quantiles over draws.
 
     Attributes
@@ -228,12 +229,9 @@ class Bands:
     high: Float
     level: float
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, low=np.float64, median=np.float64, high=np.float64)
-
     def holds(self, value: Float) -> Bool:
         """Whether the band holds `value`, element by element."""
-        return np.asarray((self.low <= value) & (value <= self.high))
+        return (self.low <= value) & (value <= self.high)
 
 
 def bands(draws: Float, level: float = 0.9) -> Bands:
@@ -284,7 +282,7 @@ class Unbalance:
 
     def force(self, freqs: Float) -> Float:
         """U ω² at speeds (l,) in Hz, N."""
-        return np.asarray(self.moment * (2 * np.pi * np.asarray(freqs)) ** 2)
+        return self.moment * (2 * np.pi * np.asarray(freqs)) ** 2
 
 
 def plane(axis: str) -> tuple[int, int]:
@@ -296,7 +294,11 @@ def plane(axis: str) -> tuple[int, int]:
     return PLANE[axis]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Output:
     """A quantity of a run-up: amplitudes of complex rows made one number a line.
 
@@ -320,8 +322,12 @@ class Output:
         return np.asarray(np.sqrt((parts**2).sum(axis=2)).max(axis=1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunUp:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class RunUp(FrozenArrays):
     """A run-up with bands.
 
     Attributes
@@ -348,16 +354,17 @@ class RunUp:
     peak_speed: Bands
     validated: tuple[float, float] = (0.0, np.inf)
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, freqs=np.float64, nominal=np.float64)
-
     @property
     def checked(self) -> Bool:
         """Lines inside the validated band, (l,)."""
-        return np.asarray((self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1]))
+        return (self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class KnownModel:
     """A model as well as it is known.
 
@@ -411,12 +418,13 @@ def run_up(
     if not outputs:
         raise InputError("no output: name nodes or springs")
     r = load.vectors.shape[0]
-    every, _ = _sizes(outputs)
-    whole = _joined(outputs)
+    ends = np.cumsum([0, *(len(o.rows.nominal) for o in outputs)]).tolist()
+    every = [slice(a, b) for a, b in pairwise(ends)]
+    whole = _joined(outputs, every, ends[-1])
 
     def one(x: Float, scatter: Float | None, ratios: Ratios) -> Float:
         h = harmonic(known.model, x, load, whole, ratios, scatter=scatter)
-        return np.array([o.amplitude(h[:, a:b]) for o, (a, b) in zip(outputs, every, strict=True)])
+        return np.array([o.amplitude(h[:, at]) for o, at in zip(outputs, every, strict=True)])
 
     found = []
     for i, x in enumerate(known.draws):  # an eigensolution each
@@ -436,22 +444,14 @@ def run_up(
     )
 
 
-def _sizes(outputs: Sequence[Output]) -> tuple[list[tuple[int, int]], int]:
-    ends = np.cumsum([0, *(o.rows.nominal.shape[0] for o in outputs)]).tolist()
-    return list(pairwise(ends)), ends[-1]
-
-
-def _joined(outputs: Sequence[Output]) -> Rows:
+def _joined(outputs: Sequence[Output], places: Sequence[slice], n: int) -> Rows:
     """All rows in one."""
-    places, n = _sizes(outputs)
     slopes: dict[int, Float] = {}
-    for o, (a, b) in zip(outputs, places, strict=True):
+    for o, at in zip(outputs, places, strict=True):
         for i, s in o.rows.slopes:
-            slopes.setdefault(i, np.zeros((n, s.shape[1])))[a:b] += s
-    return Rows(
-        np.concatenate([o.rows.nominal for o in outputs]),
-        tuple(sorted(slopes.items(), key=lambda v: v[0])),
-    )
+            slopes.setdefault(i, np.zeros((n, s.shape[1])))[at] += s
+    nominal = np.concatenate([o.rows.nominal for o in outputs])
+    return Rows(nominal, tuple(sorted(slopes.items(), key=lambda v: v[0])))
 
 
 def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:
@@ -465,7 +465,5 @@ def validated_band(test_hz: Float, held: Bool) -> tuple[float, float]:
         Paired and within the limits of acceptance.
     """
     order = np.argsort(test_hz)
-    f = np.asarray(test_hz, dtype=np.float64)[order]
-    ok = np.asarray(held)[order]
-    good = int(np.argmin(ok)) if not ok.all() else ok.size
-    return (float(f[0]), float(f[good - 1])) if good else (0.0, 0.0)
+    good = test_hz[order][np.logical_and.accumulate(held[order])]
+    return (float(good[0]), float(good[-1])) if good.size else (0.0, 0.0)

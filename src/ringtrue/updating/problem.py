@@ -17,7 +17,7 @@ from scipy import linalg
 from scipy.optimize import nnls
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.updating.residuals.modal import (
@@ -80,7 +80,7 @@ class Huber:
 
     def weight(self, s: Float) -> Float:
         """min(1, k/√s)."""
-        return np.asarray(np.minimum(1.0, self.limit / np.sqrt(np.maximum(s, 1e-300))))
+        return np.minimum(1.0, self.limit / np.sqrt(np.maximum(s, 1e-300)))
 
 
 def squares(value: Float, datum: Int) -> Float:
@@ -88,7 +88,11 @@ def squares(value: Float, datum: Int) -> Float:
     return np.asarray(np.bincount(datum, value**2, minlength=int(datum.max(initial=-1)) + 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Configuration:
     """A deck and its test.
 
@@ -116,19 +120,24 @@ class Configuration:
         `independent` is the number of independent errors in a shape.
         """
         weights = replace(
-            self.target.weights, frequency=frequency, mac=mac, independent=independent
+            self.target.weights,
+            frequency=frequency,
+            mac=mac,
+            independent=independent,
         )
         terms = tuple(t.reweighed(frequency, mac, independent) for t in self.terms)
         return replace(self, target=replace(self.target, weights=weights), terms=terms)
 
     def at(self, x: Float, held: Int | None = None, *, slopes: bool = True) -> Point:
         """The modes at x, paired; all modes of the model where a kind of residuals reads them."""
-        if not any(t.whole for t in self.terms) or not isinstance(self.model, WithAllModes):
-            now = self.model.linearise(x) if slopes else _without_slopes(self.model.modes(x), x)
-            return point(self.model, now, self.target, held)
-        whole = self.model.whole()
-        every = whole.model.linearise(x) if slopes else _without_slopes(whole.model.modes(x), x)
-        return point(self.model, whole.part(every), self.target, held, every)
+        whole = None
+        model = self.model
+        if any(t.whole for t in self.terms) and isinstance(model, WithAllModes):
+            whole = model.whole()
+            model = whole.model
+        now = model.linearise(x) if slopes else _without_slopes(model.modes(x), x)
+        part = now if whole is None else whole.part(now)
+        return point(self.model, part, self.target, held, now)
 
     def cost_of_unpaired(self, at: Point) -> float:
         """Cost of all used test modes that have no partner at a point."""
@@ -144,7 +153,11 @@ class WithAllModes(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Evaluated:
     """The objective at one point of the unknowns y.
 
@@ -184,7 +197,11 @@ class Evaluated:
         return self.data + self.prior + self.lost
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Problem:
     """What is minimised, over which unknowns, within which limits.
 
@@ -218,13 +235,12 @@ class Problem:
         if not len(self.parameters):
             put(self, "parameters", joined([c.model.parameters for c in self.configurations]))
         p = len(self.parameters)
-        put(
-            self,
-            "precision",
-            self.precision if self.precision.size else np.diag(1 / self.parameters.std() ** 2),
-        )
-        put(self, "link", self.link if self.link.size else np.eye(p))
-        put(self, "rows", self.rows if self.rows.size else np.zeros((0, p)))
+        if not self.precision.size:
+            put(self, "precision", np.diag(1 / self.parameters.std() ** 2))
+        if not self.link.size:
+            put(self, "link", np.eye(p))
+        if not self.rows.size:
+            put(self, "rows", np.zeros((0, p)))
         shapes = self.precision.shape, self.link.shape[0], self.rows.shape
         if shapes != ((p, p), p, (self.limits.size, p)):
             raise InputError(f"{p} parameters: got precision, rows of link, constraints {shapes}")
@@ -239,7 +255,7 @@ class Problem:
     @property
     def linked_precision(self) -> Float:
         """W_p of the unknowns, (q, q)."""
-        return np.asarray(self.link.T @ self.precision @ self.link)
+        return self.link.T @ self.precision @ self.link
 
     def inequalities(self) -> tuple[Float, Float]:
         """All limits as rows y <= limits: bounds of the parameters and linear constraints."""
@@ -266,7 +282,7 @@ class Problem:
                 "no point fulfils the bounds of the parameters and all constraints: widen one of "
                 "them"
             )
-        return np.asarray(out)
+        return out
 
     def evaluate(
         self, y: Float, before: Evaluated | None = None, *, slopes: bool = True
@@ -323,7 +339,7 @@ class Problem:
     def gradient(self, at: Evaluated) -> Float:
         """½ ∂J/∂y (q,), pairs fixed."""
         r, g = self.weighted(at)
-        return np.asarray(self.linked_precision @ at.y - g.T @ r)
+        return self.linked_precision @ at.y - g.T @ r
 
     def shared(self, at: Evaluated, other: Evaluated) -> float | None:
         """J over the test modes that `other` has paired; None if `at` has lost one of them.
@@ -375,9 +391,9 @@ def joined(sets: Sequence[ParameterSet]) -> ParameterSet:
         If two with the same name have different bounds, scale or prior: they would not be one
         parameter.
     """
-    found = {p.name: p for s in sets for p in s.parameters}
+    found: dict[str, Parameter] = {}
     for p in (p for s in sets for p in s.parameters):
-        same = found[p.name]
+        same = found.setdefault(p.name, p)
         if (p.lower, p.upper, p.scale, p.std) != (same.lower, same.upper, same.scale, same.std):
             raise InputError(
                 f"parameter {p.name!r} has different bounds, scale or prior in two configurations"
@@ -405,15 +421,19 @@ def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -
         raise InputError("parameters that stay must be at 0 and not be linked to free ones")
     link = problem.link[:, keep]
     limited = (problem.rows @ link).any(axis=1)
-    return replace(problem, link=link, rows=problem.rows[limited], limits=problem.limits[limited])
+    return replace(
+        problem,
+        link=link,
+        rows=problem.rows[limited],
+        limits=problem.limits[limited],
+    )
 
 
 def weighed(problem: Problem, found: Weights) -> Problem:
     """With discrepancies of frequencies and shapes as found."""
-    every = (
-        c.weighed(found.frequency, found.mac, found.independent) for c in problem.configurations
-    )
-    return replace(problem, configurations=tuple(every))
+    errors = (found.frequency, found.mac, found.independent)
+    every = tuple(c.weighed(*errors) for c in problem.configurations)
+    return replace(problem, configurations=every)
 
 
 def doubting(problem: Problem) -> Problem:
@@ -439,12 +459,12 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
     free = linalg.solve_triangular(r, gradient * size, trans="T")
     plain = -linalg.solve_triangular(r, free) * size
     if (rows @ plain <= limits).all():
-        return np.asarray(plain)
+        return plain
     length = np.linalg.norm(rows * size, axis=1)
     keep = length > 0
     a = linalg.solve_triangular(r, (rows[keep] * size / length[keep, None]).T, trans="T").T
     b = limits[keep] / length[keep] + a @ free
-    scale = max(float(np.abs(b).max()), 1e-300)  # the dual is solved at unit size
+    scale = max(np.abs(b).max(), 1e-300)  # the dual is solved at unit size
     u, gap = nnls(
         np.vstack([-a.T, -b[None] / scale]),
         np.append(np.zeros(free.size), 1.0),
@@ -455,10 +475,14 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
     # the constraints that hold as equations are known now, the point itself has lost digits to the
     # dual
     e = linalg.lstsq(a[u > 0], b[u > 0])[0]
-    return np.asarray(linalg.solve_triangular(r, e - free) * size)
+    return linalg.solve_triangular(r, e - free) * size
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Residual:
     """Weighted residuals and their sensitivities at one point, pairs fixed.
 
@@ -520,7 +544,11 @@ def residual_at(problem: Problem, x: Float, *, slopes: bool = True) -> Residual:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class KnownPoint:
     """An `ObservedModel` of which one point is known: its modes and sensitivities there."""
 

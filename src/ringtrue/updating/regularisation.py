@@ -10,20 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, replace
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from scipy import linalg
 from scipy.optimize import minimize_scalar
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.updating.problem import Evaluated, Problem, Residual, data_used_up, residual_at
 from ringtrue.updating.solver import Method, Solution, solve
 from ringtrue.updating.target import Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
 
-End = TypeVar("End")
 Rule = Literal["l-curve", "gcv", "evidence"]
 GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
 
@@ -53,7 +52,11 @@ class DiscrepancySearch:
 DISCREPANCY = DiscrepancySearch()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Standard:
     """A linear problem in standard form, min ‖b − Σ u s v‖² + γ ‖·‖².
 
@@ -82,10 +85,6 @@ class Standard:
         size = ((self.singular / (s2 + g) * self.along) ** 2).sum(axis=1)
         return misfit, size, (s2 / (s2 + g)).sum(axis=1)
 
-    def grid(self) -> Float:
-        """Factors to try, ascending."""
-        return np.asarray(GRID * float(np.median(self.singular[self.singular > 0]) ** 2))
-
 
 def standard(slope: Float, value: Float, x: Float, precision: Float) -> Standard:
     """The standard form at x (q,) of residuals (r,) with slopes (r, q) and W_p (q, q), positive
@@ -108,7 +107,7 @@ def l_curve(problem: Standard) -> float:
     rounding.
     """
     s = problem.singular[problem.singular > 1e-8 * problem.singular.max()]
-    g = np.geomspace(float(s.min()) ** 2, max(float(s.max()), 1.1 * float(s.min())) ** 2, 201)
+    g = np.geomspace(float(s.min()) ** 2, max(s.max(), 1.1 * float(s.min())) ** 2, 201)
     misfit, size, _ = problem.terms(g)
     t = np.log(g)
     x = 0.5 * np.log(np.maximum(misfit, 1e-300))
@@ -126,15 +125,13 @@ def gcv(problem: Standard) -> float:
     """γ of least generalised cross-validation r ‖b − Gx‖²/(r − trace)². Golub, Heath and Wahba
     (1979), eq. 1.4.
     """
-    g = problem.grid()
-    misfit, _, spent = problem.terms(g)
-    score = problem.rows * misfit / np.maximum(problem.rows - spent, 1e-12) ** 2
-    return _refined(problem, lambda a: _gcv(problem, a), g, int(np.argmin(score)))
 
+    def score(g: Float) -> Float:
+        misfit, _, spent = problem.terms(g)
+        kept = np.maximum(problem.rows - spent, 1e-12)
+        return np.asarray(problem.rows * misfit / kept**2)
 
-def _gcv(problem: Standard, factor: float) -> float:
-    misfit, _, spent = problem.terms(np.array([factor]))
-    return float(problem.rows * misfit[0] / max(problem.rows - spent[0], 1e-12) ** 2)
+    return _least(problem, score)
 
 
 def evidence(problem: Standard) -> float:
@@ -143,24 +140,24 @@ def evidence(problem: Standard) -> float:
 
     −2 ln p = r ln(bᵀ(I + GW_p⁻¹Gᵀ/γ)⁻¹b) + ln det(I + GW_p⁻¹Gᵀ/γ). MacKay (1992), sec. 4.
     """
-    g = problem.grid()
-    score = [_evidence(problem, float(a)) for a in g]  # over factors of the grid
-    return _refined(problem, lambda a: _evidence(problem, a), g, int(np.argmin(score)))
+
+    def score(g: Float) -> Float:
+        swell = 1 + problem.singular**2 / g[:, None]
+        square = problem.rest + (problem.along**2 / swell).sum(axis=1)
+        misfit = problem.rows * np.log(np.maximum(square, 1e-300))
+        return np.asarray(misfit + np.log(swell).sum(axis=1))
+
+    return _least(problem, score)
 
 
-def _evidence(problem: Standard, factor: float) -> float:
-    swell = 1 + problem.singular**2 / factor
-    square = problem.rest + float((problem.along**2 / swell).sum())
-    return float(problem.rows * np.log(max(square, 1e-300)) + np.log(swell).sum())
-
-
-def _refined(problem: Standard, score: Callable[[float], float], g: Float, i: int) -> float:
-    """The minimum of the score between the neighbours of the best factor of the grid."""
+def _least(problem: Standard, score: Callable[[Float], Float]) -> float:
+    """The factor of the least score: of the grid, then between the neighbours there."""
+    g = GRID * float(np.median(problem.singular[problem.singular > 0]) ** 2)
+    i = int(np.argmin(score(g)))
     if i in (0, g.size - 1):
         return float(g[i])
-    low = np.log(g[i - 1])
-    high = np.log(g[i + 1])
-    found = minimize_scalar(lambda t: score(float(np.exp(t))), bounds=(low, high), method="bounded")
+    span = (np.log(g[i - 1]), np.log(g[i + 1]))
+    found = minimize_scalar(lambda t: float(score(np.exp([t]))[0]), bounds=span, method="bounded")
     return float(np.exp(found.x))
 
 
@@ -171,27 +168,22 @@ RULES: dict[str, Callable[[Standard], float]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Regularised:
     """An updating whose W_p was scaled by a rule.
 
     Attributes
     ----------
-    factor : float
-        On the W_p that was given.
-    problem : Problem
-        With the scaled W_p.
     solution : Solution
-    tried : (n,) float64
-        Factors on the way.
     settled : bool
         False: the factor still moved at the last round.
     """
 
-    factor: float
-    problem: Problem
     solution: Solution
-    tried: Float
     settled: bool
 
 
@@ -216,25 +208,20 @@ def regularised(
         raise ConfigError(
             f"no rule for the weight of the prior {rule!r}{did_you_mean(rule, RULES)}"
         )
-    tried: list[float] = []
-    y = start
-    now = problem
-    settled = False
-    done = solve(now, method, start=y)
+    factor = 1.0
+    done = solve(problem, method, start=start)
     for i in range(ROUNDS):
         r, g = problem.weighted(done.end)
-        factor = RULES[rule](standard(g, r, done.y, problem.linked_precision))
+        wanted = RULES[rule](standard(g, r, done.y, problem.linked_precision))
         # the choice changes the linearisation that it rests on: shrinking steps keep the two from
         # chasing one another
-        tried.append(
-            factor if not tried else float(tried[-1] * (factor / tried[-1]) ** (1 / (i + 1)))
-        )
-        now = replace(problem, precision=tried[-1] * problem.precision)
+        before = factor
+        factor = wanted if i == 0 else float(before * (wanted / before) ** (1 / (i + 1)))
+        now = replace(problem, precision=factor * problem.precision)
         done = solve(now, method, start=done.y)
-        settled = len(tried) > 1 and abs(np.log(tried[-1] / tried[-2])) < DISCREPANCY.settled
-        if settled:
-            break
-    return Regularised(tried[-1], now, done, np.array(tried), settled)
+        if i > 0 and abs(np.log(factor / before)) < DISCREPANCY.settled:
+            return Regularised(done, settled=True)
+    return Regularised(done, settled=False)
 
 
 def discrepancy_by_evidence(at: Evaluated, problem: Problem) -> Float:
@@ -251,18 +238,26 @@ def discrepancy_by_evidence(at: Evaluated, problem: Problem) -> Float:
     at : Evaluated
     problem : Problem
     """
-    kinds = np.unique(at.kind)
+    kinds, kind = np.unique(at.kind, return_inverse=True)
     b = at.value + at.slope @ at.y
     inner = at.slope @ linalg.solve(problem.linked_precision, at.slope.T, assume_a="pos")
     unit = 1.0 / np.bincount(at.datum)[at.datum]  # variance of a row in units of s²
     scale = np.ones(kinds.size)
+
+    def unlikely(log: float, i: int) -> float:
+        """−2 ln p of the data with ln s of one kind, without the constant."""
+        trial = scale.copy()
+        trial[i] = np.exp(log)
+        factor = linalg.cholesky(np.diag(trial[kind] ** 2 * unit) + inner, lower=True)
+        z = linalg.solve_triangular(factor, b, lower=True)
+        return float(z @ z + 2 * np.log(np.diag(factor)).sum())
+
     for _ in range(20):  # coordinate ascent
         before = scale.copy()
         for i in range(kinds.size):
             found = minimize_scalar(
-                lambda t, i=i: _likelihood(
-                    b, inner, _variance(at, kinds, _with(scale, i, t), unit)
-                ),
+                unlikely,
+                args=(i,),
                 bounds=(-6.0, 6.0),
                 method="bounded",
             )
@@ -270,24 +265,6 @@ def discrepancy_by_evidence(at: Evaluated, problem: Problem) -> Float:
         if np.abs(np.log(scale / before)).max() < 1e-3:
             break
     return scale
-
-
-def _with(scale: Float, i: int, log: float) -> Float:
-    out = scale.copy()
-    out[i] = np.exp(log)
-    return out
-
-
-def _variance(at: Evaluated, kinds: Int, scale: Float, unit: Float) -> Float:
-    """Of each row, (r,)."""
-    return np.asarray(scale[np.searchsorted(kinds, at.kind)] ** 2 * unit)
-
-
-def _likelihood(b: Float, inner: Float, variance: Float) -> float:
-    """−2 ln p of b (r,) ~ N(0, diag(variance) + inner), without the constant."""
-    factor = linalg.cholesky(np.diag(variance) + inner, lower=True)
-    z = linalg.solve_triangular(factor, b, lower=True)
-    return float(z @ z + 2 * np.log(np.diag(factor)).sum())
 
 
 def left_over(
@@ -312,11 +289,8 @@ def left_over(
     """
     n = int(r.used.sum())
     if not n:
-        return replace(
-            assumed,
-            frequency=DISCREPANCY.loose * assumed.frequency,
-            mac=DISCREPANCY.loose * assumed.mac,
-        )
+        loose = DISCREPANCY.loose
+        return replace(assumed, frequency=loose * assumed.frequency, mac=loose * assumed.mac)
     spent = data_used_up(slope.T @ slope, np.eye(slope.shape[1]))
     swell = data * n / max(data * n - spent, 1.0)
     f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
@@ -324,33 +298,12 @@ def left_over(
     low = np.array([DISCREPANCY.tight * assumed.frequency, DISCREPANCY.tight**2 * assumed.mac])
     high = DISCREPANCY.loose * np.array([assumed.frequency, assumed.mac])
     f, m = np.clip([f, m], low, high).tolist()
-    return replace(assumed, frequency=f, mac=m, independent=independent)
-
-
-def in_turns(
-    x: Float,
-    updated: Callable[[Weights, Float], tuple[End, Float]],
-    left: Callable[[Float], Weights],
-) -> tuple[End, Weights]:
-    """Updated with the discrepancy that is left over, in turns until that stands: the end, and the
-    weights used there.
-
-    Parameters
-    ----------
-    x : (k,) float64
-        Where the first discrepancy is taken, and the first updating starts.
-    updated : callable (weights, start) -> (end, x there)
-    left : callable (x) -> Weights
-        With the discrepancy that is left over at a point.
-    """
-    w = left(x)
-    for _ in range(DISCREPANCY.turns):
-        done, x = updated(w, x)
-        before = w
-        w = left(x)
-        if distance(before, w) < DISCREPANCY.settled:
-            break
-    return done, before
+    return replace(
+        assumed,
+        frequency=f,
+        mac=m,
+        independent=independent,
+    )
 
 
 def distance(a: Weights, b: Weights) -> float:

@@ -17,13 +17,13 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.iterate import Outcome, Progress, iterate
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance, squares
+from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance
 
 Kind = Literal["levenberg-marquardt", "trust-region"]
 REJECTIONS = 12
@@ -72,7 +72,11 @@ class Method:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class DescentState:
     """A point, and what the next step needs.
 
@@ -98,8 +102,12 @@ class DescentState:
     secant: Float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Solution(FrozenArrays):
     """Where the updating ended.
 
     Attributes
@@ -130,17 +138,6 @@ class Solution:
     why: str
     evaluations: int
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            x=f,
-            factors=f,
-            y=f,
-            covariance=f,
-            identifiability=f,
-        )
-
     @property
     def cost(self) -> float:
         """J at the end."""
@@ -154,10 +151,14 @@ class Solution:
     @property
     def std(self) -> Float:
         """Standard deviation of y, (q,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Descent:
     """A method on a problem, run by `core.iterate`."""
 
@@ -186,7 +187,7 @@ class Descent:
         """GᵀWG + W_p + secant, (q, q)."""
         _, g = self.problem.weighted(at)
         h = g.T @ g + self.problem.linked_precision
-        h[np.diag_indices_from(h)] += 1e-14 * max(float(np.diag(h).max()), 1e-300)
+        h[np.diag_indices_from(h)] += 1e-14 * max(np.diag(h).max(), 1e-300)
         return positive(h, curvature)
 
     def _inside(self, at: Evaluated, h: Float, g: Float, reach: float) -> Float:
@@ -231,50 +232,47 @@ class Descent:
     def _accepted(
         self, state: DescentState, trial: Evaluated, size: float, ratio: float
     ) -> DescentState:
-        secant = self._secant(state, trial) if self.method.secant else np.zeros_like(state.secant)
-        grow = 2.0 if ratio > 0.75 else 1.0 if ratio > 0.25 else 0.5
-        radius = (
-            max(state.radius, 2 * size)
-            if grow > 1
-            else grow * min(state.radius, size if grow < 1 else np.inf)
-        )
-        damping = max(state.damping * {2.0: 0.2, 1.0: 1.0, 0.5: 4.0}[grow], 1e-12)
+        radius = state.radius
+        damping = state.damping
+        if ratio > 0.75:
+            radius = max(radius, 2 * size)
+            damping = 0.2 * damping
+        elif ratio <= 0.25:
+            radius = 0.5 * min(radius, size)
+            damping = 4.0 * damping
         made = DescentState(
             at=trial,
             radius=min(radius, self.method.move),
-            damping=damping,
+            damping=max(damping, 1e-12),
             step=size,
             rejected=0,
             why="",
-            secant=secant,
+            secant=self._secant(state, trial),
         )
         if self.keep is not None:
             self.keep(made)
         return made
 
     def _rejected(self, state: DescentState, size: float, why: str) -> DescentState:
-        flat = np.zeros_like(state.secant)
         if state.rejected and why not in state.why:
             why = f"{state.why}; {why}"
-        damping = max(8 * state.damping, 1e-2)
         return replace(
             state,
             radius=0.3 * min(size, state.radius),
-            damping=damping,
+            damping=max(8 * state.damping, 1e-2),
             rejected=state.rejected + 1,
             why=why,
-            secant=flat,
+            secant=np.zeros_like(state.secant),
         )
 
     def _secant(self, state: DescentState, trial: Evaluated) -> Float:
         """Zero where the rows changed."""
         old = state.at
-        if old.mode.tolist() != trial.mode.tolist():
+        if not self.method.secant or not np.array_equal(old.mode, trial.mode):
             return np.zeros_like(state.secant)
-        (r0, g0), (r, g) = self.problem.weighted(old), self.problem.weighted(trial)
-        return secant(
-            state.secant, trial.y - old.y, (r0, g0), (r, g), self.problem.linked_precision
-        )
+        before, after = (self.problem.weighted(e) for e in (old, trial))
+        precision = self.problem.linked_precision
+        return secant(state.secant, trial.y - old.y, before, after, precision)
 
     def terminate(self, state: DescentState) -> Outcome | None:
         """Small gradient or step, or many rejected steps in a row."""
@@ -290,9 +288,8 @@ class Descent:
         )
         slope = self.problem.gradient(state.at)
         rows, limits = self.problem.inequalities()
-        if (np.abs(slope) <= self.method.gradient * whole).all() and (
-            rows @ state.at.y <= limits + 1e-9
-        ).all():
+        inside = (rows @ state.at.y <= limits + 1e-9).all()
+        if inside and (np.abs(slope) <= self.method.gradient * whole).all():
             return "the gradient of J is below its tolerance"
         # the undamped step: one that damping or a small region made short proves nothing
         h = self.hessian(state.at, state.secant)
@@ -302,10 +299,9 @@ class Descent:
             hidden = ROUNDING * state.at.cost + r.size * ROUNDING**2
             finished = state.rejected >= 2 and promised <= hidden
             return "J cannot be lowered by more than its rounding" if finished else ""
-        at_limit = (rows @ state.at.y > limits - 1e-9).any()
-        return "the step is below its tolerance" + (
-            "; bounds or constraints are reached" if at_limit else ""
-        )
+        if (rows @ state.at.y > limits - 1e-9).any():
+            return "the step is below its tolerance; bounds or constraints are reached"
+        return "the step is below its tolerance"
 
     def merit(self, state: DescentState) -> float:
         """J."""
@@ -367,29 +363,22 @@ def _solution(
     precision = problem.linked_precision
     _, g = problem.weighted(end)
     normal = g.T @ g
-    total = (
-        normal
-        + precision
-        + 1e-14 * np.eye(len(normal)) * float(np.diag(normal + precision).max(initial=1e-300))
-    )
+    largest = float(np.diag(normal + precision).max(initial=1e-300))
+    total = normal + precision + 1e-14 * np.eye(len(normal)) * largest
     spent = float(np.trace(linalg.solve(total, normal, assume_a="pos")))
-    many = problem.configurations[
-        0
-    ].target.weights.independent  # errors in a shape, the datum of many rows
+    # errors in a shape, the datum of many rows
+    many = problem.configurations[0].target.weights.independent
     data = float(np.where(np.bincount(end.datum) > 1, many, 1.0).sum())
-    spread = max(
-        1.0, float(problem.loss.cost(squares(end.value, end.datum)).sum()) / max(data - spent, 1.0)
-    )
+    spread = max(1.0, end.data / max(data - spent, 1.0))
     posterior = normal / spread + total - normal
     covariance = linalg.solve(posterior, np.eye(len(normal)), assume_a="pos")
     prior = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    identifiable = np.sqrt(np.diag(covariance)) * prior
     return Solution(
         x=end.x,
         factors=problem.parameters.factors(end.x),
         y=end.y,
         covariance=covariance,
-        identifiability=identifiable,
+        identifiability=np.sqrt(np.diag(covariance)) * prior,
         history=history,
         outcome=outcome,
         why=why,
@@ -399,15 +388,15 @@ def _solution(
 
 def write_checkpoint(path: Path, problem: Problem, state: DescentState) -> None:
     """The point and the reach of a state as JSON, whole or not at all."""
-    names = list(problem.parameters.names)
     found = {
-        "names": names,
+        "names": list(problem.parameters.names),
         "y": state.at.y.tolist(),
         "radius": state.radius,
         "damping": state.damping,
+        "cost": state.at.cost,
     }
     with atomic_write(path) as part:
-        part.write_text(json.dumps(found | {"cost": state.at.cost}), encoding="utf-8")
+        part.write_text(json.dumps(found), encoding="utf-8")
 
 
 def _resumed(descent: Descent, path: Path) -> Descent:
@@ -423,7 +412,10 @@ def _resumed(descent: Descent, path: Path) -> Descent:
         )
         if same:
             return replace(
-                descent, start=y, radius=float(found["radius"]), damping=float(found["damping"])
+                descent,
+                start=y,
+                radius=float(found["radius"]),
+                damping=float(found["damping"]),
             )
     except (ValueError, KeyError, TypeError) as e:
         raise DataError(
@@ -468,11 +460,8 @@ def positive(normal: Float, curvature: Float) -> Float:
         return normal
     both = normal + curvature
     size = np.sqrt(np.diag(normal))
-    return (
-        both
-        if float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0)) > 1e-3
-        else normal
-    )
+    least = float(np.linalg.eigvalsh(both / np.outer(size, size)).min(initial=1.0))
+    return both if least > 1e-3 else normal
 
 
 def secant(
@@ -502,11 +491,15 @@ def secant(
     sized = kept * (min(1.0, abs(float(s @ part) / own)) if own else 0.0)
     miss = part - sized @ s
     update = (np.outer(miss, change) + np.outer(change, miss)) / along
-    return np.asarray(sized + update - float(miss @ s) / along**2 * np.outer(change, change))
+    return sized + update - float(miss @ s) / along**2 * np.outer(change, change)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MultiStart:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class MultiStart(FrozenArrays):
     """Where many starts have ended.
 
     Attributes
@@ -515,8 +508,6 @@ class MultiStart:
         NaN for a start that could not be solved.
     costs : (n,) float64
         J, infinite for a start that could not be solved.
-    outcomes : tuple of str
-        Of each start; the error where there was one.
     minimum : (n,) int64
         Number of the minimum that a start ended in, in order of J; −1 for none.
     best : Solution
@@ -525,13 +516,8 @@ class MultiStart:
     starts: Float
     ends: Float
     costs: Float
-    outcomes: tuple[str, ...]
     minimum: Int
     best: Solution
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, starts=f, ends=f, costs=f, minimum=np.int64)
 
     @property
     def share(self) -> float:
@@ -547,7 +533,7 @@ def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generat
 
     low, high = parameters.bounds()
     unit = qmc.LatinHypercube(len(parameters), rng=rng).random(count)
-    return np.asarray(low + unit * (high - low))
+    return low + unit * (high - low)
 
 
 def multi_start(
@@ -556,7 +542,7 @@ def multi_start(
     method: Method | None = None,
     *,
     iterations: int = 60,
-    finish: int | None = None,
+    finish: int = 0,
     progress: Progress | None = None,
 ) -> MultiStart:
     """Solve from each of the starts (n, q); a start that cannot be solved is reported, not raised.
@@ -568,9 +554,8 @@ def multi_start(
     method : Method, optional
     iterations : int
         Limit for each start.
-    finish : int, optional
-        How many of the best that have not converged by then go on for ten times as long; none if
-        not given.
+    finish : int
+        How many of the best that have not converged by then go on for ten times as long.
 
     Raises
     ------
@@ -578,47 +563,32 @@ def multi_start(
         If none can be solved.
     """
     method = method or Method()
-    found: list[Solution | str] = []
+    found: dict[int, Solution] = {}
+    why = "none given"
     for i, y in enumerate(starts):  # over starts
-        found.append(_one(problem, method, y, iterations))
+        try:
+            found[i] = solve(problem, method, start=y, iterations=iterations)
+        except (NumericalError, SolverError) as e:
+            why = str(e)
         if progress is not None:
             progress((i + 1) / len(starts), f"start {i + 1} of {len(starts)}")
-    order = sorted(
-        (i for i, s in enumerate(found) if isinstance(s, Solution)), key=lambda i: _cost(found[i])
-    )
-    if not order:
-        raise NumericalError(
-            f"none of {len(starts)} starts could be solved; {found[-1] if found else 'none given'}"
-        )
-    for i in order[: finish or 0]:
-        s = found[i]
-        if isinstance(s, Solution) and not s.outcome.ok:
-            found[i] = _one(problem, method, s.y, 10 * iterations)
-    costs = np.array([_cost(s) for s in found])
-    nothing = np.full(problem.size, np.nan)
-    ends = np.array([s.y if isinstance(s, Solution) else nothing for s in found])
-    found_outcomes = tuple(s.outcome.value if isinstance(s, Solution) else s for s in found)
-    best = min((s for s in found if isinstance(s, Solution)), key=lambda s: s.cost)
+    if not found:
+        raise NumericalError(f"none of {len(starts)} starts could be solved; {why}")
+    for i in sorted(found, key=lambda i: found[i].cost)[:finish]:
+        if not found[i].outcome.ok:
+            found[i] = solve(problem, method, start=found[i].y, iterations=10 * iterations)
+    costs = np.full(len(starts), np.inf)
+    ends = np.full((len(starts), problem.size), np.nan)
+    for i, s in found.items():
+        costs[i] = s.cost
+        ends[i] = s.y
     return MultiStart(
-        starts=np.array(starts),
+        starts=starts,
         ends=ends,
         costs=costs,
-        outcomes=found_outcomes,
         minimum=_minima(problem, ends, costs),
-        best=best,
+        best=min(found.values(), key=lambda s: s.cost),
     )
-
-
-def _one(problem: Problem, method: Method, y: Float, iterations: int) -> Solution | str:
-    """A solution, or why the start cannot be solved."""
-    try:
-        return solve(problem, method, start=y, iterations=iterations)
-    except (NumericalError, SolverError) as e:
-        return str(e)
-
-
-def _cost(found: Solution | str) -> float:
-    return found.cost if isinstance(found, Solution) else np.inf
 
 
 def _minima(problem: Problem, ends: Float, costs: Float) -> Int:
@@ -627,7 +597,7 @@ def _minima(problem: Problem, ends: Float, costs: Float) -> Int:
     x = ends @ problem.link.T / (high - low)
     out = np.full(costs.size, -1)
     centres = np.empty((0, x.shape[1]))
-    for i in np.argsort(costs, kind="stable").tolist():  # over starts: each may found a minimum
+    for i in np.argsort(costs, kind="stable"):  # over starts: each may found a minimum
         if not np.isfinite(costs[i]):
             continue
         # 1e-3: largest distance in x, relative to the range of the bounds, of two ends that are one

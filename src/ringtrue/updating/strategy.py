@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
 from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -23,13 +22,13 @@ from ringtrue.updating.regularisation import (
     DISCREPANCY,
     Rule,
     discrepancy_by_evidence,
-    in_turns,
+    distance,
     left_at,
     regularised,
 )
 from ringtrue.updating.residuals.modal import NO_MODE, Quantity
 from ringtrue.updating.solver import Method, Solution, solve
-from ringtrue.updating.target import DOUBT, Target, Weights
+from ringtrue.updating.target import DOUBT, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,11 @@ class Course:
     discrepancy: Literal["found", "assumed", "evidence"] = "assumed"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Settled:
     """The end of an updating.
 
@@ -89,7 +92,11 @@ def settled(
     def doubted(spread: float) -> Solution:
         doubting = _aimed(problem, [a.doubting(spread) for a in aims])
         return solve(
-            doubting, course.method, start=start, iterations=course.iterations, progress=progress
+            doubting,
+            course.method,
+            start=start,
+            iterations=course.iterations,
+            progress=progress,
         )
 
     near = doubted(1.0)
@@ -98,9 +105,9 @@ def settled(
     # assumed
     if (left := _majority(problem, near.y)) > 2.0:
         wide = doubted(DISCREPANCY.loose)
-        near, spread = (
-            (wide, DISCREPANCY.loose) if _majority(problem, wide.y) < left else (near, spread)
-        )
+        if _majority(problem, wide.y) < left:
+            near = wide
+            spread = DISCREPANCY.loose
     firm = _aimed(
         problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)]
     )
@@ -197,7 +204,11 @@ def _solved(problem: Problem, course: Course, start: Float, progress: Progress |
     if course.prior != "given":
         return regularised(problem, course.prior, course.method, start=start).solution
     return solve(
-        problem, course.method, start=start, iterations=course.iterations, progress=progress
+        problem,
+        course.method,
+        start=start,
+        iterations=course.iterations,
+        progress=progress,
     )
 
 
@@ -205,25 +216,26 @@ def _sharpened(
     problem: Problem, y: Float, solved: Callable[[Problem, Float], Solution]
 ) -> tuple[Solution, Problem]:
     """Updated with the discrepancy that is left over, until that stands."""
-
-    def updated(w: Weights, y: Float) -> tuple[Solution, Float]:
-        done = solved(weighed(problem, w), y)
-        return done, done.y
-
-    done, w = in_turns(y, updated, lambda y: left_at(problem, y))
-    return done, weighed(problem, w)
+    w = left_at(problem, y)
+    for _ in range(DISCREPANCY.turns):
+        now = weighed(problem, w)
+        done = solved(now, y)
+        y = done.y
+        left = left_at(problem, y)
+        if distance(w, left) < DISCREPANCY.settled:
+            break
+        w = left
+    return done, now
 
 
 def _likely(problem: Problem, at: Evaluated) -> Problem:
     """The problem with the errors of each kind of residuals that make the data most likely."""
-    found = zip(
-        np.unique(at.kind).tolist(), discrepancy_by_evidence(at, problem).tolist(), strict=True
-    )
+    by = np.ones(sum(len(c.terms) for c in problem.configurations))
     # a kind may have no row: all its modes are lost
-    by = dict(found)
-    kinds = count()
+    by[np.unique(at.kind)] = discrepancy_by_evidence(at, problem)
+    factor = iter(by.tolist())
     parts = [
-        replace(c, terms=tuple(t.widened(by.get(next(kinds), 1.0)) for t in c.terms))
+        replace(c, terms=tuple(t.widened(next(factor)) for t in c.terms))
         for c in problem.configurations
     ]
     return replace(problem, configurations=tuple(parts))
@@ -240,7 +252,11 @@ class Enriched(Protocol):
     def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[Self, Linearisation]: ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Verified:
     """A solution and its proof.
 
@@ -298,7 +314,9 @@ def solve_verified(
     if len(problem.configurations) != 1 or not isinstance(model, Enriched):
         raise InputError("a verified updating needs one configuration and a ReducedModel")
     solved = solved or (lambda p, y: (solve(p, start=y), p))
-    (done, end), error, count = solved(problem, start), np.inf, 0
+    done, end = solved(problem, start)
+    error = np.inf
+    count = 0
     while error > tolerance and count < FULL_SOLUTIONS:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
         better, truth = model.enrich(done.x[at], sensitivities=True)
@@ -321,8 +339,5 @@ def _off(basis: Float, truth: Float) -> float:
     and no error.
     """
     change = basis * np.abs(basis) - truth * np.abs(truth)
-    return float(
-        (np.abs(change) / (2 * np.maximum(truth, max(rigid_below(truth), 1e-300)) ** 2)).max(
-            initial=0.0
-        )
-    )
+    size = np.maximum(truth, max(rigid_below(truth), 1e-300))
+    return float((np.abs(change) / (2 * size**2)).max(initial=0.0))

@@ -17,9 +17,10 @@ from itertools import permutations
 from math import perm
 
 import numpy as np
+from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.iterate import Outcome, Progress, iterate
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
@@ -66,8 +67,12 @@ class AssignmentSearch:
 ASSIGNMENTS = AssignmentSearch()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Assignment:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Assignment(FrozenArrays):
     """One pairing of all test modes, tuned.
 
     Attributes
@@ -97,20 +102,12 @@ class Assignment:
     frequencies: Float
     mac: Float
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            pairs=np.int64,
-            first=np.int64,
-            x=f,
-            covariance=f,
-            frequencies=f,
-            mac=f,
-        )
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Suspended:
     """A tuned suspension.
 
@@ -119,13 +116,10 @@ class Suspended:
     parameters : ParameterSet
     assignments : tuple of Assignment
         The most probable first.
-    considered : int
-        Assignments that were ranked; only the promising ones were refined.
     """
 
     parameters: ParameterSet
     assignments: tuple[Assignment, ...]
-    considered: int
 
     @property
     def best(self) -> Assignment:
@@ -148,7 +142,7 @@ class Suspended:
     @property
     def std(self) -> Float:
         """Of x, (p,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     def ambiguity(self) -> tuple[str, ...]:
         """In words, which test modes could be another model mode and what would change; empty if it
@@ -173,7 +167,11 @@ class Suspended:
         return tuple(sentences)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _At:
     """A point with the model modes under their labels (l,), residuals and slopes at fixed pairs of
     labels.
@@ -220,9 +218,10 @@ def tune(
     # the lowest six, or as many as the test has
     labels = np.arange(min(max(6, tests.size), now.frequencies.size))
     labels = labels[now.frequencies[labels] > 0]
-    order, considered = _ranked(model, target, now, tests, labels)
+    order = _ranked(model, target, now, tests, labels)
+    std = model.parameters.std()
     found: list[tuple[_At, Int]] = []
-    for i, choice in enumerate(order[: ASSIGNMENTS.kept]):
+    for i, choice in enumerate(order):
         try:
             rules = _Refinement(
                 model=model,
@@ -235,25 +234,25 @@ def tune(
             end = iterate(rules, limit=ASSIGNMENTS.steps).last
         except (NumericalError, SolverError):
             continue
-        if not any(_same(model, a=end, choice=choice, b=other, other=c) for other, c in found):
+        pairs = end.modes[choice]
+        twins = [e for e, c in found if np.array_equal(e.modes[c], pairs)]
+        far = [np.abs((end.x - e.x) / std).max(initial=0.0) >= ASSIGNMENTS.same for e in twins]
+        if all(far):
             found.append((end, choice))
         if progress is not None:
-            progress(
-                (i + 1) / min(ASSIGNMENTS.kept, len(order)),
-                f"assignment {i + 1} of the rigid-body modes",
-            )
+            progress((i + 1) / len(order), f"assignment {i + 1} of the rigid-body modes")
     if not found:
         raise NotConverged(
             "no assignment of rigid-body modes can be solved: look at bounds and start"
         )
-    return Suspended(model.parameters, _weighed(model, target, tests, labels, found), considered)
+    return Suspended(model.parameters, _weighed(model, target, tests, labels, found))
 
 
 def _ranked(
     model: ObservedModel, target: Target, now: Linearisation, tests: Int, labels: Int
-) -> tuple[Int, int]:
-    """Assignments (a, m) of positions in `labels`, the most probable by the linearised model first,
-    and how many.
+) -> Int:
+    """Assignments (a, m) of positions in `labels` to be refined, the most probable by the
+    linearised model first.
 
     Frequencies by the prior predictive distribution N(−G x₀, S + G W_p⁻¹Gᵀ) about the point x₀;
     shapes by 1 − MAC, cut.
@@ -276,18 +275,16 @@ def _ranked(
     miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (now.x / std)
     r = miss[np.arange(tests.size), choices]
     inner = slope @ slope.T
-    cov = inner[choices[:, :, None], choices[:, None, :]] + np.diag(
-        w.frequency**2 + target.std[tests] ** 2
-    )
-    cost = (
-        np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0])
-        + np.linalg.slogdet(cov)[1]
-    )
-    likeness = mac(target.shapes[:, tests], now.shapes[:, labels])
-    shape = np.minimum((w.shape / w.mac if w.shape else 0.0) * (1 - likeness), ASSIGNMENTS.cap)
-    cost += shape[np.arange(tests.size), choices].sum(axis=1)
-    order = np.argsort(cost, kind="stable")
-    return choices[order[cost[order] <= cost.min() + ASSIGNMENTS.margin]], count
+    own = np.diag(w.frequency**2 + target.std[tests] ** 2)
+    cov = inner[choices[:, :, None], choices[:, None, :]] + own
+    cost = np.einsum("am,am->a", r, np.linalg.solve(cov, r[..., None])[..., 0])
+    cost += np.linalg.slogdet(cov)[1]
+    if w.shape:
+        likeness = mac(target.shapes[:, tests], now.shapes[:, labels])
+        shape = np.minimum(w.shape / w.mac * (1 - likeness), ASSIGNMENTS.cap)
+        cost += shape[np.arange(tests.size), choices].sum(axis=1)
+    order = np.argsort(cost, kind="stable")[: ASSIGNMENTS.kept]
+    return np.asarray(choices[order[cost[order] <= cost.min() + ASSIGNMENTS.margin]])
 
 
 def _evaluate(
@@ -301,13 +298,12 @@ def _evaluate(
     value = [root * (1 - lam / lam_test)]
     slope = [(root / lam_test)[:, None] * now.d_lambda[chosen]]
     if w.shape > 0:
-        group = _group_of(target, now)
-        near = close_groups(target.frequencies, target.pairing.close, target.pairing.largest_group)
-        alone = {t for g in near if len(g) == 1 for t in g}
+        limits = (target.pairing.close, target.pairing.largest_group)
+        group = {j: g for g in close_groups(now.frequencies, *limits) for j in g}
+        near = {t: g for g in close_groups(target.frequencies, *limits) for t in g}
         for t, j in zip(tests.tolist(), chosen.tolist(), strict=True):
-            r, g = shape_residual(
-                target.shapes, now, t, np.array((j,) if t in alone else group.get(j, (j,)))
-            )
+            alone = len(near[t]) == 1 or j not in group
+            r, g = shape_residual(target.shapes, now, t, np.array((j,) if alone else group[j]))
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
     v = np.concatenate(value)
@@ -315,12 +311,11 @@ def _evaluate(
     return v, s, float(v @ v + (x / std) @ (x / std))
 
 
-def _group_of(target: Target, now: Linearisation) -> dict[int, tuple[int, ...]]:
-    groups = close_groups(now.frequencies, target.pairing.close, target.pairing.largest_group)
-    return {j: g for g in groups for j in g}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Refinement:
     """Levenberg-Marquardt in the bounds with the pairs fixed, run by `core.iterate`.
 
@@ -365,11 +360,10 @@ class _Refinement:
         damped = normal + at.damping * np.diag(np.diag(normal))
         dx = np.zeros_like(at.x)
         dx[free] = -np.linalg.solve(damped, gradient[free])
-        dx *= min(1.0, 0.5 / max(float(np.abs(dx).max(initial=0.0)), 1e-300))
+        dx *= min(1.0, 0.5 / max(np.abs(dx).max(initial=0.0), 1e-300))
         trial = np.clip(at.x + dx, low, high)
-        if float(np.abs(trial - at.x).max(initial=0.0)) < ASSIGNMENTS.small * min(
-            1.0, float(std.min())
-        ):
+        small = ASSIGNMENTS.small * min(1.0, float(std.min()))
+        if float(np.abs(trial - at.x).max(initial=0.0)) < small:
             return replace(at, still=True)
         now = self.model.linearise(trial)
         # the modes of `now` that continue `modes` of `before`, by one assignment over MAC
@@ -387,12 +381,6 @@ class _Refinement:
     def merit(self, at: _At) -> float:
         """J."""
         return at.cost
-
-
-def _same(model: ObservedModel, a: _At, choice: Int, b: _At, other: Int) -> bool:
-    """Whether two ends are one: the same pairs at the same point."""
-    near = float(np.abs((a.x - b.x) / model.parameters.std()).max(initial=0.0)) < ASSIGNMENTS.same
-    return near and bool((a.modes[choice] == b.modes[other]).all())
 
 
 def _weighed(
@@ -416,13 +404,12 @@ def _weighed(
     for (e, choice), n, share in zip(ends, normal, weight.tolist(), strict=True):
         chosen = e.modes[choice]
         likeness = mac(target.shapes[:, tests], e.now.shapes[:, chosen]).diagonal()
-        pairs = np.stack([tests, chosen], axis=1)
         out.append(
             Assignment(
-                pairs=pairs,
+                pairs=np.stack([tests, chosen], axis=1),
                 first=labels[choice],
                 x=e.x,
-                covariance=np.asarray(np.linalg.inv(n), dtype=np.float64),
+                covariance=linalg.inv(n),
                 cost=e.cost,
                 weight=share,
                 frequencies=e.now.frequencies[chosen],

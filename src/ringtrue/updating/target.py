@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays
 from ringtrue.correlation.assignment import (
     NO_LOCKS,
     WORTH,
@@ -70,7 +70,11 @@ class Weights:
         return 1 + self.independent if self.shape > 0 else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Target:
     """What the model is updated to.
 
@@ -114,24 +118,11 @@ class Target:
     frequency_only: bool = False
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, frequencies=f, shapes=f, std=f, used=np.bool_)
+        freeze_arrays(self)
         m = self.frequencies.size
-        if (
-            self.shapes.ndim != 2
-            or self.shapes.shape[1] != m
-            or self.std.shape != (m,)
-            or self.used.shape != (m,)
-        ):
-            raise InputError(
-                f"{m} frequencies, shapes {self.shapes.shape}, std {self.std.shape}, used "
-                f"{self.used.shape}"
-            )
-        if self.rule not in ("gates", "capped", "cost") or not self.lost > 0:
-            raise InputError(
-                f"pairing rule {self.rule!r} (gates, capped, cost), cost of a lost mode "
-                f"{self.lost} (> 0)"
-            )
+        sizes = (self.shapes.shape[1], self.std.size, self.used.size)
+        if sizes != (m, m, m):
+            raise InputError(f"{m} frequencies; shapes, std and used of {sizes} modes")
 
     def doubting(self, spread: float = 1.0) -> Target:
         """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
@@ -144,9 +135,8 @@ class Target:
         """
         if self.frequency_only:
             return self
-        return replace(
-            self, rule="capped", lost=DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
-        )
+        lost = DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
+        return replace(self, rule="capped", lost=lost)
 
     def lowest(self, count: int) -> Target:
         """The same up to the highest of so many used modes, the lowest; pairs are made anew."""
@@ -191,15 +181,11 @@ def match(
     """
     if target.fixed is not None:
         pairs, of = target.fixed
-        rest = [
-            span_residual(target.shapes, now, t, s)[0]
-            for t, s in zip(pairs[:, 0].tolist(), of, strict=True)
-        ]
+        both = zip(pairs[:, 0].tolist(), of, strict=True)
+        rest = [span_residual(target.shapes, now, t, s)[0] for t, s in both]
         return pairs, np.array([1 - r @ r for r in rest]), of
-    s = scores(
-        ComparedModes(target.frequencies, target.shapes, now.frequencies, now.shapes),
-        target.pairing,
-    )
+    modes = ComparedModes(target.frequencies, target.shapes, now.frequencies, now.shapes)
+    s = scores(modes, target.pairing)
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
@@ -219,13 +205,27 @@ def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bo
     usable = _usable(now)
     trust = _trust(target, now, s)
     rows, cols = assign(
-        s, target.pairing, usable_a=every, usable_b=usable, locks=locks, trust=trust
+        s,
+        target.pairing,
+        usable_a=every,
+        usable_b=usable,
+        locks=locks,
+        trust=trust,
     )
-    lost = held & ~np.isin(np.arange(every.size), rows) if held is not None else ~every
-    if held is not None and lost.any():
+    if held is None:
+        held = ~every
+    lost = held & ~np.isin(np.arange(every.size), rows)
+    if lost.any():
         keep = held[rows]  # a mode that had no partner gives way
         free = usable & ~np.isin(np.arange(usable.size), cols[keep])
-        more = _held(target, s, lost=lost, free=free, locks=locks, trust=trust)
+        more = _held(
+            target,
+            s,
+            lost=lost,
+            free=free,
+            locks=locks,
+            trust=trust,
+        )
         keep |= ~np.isin(cols, more[1])
         rows = np.append(rows[keep], more[0])
         cols = np.append(cols[keep], more[1])
@@ -237,7 +237,7 @@ def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bo
 
 def _usable(now: Linearisation) -> Bool:
     """Modes of the model that are elastic and move the sensors by more than rounding, (n,)."""
-    return np.asarray((now.frequencies > 0) & above_rounding(now.shapes).any(axis=0))
+    return (now.frequencies > 0) & above_rounding(now.shapes).any(axis=0)
 
 
 def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
@@ -273,7 +273,12 @@ def _held(
         frequency_gate=gates.frequency_gate / WORTH.hold,
     )
     return assign(
-        s, wide, usable_a=lost, usable_b=free, locks=Locks((), locks.forbidden), trust=trust
+        s,
+        wide,
+        usable_a=lost,
+        usable_b=free,
+        locks=Locks((), locks.forbidden),
+        trust=trust,
     )
 
 
@@ -281,9 +286,8 @@ def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> In
     """Pairs (k, 2) of least total cost, `lost` for a mode without a partner: first the used modes,
     then the others.
     """
-    cost = target.lost + (np.minimum(_costs(target, s), target.lost) - target.lost) * _trust(
-        target, now, s
-    )
+    gain = target.lost - np.minimum(_costs(target, s), target.lost)
+    cost = target.lost - gain * _trust(target, now, s)
     cost[:, ~_usable(now)] = target.lost
     forced, free = locks.mask((cost.shape[0], cost.shape[1]))
     cost = np.where(free, cost, target.lost)
@@ -292,9 +296,7 @@ def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> In
     for rows in (np.flatnonzero(target.used), np.flatnonzero(~target.used)):
         free = np.setdiff1d(np.arange(now.frequencies.size), [j for _, j in found])
         alone = np.full((rows.size, rows.size), target.lost)
-        i, j = linear_sum_assignment(
-            np.hstack([np.minimum(cost[np.ix_(rows, free)], target.lost), alone])
-        )
+        i, j = linear_sum_assignment(np.hstack([cost[np.ix_(rows, free)], alone]))
         keep = j < free.size
         found += zip(rows[i[keep]].tolist(), free[j[keep]].tolist(), strict=True)
     pairs = np.array(sorted(p for p in found if cost[p] < target.lost), dtype=np.int64)
@@ -306,10 +308,14 @@ def _costs(target: Target, s: Scores) -> Float:
     w = target.weights
     root = 0.5 / np.sqrt(w.frequency**2 + target.std**2)
     shape = w.of_shape * (1 - s.merged)
-    return np.asarray((root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape)
+    return (root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Span:
     """The mean of projectors on sets of modes, each of which holds the one before.
 
@@ -349,15 +355,17 @@ def spans(
         Test modes whose partners stand for close ones, too.
     """
     partner = {t: f for t, f in pairs.tolist() if used[t]}
-    near = {
-        t: g for g in close_groups(frequencies, settings.close, settings.largest_group) for t in g
-    }
-    return tuple(
-        _around(now, f, {partner[s] for s in near[t] if s in partner}, settings)
-        if len(near[t]) > 1 and now.frequencies[f] > 0
-        else Span((np.array([f]),), np.ones(1), np.zeros((1, now.d_lambda.shape[1])))
-        for t, f in pairs.tolist()
-    )
+    groups = close_groups(frequencies, settings.close, settings.largest_group)
+    near = {t: g for g in groups for t in g}
+    out = []
+    for t, f in pairs.tolist():
+        if len(near[t]) > 1 and now.frequencies[f] > 0:
+            partners = {partner[s] for s in near[t] if s in partner}
+            out.append(_around(now, f, partners, settings))
+        else:
+            still = np.zeros((1, now.d_lambda.shape[1]))
+            out.append(Span((np.array([f]),), np.ones(1), still))
+    return tuple(out)
 
 
 def _around(
@@ -377,7 +385,7 @@ def _around(
     weight = -np.diff(height, append=0.0)
     slope = -np.diff(d_height, axis=0, append=np.zeros((1, d_log.shape[1])))
     some = np.flatnonzero(weight > 0)
-    return Span(tuple(at[: k + 1] for k in some.tolist()), weight[some], slope[some])
+    return Span(tuple(at[: k + 1] for k in some), weight[some], slope[some])
 
 
 def span_residual(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
@@ -399,12 +407,9 @@ def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tup
     """
     psi = unit(shapes[:, [t]])[:, 0]
     phi = now.shapes[:, group]
-    alone = group.size == 1  # as nearly always: half the time
-    plus = (
-        phi.T / max(float((phi**2).sum()), np.finfo(np.float64).tiny)
-        if alone
-        else np.linalg.pinv(phi)
-    )
+    size = max((phi**2).sum(), np.finfo(np.float64).tiny)
+    # one mode, as nearly always: half the time
+    plus = phi.T / size if group.size == 1 else np.linalg.pinv(phi)
     inside = phi @ (plus @ psi)
     rest = psi - inside
     d_phi = now.d_shapes[:, group, :]

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
-from ringtrue.core.arrays import Bool, Float, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays
 from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, NumericalError, SolverError
@@ -52,8 +52,12 @@ class ChainSettings:
 CHAIN = ChainSettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Posterior(FrozenArrays):
     """A normal (or Student) posterior of the unknowns y, x = link y.
 
     Attributes
@@ -77,23 +81,10 @@ class Posterior:
     prior_std: Float
     freedom: float = np.inf
 
-    def __post_init__(self) -> None:
-        freeze_fields(
-            self, y=np.float64, covariance=np.float64, link=np.float64, prior_std=np.float64
-        )
-        p = len(self.parameters)
-        q = self.y.size
-        shapes = self.covariance.shape, self.link.shape, self.prior_std.shape
-        if shapes != ((q, q), (p, q), (p,)) or not self.freedom > 0:
-            raise InputError(
-                f"posterior of {p} parameters, {q} unknowns: got {shapes}, freedom "
-                f"{self.freedom} (> 0)"
-            )
-
     @property
     def x(self) -> Float:
         """(p,) float64."""
-        return np.asarray(self.link @ self.y)
+        return self.link @ self.y
 
     @property
     def std(self) -> Float:
@@ -105,13 +96,13 @@ class Posterior:
         """Posterior over prior standard deviation, (p,): near 1 the data said nothing, near 0 they
         said all.
         """
-        return np.asarray(self.std / self.prior_std)
+        return self.std / self.prior_std
 
     @property
     def moved(self) -> Bool:
         """Which parameters the data moved or pinned down, (p,)."""
         # 0.7: posterior over prior standard deviation below which the data have shown something
-        return np.asarray((self.ratio < 0.7) | (np.abs(self.x) > 2 * self.prior_std))
+        return (self.ratio < 0.7) | (np.abs(self.x) > 2 * self.prior_std)
 
     def interval(self, level: float = 0.9) -> Float:
         """Central intervals of the factors, (p, 2), cut at the bounds.
@@ -190,9 +181,8 @@ def laplace(
     a = g.T @ g + precision
     freedom = np.inf
     if scale is None:
-        freedom, s2 = _size(
-            value, linalg.solve(a, g.T, assume_a="pos"), g, share, float(errors.sum())
-        )
+        inverse = linalg.solve(a, g.T, assume_a="pos")
+        freedom, s2 = _size(value, inverse, g, share, float(errors.sum()))
         square = np.full(value.size, s2)
     else:
         kinds = int(at.kind.max(initial=-1)) + 1
@@ -321,9 +311,8 @@ def energy_shares(model: Model, system: System, vectors: Float) -> Float:
     _, node = np.unique(system.free.node, return_inverse=True)
     kinetic = np.zeros((int(node.max(initial=-1)) + 1, vectors.shape[1]))
     np.add.at(kinetic, node, vectors * (system.mass @ vectors))
-    return np.concatenate(
-        [e / np.maximum(e.sum(axis=0), 1e-300) for e in (strain, np.maximum(kinetic, 0.0))]
-    )
+    energies = (strain, np.maximum(kinetic, 0.0))
+    return np.concatenate([e / np.maximum(e.sum(axis=0), 1e-300) for e in energies])
 
 
 def likeness(shares: Float) -> Float:
@@ -349,12 +338,10 @@ def errors_of_shapes(target: Target, now: Linearisation) -> float:
     """
     pairs, _, of = match(target, now)
     some = [(t, s) for t, s in zip(pairs[:, 0].tolist(), of, strict=True) if target.used[t]]
-    rest = [span_residual(target.shapes, now, t, s)[0] for t, s in some]
-    return (
-        independent_errors(np.stack(rest, axis=1), np.array([s.size for _, s in some]), now.shapes)
-        if rest
-        else 1.0
-    )
+    if not some:
+        return 1.0
+    rest = np.stack([span_residual(target.shapes, now, t, s)[0] for t, s in some], axis=1)
+    return independent_errors(rest, np.array([s.size for _, s in some]), now.shapes)
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
@@ -385,14 +372,17 @@ def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
     return 1 / (of_form + (1 - of_form) / n)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chains:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Chains(FrozenArrays):
     """A sampled posterior.
 
     Attributes
     ----------
     samples : (step, walker, q) float64
-    log_density : (step, walker) float64
     acceptance : float
         Share of accepted moves; 0.2 to 0.5 is healthy.
     time : (q,) float64
@@ -402,14 +392,9 @@ class Chains:
     """
 
     samples: Float
-    log_density: Float
     acceptance: float
     time: Float
     reduction: Float
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, samples=f, log_density=f, time=f, reduction=f)
 
     @property
     def converged(self) -> bool:
@@ -430,7 +415,7 @@ class Chains:
     def interval(self, level: float = 0.9) -> Float:
         """Central intervals, (q, 2)."""
         tail = (1 - level) / 2
-        return np.asarray(np.quantile(self.flat(), [tail, 1 - tail], axis=0).T)
+        return np.quantile(self.flat(), [tail, 1 - tail], axis=0).T
 
 
 def log_posterior(problem: Problem) -> Callable[[Float], Float]:
@@ -495,19 +480,24 @@ def ensemble(
             "a walker starts where the density is zero: draw the start closer to the best point"
         )
     samples = np.empty((steps, walkers, q))
-    logs = np.empty((steps, walkers))
     taken = 0
     for i in range(burn + steps):
         a, b = np.split(rng.permutation(walkers), 2)
-        halves = ((a, b), (b, a))
-        for move, rest in halves:
-            taken += _stretch(log_density, x, here=here, move=move, rest=rest, rng=rng)
+        for move, rest in ((a, b), (b, a)):
+            taken += _stretch(
+                log_density,
+                x,
+                here=here,
+                move=move,
+                rest=rest,
+                rng=rng,
+            )
         if i >= burn:
-            samples[i - burn], logs[i - burn] = x, here
+            samples[i - burn] = x
         if progress is not None:
             progress((i + 1) / (burn + steps), "sampling the posterior")
     share = taken / (walkers * (burn + steps))
-    return Chains(samples, logs, share, autocorrelation_time(samples), _reduction(samples))
+    return Chains(samples, share, autocorrelation_time(samples), _reduction(samples))
 
 
 def _stretch(

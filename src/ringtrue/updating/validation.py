@@ -18,19 +18,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.iterate import Outcome, Progress
 from ringtrue.errors import InputError
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.residuals.modal import Quantity
-from ringtrue.updating.solver import Method, solve
+from ringtrue.updating.solver import solve
 from ringtrue.updating.uncertainty import laplace
 
 LEAST = 1e-4  # model discrepancy, relative
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Held:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Held(FrozenArrays):
     """Left-out modes against their predictions; the test modes in order.
 
     Attributes
@@ -61,24 +65,10 @@ class Held:
     ends: Float = field(default_factory=lambda: np.zeros((0, 0)))
     discrepancy: float = float("nan")
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            test=f,
-            predicted=f,
-            mac=f,
-            parameter_std=f,
-            test_std=f,
-            model_std=f,
-            ends=f,
-            fold=np.int64,
-        )
-
     @property
     def in_turn(self) -> Bool:
         """Modes that a fold has left out and predicted, (m,)."""
-        return np.asarray((self.fold >= 0) & np.isfinite(self.predicted))
+        return (self.fold >= 0) & np.isfinite(self.predicted)
 
     @property
     def freedom(self) -> int:
@@ -90,14 +80,14 @@ class Held:
     @property
     def error(self) -> Float:
         """(f_predicted − f_test)/f_test, (m,)."""
-        return np.asarray(self.predicted / self.test - 1)
+        return self.predicted / self.test - 1
 
     @property
     def std(self) -> Float:
         """Of the predicted minus the measured frequency, relative, (m,)."""
-        return np.asarray(np.sqrt(self.parameter_std**2 + self.test_std**2 + self.model_std**2))
+        return np.sqrt(self.parameter_std**2 + self.test_std**2 + self.model_std**2)
 
-    def band(self, level: float = 0.9) -> Float:
+    def band(self, level: float) -> Float:
         """Central interval of the measured frequency, (m, 2), Hz.
 
         The discrepancy is known from so many errors: Student's quantile.
@@ -105,12 +95,12 @@ class Held:
         reach = float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std * self.predicted
         return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
 
-    def inside(self, level: float = 0.9) -> Bool:
+    def inside(self, level: float) -> Bool:
         """Whether the band holds the measured frequency, (m,); False without a prediction."""
         band = self.band(level)
-        return np.asarray((band[:, 0] <= self.test) & (self.test <= band[:, 1]))
+        return (band[:, 0] <= self.test) & (self.test <= band[:, 1])
 
-    def coverage(self, level: float = 0.9) -> float:
+    def coverage(self, level: float) -> float:
         """Share of the modes left out in turn that are inside their bands."""
         seen = self.in_turn
         return float(self.inside(level)[seen].mean()) if seen.any() else float("nan")
@@ -139,7 +129,7 @@ def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
     seen = np.isfinite(error)
     e2 = error[seen] ** 2
     k2 = known[seen] ** 2
-    g = np.ones(int(seen.sum())) if gain is None else gain[seen]
+    g = 1.0 if gain is None else gain[seen]
     if not e2.size:
         raise InputError(
             "no left-out mode has found a partner: widen the gates, or leave other modes out"
@@ -152,7 +142,6 @@ def discrepancy(error: Float, known: Float, gain: Float | None = None) -> float:
 def k_fold(
     configuration: Configuration,
     folds: Sequence[Sequence[int]],
-    method: Method | None = None,
     *,
     start: Float | None = None,
     others: Sequence[Configuration] = (),
@@ -193,12 +182,18 @@ def k_fold(
     for i, fold in enumerate([*folds, unused] if unused else folds):
         used = target.used & ~np.isin(np.arange(m), fold)
         problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
-        done = solve(problem, method, start=begin)
+        done = solve(problem, start=begin)
         good = good and done.outcome is Outcome.CONVERGED
         begin = done.y if start is None else start
-        predicted_fold(
-            problem, done.end, fold=list(fold), predicted=predicted, mac=mac, spread=spread
-        )
+        here = done.end.points[0]
+        which = np.isin(here.every[:, 0], fold)
+        t, f = here.every[which].T
+        hertz = here.now.frequencies[f]
+        slope = here.now.d_lambda[f] / (8 * np.pi**2 * hertz**2)[:, None] @ problem.link
+        parts = variance_parts(problem, done.end)
+        predicted[t] = hertz
+        mac[t] = here.mac[which]
+        spread[t] = np.einsum("mp,kpq,mq->mk", slope, parts, slope)
         if i == len(folds):
             break
         of[list(fold)] = i
@@ -234,28 +229,10 @@ def _from_others(error: Float, known: Float, gain: Float) -> Float:
     """The discrepancy of each mode from the errors of all others, (m,); NaN without an error."""
     seen = np.flatnonzero(np.isfinite(error))
     out = np.full(error.size, np.nan)
-    for i in seen.tolist():  # over modes: a search each
+    for i in seen:  # over modes: a search each
         rest = seen[seen != i] if seen.size > 1 else seen
         out[i] = discrepancy(error[rest], known[rest], gain[rest])
     return out
-
-
-def predicted_fold(
-    problem: Problem, at: Evaluated, fold: list[int], predicted: Float, mac: Float, spread: Float
-) -> None:
-    """Fill in the frequencies (Hz), MAC and `variance_parts` (m, 3) of the frequencies of one fold,
-    in place.
-    """
-    here = at.points[0]
-    t, f = here.every.T
-    which = np.isin(t, fold)
-    t = t[which]
-    f = f[which]
-    predicted[t], mac[t] = here.now.frequencies[f], here.mac[which]
-    slope = (
-        here.now.d_lambda[f] / (8 * np.pi**2 * here.now.frequencies[f] ** 2)[:, None] @ problem.link
-    )
-    spread[t] = np.einsum("mp,kpq,mq->mk", slope, variance_parts(problem, at), slope)
 
 
 def variance_parts(problem: Problem, at: Evaluated) -> Float:
@@ -267,19 +244,14 @@ def variance_parts(problem: Problem, at: Evaluated) -> Float:
     """
     kinds = int(at.kind.max(initial=-1)) + 1
     terms = [(t, c.target.std) for c in problem.configurations for t in c.terms]
-    of_frequency = np.zeros(kinds)
-    of_shape = np.zeros(kinds)
-    other = np.zeros(kinds)
+    scales = np.zeros((4, kinds))  # none, of frequencies, of shapes, the rest
     for i, (term, std) in enumerate(terms[:kinds]):
         unit = term.unit(std)
         if unit is None:
-            other[i] = 1.0
-        elif term.quantity is Quantity.FREQUENCY:
-            of_frequency[i] = unit
+            scales[3, i] = 1.0
         else:
-            of_shape[i] = unit
+            scales[1 if term.quantity is Quantity.FREQUENCY else 2, i] = unit
     many = problem.configurations[0].target.weights.independent
-    scales = (np.zeros(kinds), of_frequency, of_shape, other)
     none, *each = (laplace(problem, at, k, independent=many).covariance for k in scales)
     return np.stack([each[0] - none, each[1] - none, each[2]])
 
@@ -303,5 +275,11 @@ def with_discrepancy(
     ----- Terms of frequencies, shapes and MAC get these weights, in the other configurations too;
     other kinds stay.
     """
-    held = k_fold(configuration, folds, start=start, others=others, progress=progress)
+    held = k_fold(
+        configuration,
+        folds,
+        start=start,
+        others=others,
+        progress=progress,
+    )
     return configuration.weighed(held.discrepancy, mean_miss(held.mac)), held

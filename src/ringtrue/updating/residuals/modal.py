@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.errors import NumericalError
 from ringtrue.model.ports import Linearisation, ObservedModel
 from ringtrue.updating.target import Span, Target, match, span_residual
@@ -21,7 +21,11 @@ from ringtrue.updating.target import Span, Target, match, span_residual
 NO_MODE = -1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Point:
     """A model at x with its modes and their partners.
 
@@ -52,8 +56,12 @@ class Point:
     whole: Linearisation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualBlock:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class ResidualBlock(FrozenArrays):
     """Weighted residuals of one kind.
 
     Attributes
@@ -72,9 +80,6 @@ class ResidualBlock:
     slope: Float
     datum: Int
     mode: Int
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, value=np.float64, slope=np.float64, datum=np.int64, mode=np.int64)
 
 
 class Quantity(Enum):
@@ -143,7 +148,11 @@ class Deviations(Term):
         return replace(self, std=by * self.std)  # type: ignore[attr-defined,type-var]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Whole:
     """All modes and channels of a model, and those that the test's modes are compared with.
 
@@ -186,7 +195,7 @@ def point(
     keep = None if held is None else np.isin(np.arange(target.used.size), held)
     pairs, mac, of = match(target, now, keep)
     used = np.flatnonzero(target.used[pairs[:, 0]])
-    stand = tuple(of[i] for i in used.tolist())
+    stand = tuple(of[i] for i in used)
     return Point(
         model=model,
         now=now,
@@ -208,7 +217,11 @@ def default_terms(target: Target) -> tuple[Term, ...]:
     return frequencies, Shapes(w.mac, w.shape * w.independent)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Weighted(Term):
     """A kind of residuals times a factor on its squares."""
 

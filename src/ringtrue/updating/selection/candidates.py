@@ -7,7 +7,7 @@ what it changes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -138,13 +138,6 @@ class CandidateSettings:
         Of `KINDS`.
     units : str
         A unit system (`UNITS`) for the names; "" names values without a unit.
-    pieces : int
-        A connected part of one property is cut into regions of about equal size, at most so many.
-    smallest : int
-        Fewest elements of a region.
-    spread : mapping of str to (float, float)
-        Prior standard deviation of ln(factor) and largest factor by quantity, in place of those of
-        `SPREAD`.
     weighed : bool
         Masses and densities of the deck are scaled by PARAM,WTMASS: the system has no name for
         their unit.
@@ -152,27 +145,15 @@ class CandidateSettings:
 
     kinds: tuple[Kind, ...] = KINDS
     units: str = ""
-    pieces: int = 4
-    smallest: int = 2
-    spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     weighed: bool = False
 
     def __post_init__(self) -> None:
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise InputError(f"candidates: no kind {kind!r}{did_you_mean(kind, KINDS)}")
+        if unknown := set(self.kinds) - set(KINDS):
+            kind = min(unknown)
+            raise InputError(f"candidates: no kind {kind!r}{did_you_mean(kind, KINDS)}")
         if self.units and self.units not in UNITS:
             raise InputError(
                 f"unit system {self.units!r} is not known{did_you_mean(self.units, UNITS)}"
-            )
-        for quantity in self.spread:
-            if quantity not in SPREAD:
-                raise InputError(
-                    f"candidates: no quantity {quantity!r}{did_you_mean(quantity, SPREAD)}"
-                )
-        if self.pieces < 1 or self.smallest < 1:
-            raise InputError(
-                f"candidates: pieces {self.pieces} and smallest {self.smallest} must be 1 or more"
             )
 
     def of(self, model: Model) -> CandidateSettings:
@@ -184,12 +165,8 @@ class CandidateSettings:
         if not self.units or (self.weighed and quantity in ("mass", "density")):
             return ""
         known = dict(zip(QUANTITIES, UNITS[self.units], strict=True))
-        powers = {"area": 2, "inertia": 4}
-        return (
-            f"{known['length']}{powers[quantity]}"
-            if quantity in powers
-            else known.get(quantity, "")
-        )
+        known |= {"area": f"{known['length']}2", "inertia": f"{known['length']}4"}
+        return known.get(quantity, "")
 
 
 def parameters(candidates: Sequence[Candidate]) -> ParameterSet:
@@ -198,8 +175,8 @@ def parameters(candidates: Sequence[Candidate]) -> ParameterSet:
 
 
 @dataclass(frozen=True, slots=True)
-class Description:
-    """What a candidate is.
+class Draft:
+    """A candidate before it has a parameter.
 
     Attributes
     ----------
@@ -210,34 +187,32 @@ class Description:
         In words.
     quantity : str
         A key of `SPREAD`.
+    elements : (e,) int64
+    targets : sequence of CardField
+    substructures : sequence of Substructure
     """
 
     kind: Kind
     name: str
     what: str
     quantity: str
+    elements: Int
+    targets: Sequence[CardField] = ()
+    substructures: Sequence[Substructure] = ()
 
-
-def new_candidate(
-    s: CandidateSettings,
-    of: Description,
-    elements: Int,
-    targets: Sequence[CardField] = (),
-    substructures: Sequence[Substructure] = (),
-) -> Candidate:
-    """A candidate on a logarithmic scale, with the spread of its quantity."""
-    std, most = s.spread.get(of.quantity, SPREAD[of.quantity])
-    p = Parameter(
-        name=of.name,
-        targets=tuple(targets),
-        lower=1 / most,
-        upper=most,
-        scale="log",
-        std=std,
-        shapes=(),
-        substructures=tuple(substructures),
-    )
-    return Candidate(p, of.kind, of.what, tuple(np.unique(elements).tolist()))
+    def candidate(self) -> Candidate:
+        """On a logarithmic scale, with the spread of its quantity."""
+        std, most = SPREAD[self.quantity]
+        p = Parameter(
+            name=self.name,
+            targets=tuple(self.targets),
+            lower=1 / most,
+            upper=most,
+            scale="log",
+            std=std,
+            substructures=tuple(self.substructures),
+        )
+        return Candidate(p, self.kind, self.what, tuple(np.unique(self.elements).tolist()))
 
 
 def amount(value: float, quantity: str, s: CandidateSettings) -> str:
@@ -247,12 +222,9 @@ def amount(value: float, quantity: str, s: CandidateSettings) -> str:
 
 def given_fields(table: Table, row: int, fields: str) -> list[str]:
     """Those of the fields that hold a value other than 0."""
-    plain = [
-        f
-        for f in fields.split("+")
-        if f in table.columns and not isinstance(table.columns[f], Ragged)
-    ]
-    return [f for f in plain if np.isfinite(table[f][row]) and table[f][row] != 0]
+    columns = table.columns
+    there = [f for f in fields.split("+") if f in columns and not isinstance(columns[f], Ragged)]
+    return [f for f in there if np.isfinite(table[f][row]) and table[f][row] != 0]
 
 
 def counted(rows: Rows) -> str:
@@ -290,14 +262,9 @@ def membership(model: Model, candidates: Sequence[Candidate]) -> sparse.csr_arra
     """
     ids = elements_of(model)
     order = np.argsort(ids, kind="stable")
-    rows = [np.full(len(c.elements), i) for i, c in enumerate(candidates)]
-    wanted = np.concatenate(
-        [np.zeros(0, dtype=np.int64), *(np.array(c.elements, dtype=np.int64) for c in candidates)]
-    )
+    wanted = np.array([e for c in candidates for e in c.elements], dtype=np.int64)
+    rows = np.repeat(np.arange(len(candidates)), [len(c.elements) for c in candidates])
     at = order[np.searchsorted(ids[order], wanted).clip(max=ids.size - 1)]
     there = ids[at] == wanted
-    entries = (
-        np.ones(there.sum()),
-        (np.concatenate([np.zeros(0, dtype=np.int64), *rows])[there], at[there]),
-    )
+    entries = (np.ones(there.sum()), (rows[there], at[there]))
     return sparse.csr_array(sparse.coo_array(entries, shape=(len(candidates), ids.size)))

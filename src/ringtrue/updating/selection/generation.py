@@ -30,7 +30,7 @@ from ringtrue.updating.selection.candidates import (
     Candidate,
     CandidateSettings,
     Catalogue,
-    Description,
+    Draft,
     Entry,
     Kind,
     amount,
@@ -38,7 +38,6 @@ from ringtrue.updating.selection.candidates import (
     given_fields,
     ids_of,
     listed,
-    new_candidate,
 )
 
 _ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
@@ -53,7 +52,7 @@ NONE = 1e-7  # likewise: a bound must not be the nominal value
 _FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
 
 
-def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[Candidate, ...]:
+def generate(model: Model, settings: CandidateSettings) -> tuple[Candidate, ...]:
     """All candidates of a deck that an element uses, in the order material, property, region,
     spring, mass.
 
@@ -64,11 +63,11 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     InputError
         If the deck gives none.
     """
-    s = (settings or CandidateSettings()).of(model)
-    makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Candidate]]] = {
+    s = settings.of(model)
+    makers: dict[Kind, Callable[[Model, CandidateSettings], Iterator[Draft]]] = {
         "material": lambda m, s: _fields(m, s, "material", MATERIALS),
         "property": lambda m, s: chain(
-            _fields(m, s, "property", SECTIONS), _laminates(m, s), _outlines(m, s)
+            _fields(m, s, "property", SECTIONS), _laminates(m), _outlines(m, s)
         ),
         "region": regions,
         "spring": lambda m, s: _grouped(m, s, "spring", SPRINGS),
@@ -77,7 +76,8 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
     found: dict[object, Candidate] = {}
     for kind, make in makers.items():
         if kind in s.kinds:
-            for c in make(model, s):
+            for draft in make(model, s):
+                c = draft.candidate()
                 # equal for candidates that do the same
                 fields = frozenset((t.card, t.id, t.field) for t in c.parameter.targets)
                 effect = (fields, c.parameter.substructures, c.elements)
@@ -89,7 +89,7 @@ def generate(model: Model, settings: CandidateSettings | None = None) -> tuple[C
 
 def _fields(
     model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue
-) -> Iterator[Candidate]:
+) -> Iterator[Draft]:
     """One candidate a card and field."""
     for card, entries in catalogue.items():
         if card not in model:
@@ -103,21 +103,16 @@ def _fields(
                 continue
             for fields, word, quantity in entries:
                 given = given_fields(table, row, fields)
-                if given:
-                    targets = [
-                        CardField(card, ident, f) for f in given + _other_end(table, row, given)
-                    ]
-                    name = f"{card} {ident} {given[0]}"
-                    what = (
-                        f"{word} {amount(float(table[given[0]][row]), quantity, s)} of "
-                        f"{counted(rows)}"
-                    )
-                    yield new_candidate(
-                        s,
-                        Description(kind, name, what, quantity),
-                        elements=ids_of(model, rows),
-                        targets=targets,
-                    )
+                if not given:
+                    continue
+                every = given + _other_end(table, row, given)
+                targets = [CardField(card, ident, f) for f in every]
+                name = f"{card} {ident} {given[0]}"
+                value = amount(float(table[given[0]][row]), quantity, s)
+                what = f"{word} {value} of {counted(rows)}"
+                yield Draft(
+                    kind, name, what, quantity, elements=ids_of(model, rows), targets=targets
+                )
 
 
 def _other_end(table: Table, row: int, given: Sequence[str]) -> list[str]:
@@ -128,7 +123,7 @@ def _other_end(table: Table, row: int, given: Sequence[str]) -> list[str]:
     return [b for a, b in pairs if table[b][row] != table[a][row] and table[b][row] != 0]
 
 
-def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
+def _laminates(model: Model) -> Iterator[Draft]:
     """The thickness of all plies of a laminate, by one factor."""
     for card in ("PCOMP", "PCOMPG"):
         for row, ident in enumerate(model[card].ids.tolist() if card in model else []):
@@ -137,11 +132,9 @@ def _laminates(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 t = model[card].ragged("T").row(row)
                 targets = [CardField(card, ident, f"T{k + 1}") for k in range(t.size)]
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
-                yield new_candidate(
-                    s,
-                    Description("property", f"{card} {ident} T", what, "length"),
-                    elements=ids_of(model, rows),
-                    targets=targets,
+                name = f"{card} {ident} T"
+                yield Draft(
+                    "property", name, what, "length", elements=ids_of(model, rows), targets=targets
                 )
 
 
@@ -155,7 +148,7 @@ def _made(model: Model, card: str) -> set[int]:
     }
 
 
-def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
+def _outlines(model: Model, s: CandidateSettings) -> Iterator[Draft]:
     """All dimensions of a section by one factor, each by itself where it stays a section, its
     non-structural mass.
     """
@@ -167,30 +160,30 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 continue
             kind = table["TYPE"][row]
             where = ids_of(model, rows)
-            ends = {
-                name: table.ragged(name).row(row)
-                for name in ("DIM", "DIMB")
-                if name in table.columns
-            }
-            fields = [
-                [f"{n}{k + 1}" for n, values in ends.items() if values.size]
-                for k in range(ends["DIM"].size)
-            ]
+            given_ends = [n for n in ("DIM", "DIMB") if n in table.columns]
+            ends = {n: table.ragged(n).row(row) for n in given_ends}
+            ends = {n: values for n, values in ends.items() if values.size}
+            fields = [[f"{n}{k + 1}" for n in ends] for k in range(ends["DIM"].size)]
             of = f"of the {kind} section of {counted(rows)}"
             every = [CardField(card, ident, f) for one in fields for f in one]
-            yield new_candidate(
-                s,
-                Description("property", f"{card} {ident} DIM", f"all dimensions {of}", "section"),
+            name = f"{card} {ident}"
+            yield Draft(
+                "property",
+                f"{name} DIM",
+                f"all dimensions {of}",
+                "section",
                 elements=where,
                 targets=every,
             )
             for k, one in enumerate(fields if len(fields) > 1 else []):
-                if all(_stays(kind, values.tolist(), k) for values in ends.values() if values.size):
+                if all(_stays(kind, values.tolist(), k) for values in ends.values()):
                     what = f"dimension {k + 1} ({amount(float(ends['DIM'][k]), 'length', s)}) {of}"
                     alone = [CardField(card, ident, f) for f in one]
-                    yield new_candidate(
-                        s,
-                        Description("property", f"{card} {ident} DIM{k + 1}", what, "length"),
+                    yield Draft(
+                        "property",
+                        f"{name} DIM{k + 1}",
+                        what,
+                        "length",
                         elements=where,
                         targets=alone,
                     )
@@ -198,11 +191,8 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
                 value = amount(float(table[given[0]][row]), "line", s)
                 what = f"non-structural mass {value} of {counted(rows)}"
                 masses = [CardField(card, ident, f) for f in given]
-                yield new_candidate(
-                    s,
-                    Description("property", f"{card} {ident} {given[0]}", what, "line"),
-                    elements=where,
-                    targets=masses,
+                yield Draft(
+                    "property", f"{name} {given[0]}", what, "line", elements=where, targets=masses
                 )
 
 
@@ -219,7 +209,7 @@ def _stays(kind: str, dimensions: list[float], k: int) -> bool:
 
 def _grouped(
     model: Model, s: CandidateSettings, kind: Kind, catalogue: Catalogue
-) -> Iterator[Candidate]:
+) -> Iterator[Draft]:
     """One candidate for all cards of equal value (one make of spring), and one for each card by
     itself.
     """
@@ -236,7 +226,14 @@ def _grouped(
             for group in _equal(values, live):
                 members = [[at] for at in group.tolist()] if group.size > 1 else []
                 for at in [group.tolist(), *members]:
-                    yield _group(model, s, kind=kind, table=table, at=np.array(at), entry=entry)
+                    yield _group(
+                        model,
+                        s,
+                        kind=kind,
+                        table=table,
+                        at=np.array(at),
+                        entry=entry,
+                    )
 
 
 def _equal(values: Float, live: Int) -> list[Int]:
@@ -251,7 +248,7 @@ def _equal(values: Float, live: Int) -> list[Int]:
 
 def _group(
     model: Model, s: CandidateSettings, kind: Kind, table: Table, at: Int, entry: Entry
-) -> Candidate:
+) -> Draft:
     fields, word, quantity = entry
     ids = table.ids[at]
     targets = [
@@ -265,23 +262,14 @@ def _group(
     value = amount(float(table[lead][at[0]]), quantity, s)
     each = " each" if ids.size > 1 else ""
     name = f"{table.card} {listed(ids)} {field_name}"
-    return new_candidate(
-        s,
-        Description(kind, name, f"{word} {value}{each} of {counted(rows)}", quantity),
-        elements=ids_of(model, rows),
-        targets=targets,
-    )
+    what = f"{word} {value}{each} of {counted(rows)}"
+    return Draft(kind, name, what, quantity, elements=ids_of(model, rows), targets=targets)
 
 
-def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
+def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
     """The stiffness of each connected part of a property, and of pieces of it."""
-    structural = (
-        "CROD",
-        "CTUBE",
-        "CBAR",
-        "CBEAM",
-        *[c for c in affected_cards(model) if PROPERTY.get(c) in ("PSHELL", "PSOLID")],
-    )
+    plates = [c for c in affected_cards(model) if PROPERTY.get(c) in ("PSHELL", "PSOLID")]
+    structural = ("CROD", "CTUBE", "CBAR", "CBEAM", *plates)
     cards = [c for c in dict.fromkeys(structural) if c in model]
     if not cards:
         return
@@ -296,18 +284,14 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Candidate]:
         for k, part in enumerate(parts):
             whole = of[part]
             place = f" part {k + 1}" if len(parts) > 1 else ""
-            pieces = _cut(centre[whole], min(s.pieces, whole.size // s.smallest))
+            # at most four pieces of about equal size, of two elements or more
+            pieces = _cut(centre[whole], min(4, whole.size // 2))
             sets = [(place, whole)] if place else []
             if len(pieces) > 1:
                 sets += [(f"{place} piece {j + 1}", whole[p]) for j, p in enumerate(pieces)]
             for label, at in sets:
-                yield _region(
-                    model,
-                    s,
-                    f"{_property(model, key)} {key[1]}{label}",
-                    eid[at],
-                    centre[at].mean(axis=0),
-                )
+                name = f"{_property(model, key)} {key[1]}{label}"
+                yield _region(model, s, name, eid[at], centre[at].mean(axis=0))
 
 
 def _property(model: Model, key: tuple[str, int]) -> str:
@@ -319,21 +303,14 @@ def _property(model: Model, key: tuple[str, int]) -> str:
 def _connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
     """1 where an element (e) of the cards stands on a node (n), csr (e, n)."""
     grid = model["GRID"]
-    rows = []
-    cols = []
-    first = 0
+    parts = []
     for c in cards:
         ids = model[c].stack(*_NODE_FIELDS[c])
-        e, k = np.nonzero(ids > 0)
-        rows.append(e + first)
-        cols.append(grid.find(ids[e, k]))
-        first += len(ids)
-    at = (np.concatenate(rows), np.concatenate(cols))
-    keep = at[1] >= 0
-    made = sparse.coo_array(
-        (np.ones(int(keep.sum())), (at[0][keep], at[1][keep])), shape=(first, len(grid))
-    )
-    return sparse.csr_array(made)
+        node = grid.find(ids.ravel()).reshape(ids.shape)
+        e, k = np.nonzero((ids > 0) & (node >= 0))
+        entries = (np.ones(e.size), (e, node[e, k]))
+        parts.append(sparse.coo_array(entries, shape=(len(ids), len(grid))))
+    return sparse.csr_array(sparse.vstack(parts))
 
 
 def _islands(nodes: sparse.csr_array) -> list[Int]:
@@ -360,13 +337,11 @@ def _cut(centre: Float, pieces: int) -> list[Int]:
     return parts
 
 
-def _region(
-    model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float
-) -> Candidate:
+def _region(model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float) -> Draft:
     """Young's modulus as these elements see it; a factor on their stiffness where they are not
     isotropic.
     """
-    place = ", ".join(f"{x:.3g}" for x in centre.tolist())
+    place = ", ".join(f"{x:.3g}" for x in centre)
     what = f"stiffness of {elements.size} elements around ({place}) {s.unit('length')}".strip()
     ids = tuple(np.unique(elements).tolist())
     targets = []
@@ -374,29 +349,18 @@ def _region(
         row = int(model["MAT1"].find(np.array([mid]))[0])
         targets += [CardField("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
     if targets:
-        return new_candidate(
-            s,
-            Description("region", f"{label} E", what, "modulus"),
-            elements=elements,
-            targets=targets,
-        )
-    return new_candidate(
-        s,
-        Description("region", f"{label} K", what, "modulus"),
-        elements=elements,
-        substructures=[Substructure("stiffness", ids)],
-    )
+        return Draft("region", f"{label} E", what, "modulus", elements=elements, targets=targets)
+    part = (Substructure("stiffness", ids),)
+    return Draft("region", f"{label} K", what, "modulus", elements=elements, substructures=part)
 
 
 def _isotropic(model: Model, elements: Int) -> list[int]:
     """The MAT1 of the elements; none if one of them has another material."""
     found: set[int] = set()
     for card in affected_cards(model):
-        pid = (
-            model[card]["PID"][np.isin(model[card].ids, elements)]
-            if "PID" in model[card].columns
-            else np.zeros(0)
-        )
+        if "PID" not in model[card].columns:
+            continue
+        pid = model[card]["PID"][np.isin(model[card].ids, elements)]
         prop = PROPERTY.get(card, "")
         if not pid.size:
             continue
@@ -454,7 +418,11 @@ def lumped(
     ids = np.arange(first, first + nodes.size)
     frames = np.zeros(nodes.size, dtype=np.int64)
     made = table(
-        "CONM2", EID=ids, G=nodes, CID=frames, **dict.fromkeys(_FIELDS, np.zeros(nodes.size))
+        "CONM2",
+        EID=ids,
+        G=nodes,
+        CID=frames,
+        **dict.fromkeys(_FIELDS, np.zeros(nodes.size)),
     )
     whole = stacked(model["CONM2"], made) if "CONM2" in model else made
     at = positions(model)[model["GRID"].find(nodes)].tolist()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.fem.assembly import System
 from ringtrue.fem.element_cards import mesh, pieces
@@ -33,8 +33,12 @@ EXPANSION_MISFIT = 0.02  # relative error of a measured shape that its expansion
 SCARCE = 1e-4  # share of strain energy below which a concentration says nothing
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ElementErrors:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class ElementErrors(FrozenArrays):
     """Local error indicators; each is a share, so that its column sums to 1 over the elements.
 
     Attributes
@@ -60,47 +64,26 @@ class ElementErrors:
     strain: Float
     relative: Float
 
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            elements=np.int64,
-            force=f,
-            constitutive=f,
-            energy=f,
-            strain=f,
-            relative=f,
-        )
+    def concentration(self, members: sparse.csr_array) -> dict[str, Float]:
+        """Share of the error over share of the strain energy of each candidate, (p,), by indicator:
+        1 where the error is spread evenly.
 
-    def shares(self, members: sparse.csr_array) -> dict[str, Float]:
-        """Of each indicator, the share that falls on the elements of each candidate, (p,).
+        0 for candidates with less than 1e-4 of the strain energy, of which the test shapes say
+        nothing.
 
         Parameters
         ----------
         members : (p, e) scipy.sparse.csr_array
             As `candidates.membership` gives it.
         """
-        of = {
+        strain = members @ self.strain
+        kinds = {
             "force": self.force,
             "constitutive": self.constitutive,
             "energy": self.energy,
-            "strain": self.strain,
         }
-        return {name: np.asarray(members @ value) for name, value in of.items()}
-
-    def concentration(self, members: sparse.csr_array) -> dict[str, Float]:
-        """Share of the error over share of the strain energy, (p,): 1 where the error is spread
-        evenly.
-
-        0 for candidates with less than 1e-4 of the strain energy, of which the test shapes say
-        nothing.
-        """
-        share = self.shares(members)
-        strain = share.pop("strain")
-        enough = strain > SCARCE
-        return {
-            n: np.where(enough, v / np.where(enough, strain, 1.0), 0.0) for n, v in share.items()
-        }
+        over = np.where(strain > SCARCE, strain, np.inf)
+        return {name: members @ value / over for name, value in kinds.items()}
 
 
 def reduced_errors(
@@ -127,11 +110,16 @@ def reduced_errors(
     _, own = reduced.coordinates(np.zeros(len(reduced.active)))
     u = b.vectors @ np.hstack([found.shapes, own[:, partners]])
     solve = reduced.pencil.at(reduced.shift).solve
-    full = u[:, : frequencies.size]
-    mine = u[:, frequencies.size :]
-    return expanded_errors(
-        model, system, frequencies=frequencies, shapes=full, own=mine, solve=solve
-    ), found.misfit
+    full, mine = np.hsplit(u, [frequencies.size])
+    errors = expanded_errors(
+        model,
+        system,
+        frequencies=frequencies,
+        shapes=full,
+        own=mine,
+        solve=solve,
+    )
+    return errors, found.misfit
 
 
 def expanded_errors(
@@ -175,7 +163,7 @@ def expanded_errors(
 
 def _share(x: Float) -> Float:
     total = float(x.sum())
-    return np.asarray(x / total if total > 0 else np.zeros_like(x))
+    return x / total if total > 0 else np.zeros_like(x)
 
 
 def strain_energies(m: Mesh, system: System, vectors: Float) -> Float:
@@ -239,8 +227,12 @@ def _by_element(touch: sparse.csr_array, nodal: Float) -> Float:
     return np.asarray(touch @ (nodal / np.asarray(count)[:, None]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Variation:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Variation(FrozenArrays):
     """What each candidate explains by itself, at the minimum of J over it alone (linearised, inside
     its bounds).
 
@@ -259,10 +251,6 @@ class Variation:
     frequency: Float
     mac: Float
     gain: Float
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, x=f, frequency=f, mac=f, gain=f)
 
 
 def variation(target: Target, r: Residual, parameters: ParameterSet) -> Variation:
@@ -284,15 +272,15 @@ def variation(target: Target, r: Residual, parameters: ParameterSet) -> Variatio
     after = (value[:, None] - g * x) ** 2
     before = value[:, None] ** 2
 
-    def fall(rows: Bool) -> Float:
+    def fall(quantity: Quantity) -> Float:
+        rows = r.quantity == quantity.value
         total = float(before[rows].sum())
-        # 1e-12: squared weighted residual below which there is nothing to explain
-        return np.asarray(
-            1 - after[rows].sum(axis=0) / total if total > 1e-12 else np.zeros(x.size)
-        )
+        if total <= 1e-12:  # squared weighted residual below which there is nothing to explain
+            return np.zeros(x.size)
+        return np.asarray(1 - after[rows].sum(axis=0) / total)
 
     shapes = np.zeros(x.size)
     if target.weights.shape > 0:
-        shapes = fall(r.quantity == Quantity.SHAPE.value)
+        shapes = fall(Quantity.SHAPE)
     gain = before.sum() - after.sum(axis=0) - (x / prior) ** 2
-    return Variation(x, fall(r.quantity == Quantity.FREQUENCY.value), shapes, gain)
+    return Variation(x, fall(Quantity.FREQUENCY), shapes, gain)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.errors import InputError
 from ringtrue.updating.identifiability import cosines
@@ -126,8 +126,12 @@ class Proposed:
         return (self.name, *self.collinear, *self.rivals)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
+class Proposal(FrozenArrays):
     """What to update, in the order of worth.
 
     Attributes
@@ -169,19 +173,6 @@ class Proposal:
     paired: Int
     discrepancy: Float
     orders: Mapping[str, tuple[str, ...]]
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            sizes=np.int64,
-            criteria=f,
-            clusters=np.int64,
-            x=f,
-            mac=f,
-            paired=np.int64,
-            discrepancy=f,
-        )
 
     def text(self) -> str:
         """The proposal in words, a line each."""
@@ -301,7 +292,7 @@ def _explained(
         members=tuple(sorted(tested, key=lambda m: -m.worth)),
         sizes=np.array([c.members.size for c in found.path[:-1]]),
         criteria=found.criteria[:-1],
-        insensitive=tuple(p.names[i] for i in quiet_ones.tolist()),
+        insensitive=tuple(p.names[i] for i in quiet_ones),
         clusters=search.groups,
         x=best.x,
         before=deviations[0],
@@ -352,7 +343,7 @@ def _tested(
             tried.append(search.fit(members, x))
     values = aicc(search, [best, replace(without, members=np.array(stay, dtype=np.int64)), *tried])
     rise = values - values[0]
-    rivals = [t for t, d in zip(tried, rise[2:].tolist(), strict=True) if d < PROPOSAL.rival]
+    rivals = [t for t, d in zip(tried, rise[2:], strict=True) if d < PROPOSAL.rival]
     if mirror is not None:
         twins = np.append(twins, mirror)
     member = Proposed(
@@ -361,7 +352,7 @@ def _tested(
         factor=float(p.take([index]).factors(best.x[[index]])[0]),
         std=std,
         worth=float(rise[1]),
-        collinear=tuple(p.names[i] for i in np.setdiff1d(twins, best.members).tolist()),
+        collinear=tuple(p.names[i] for i in np.setdiff1d(twins, best.members)),
         rivals=tuple(p.names[t.members[-1]] for t in rivals),
         because="",
         lump=p.parameters[index].lump,
@@ -381,7 +372,11 @@ def _at_minimum(search: Search, here: Here, members: Sequence[int]) -> Float:
     return np.clip(x, *search.problem.parameters.bounds())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _ReasonsLeftOut:
     """Why a parameter is proposed.
 
@@ -477,7 +472,7 @@ def _orders(search: Search, zero: Residual, single: Variation) -> dict[str, tupl
     out = {}
     for rule, order in orders.items():
         _, first = np.unique(search.groups[order], return_index=True)
-        out[rule] = tuple(names[i] for i in order[np.sort(first)][:10].tolist())
+        out[rule] = tuple(names[i] for i in order[np.sort(first)][:10])
     return out
 
 
@@ -497,7 +492,7 @@ def stated_errors(search: Search, best: FittedSet, end: Residual) -> Float:
     g = end.slope[:, every] * prior
     inverse = np.linalg.inv(g.T @ g + np.eye(len(every)))
     step = inverse @ (g.T @ end.value - best.x[every] / prior)
-    return np.asarray((np.sqrt(np.diag(inverse) + step**2) * prior)[: len(members)])
+    return (np.sqrt(np.diag(inverse) + step**2) * prior)[: len(members)]
 
 
 def mirrored(search: Search, best: FittedSet, zero: Residual) -> dict[int, int]:

@@ -65,7 +65,6 @@ def effective(
     candidates: Sequence[Candidate],
     values: Float,
     vectors: Float,
-    least: float = 1e-5,
 ) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
     """Those candidates that change one of the modes, and those that do not.
 
@@ -76,18 +75,18 @@ def effective(
     ----------
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
-    least : float
-        Share of a mode's strain and kinetic energy from which on a candidate changes it.
     """
     strain, kinetic = effects(model, system, candidates, values, vectors)
     most = (np.abs(strain) + np.abs(kinetic)).max(axis=0, initial=0.0)
-    keep = tuple(c for c, size in zip(candidates, most.tolist(), strict=True) if size > least)
-    lost = tuple(
-        Dropped(c.name, f"no mode has more than {size:.1e} of its energy in {c.what}")
-        for c, size in zip(candidates, most.tolist(), strict=True)
-        if size <= least
-    )
-    return keep, lost
+    keep = []
+    lost = []
+    for c, size in zip(candidates, most, strict=True):
+        if size > SIZES.effective:
+            keep.append(c)
+        else:
+            why = f"no mode has more than {size:.1e} of its energy in {c.what}"
+            lost.append(Dropped(c.name, why))
+    return tuple(keep), tuple(lost)
 
 
 def effects(
@@ -106,7 +105,11 @@ def effects(
     return dk / lam[:, None], dm
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class SeenModes:
     """Modes of a model, of unit modal mass, on all its degrees of freedom and at the channels.
 
@@ -151,7 +154,11 @@ def misfits(
     return kinds[0].made(*found[0]), kinds[1].made(*found[1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class _Kind:
     """A kind of misfit before the candidates are asked.
 
@@ -243,6 +250,8 @@ class ScreeningSizes:
         Points of the prior whose modes it holds, with those of each candidate by itself.
     matrices : int
         Matrices that those acting on one element may keep of all theirs: they take the memory.
+    effective : float
+        Share of a mode's energy from which on a candidate changes it.
     elements : int
         Elements of a deck of which 100 matrices each are little: up to there it is counted what
         is kept.
@@ -252,6 +261,7 @@ class ScreeningSizes:
     vectors: int = 160
     draws: int = 20
     matrices: int = 100
+    effective: float = 1e-5
     elements: int = 1000
 
 
@@ -281,7 +291,11 @@ class OtherData(Protocol):
         """Modes and data of a model that is searched with."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class ScreenedDeck:
     """A deck as its candidates are screened.
 
@@ -322,7 +336,7 @@ def screened(
     look: Look,
     pool: int,
     *,
-    settings: SearchSettings = DEFAULT_SEARCH,
+    settings: SearchSettings,
     progress: Progress = quiet,
 ) -> tuple[Candidate, ...]:
     """Up to `pool` of the candidates, in their order.
@@ -352,7 +366,7 @@ def screened(
 
     kept = counted_once(deck.model)
     at = close(deck.model, candidates, seen(None, np.zeros(0), ()), pool, kept=kept)
-    some = tuple(candidates[i] for i in at.tolist())
+    some = tuple(candidates[i] for i in at)
     if len(some) == len(candidates):
         return some
     search, whole = look(some)
@@ -371,7 +385,7 @@ def screened(
     stay = at[np.isin(groups, groups[best.members])].tolist()
     near = [(r + g @ x, g) for r, g in seen(whole, best.x, at.tolist())]
     last = close(deck.model, candidates, near, pool, stay=stay, kept=kept)
-    return tuple(candidates[i] for i in last.tolist())
+    return tuple(candidates[i] for i in last)
 
 
 def close(
@@ -402,7 +416,7 @@ def close(
     own = np.flatnonzero(~mass)
     first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not mass[i]][: 2 * most]
     near = tractable(model, [candidates[i] for i in first], most, kept)
-    out = [first[i] for i in near.tolist()]
+    out = [first[i] for i in near]
     if mass.any():
         every = _in_turn(misfits, np.arange(mass.size), 2 * most, stay)
         out += [i for i in every if mass[i]][: most // 2]
@@ -558,7 +572,7 @@ def drawn(p: ParameterSet, separate: Bool, rng: np.random.Generator) -> list[Flo
     points = [np.zeros(len(p)), *np.diag(std), *np.diag(-std)]
     for x in std * rng.standard_normal((SIZES.draws, len(p))):
         taken = np.zeros(len(p), dtype=np.bool_)
-        for i in rng.permutation(len(p)).tolist():  # over candidates
+        for i in rng.permutation(len(p)):  # over candidates
             taken[i] = not (separate[i] & taken).any()
         points.append(np.where(taken, x, 0.0))
     return [np.clip(x, low, high) for x in points]

@@ -14,7 +14,7 @@ from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.updating.identifiability import COLLINEARITY
+from ringtrue.updating.identifiability import COLLINEARITY, cosines
 from ringtrue.updating.problem import Configuration, Problem, doubting, held_to, residual_at
 from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.solver import Method, solve
@@ -22,16 +22,18 @@ from ringtrue.updating.solver import Method, solve
 LEAST_GAIN = 0.01  # relative fall of J that an exchange must promise and keep
 SHORT = 6  # iterations of an updating after each change of the set
 RULES = {
-    "best subset": "forward selection on J with re-linearisation after each choice, then, from "
-    "it and from the two "
-    "simpler sets, exchange of members while J falls; each trial is a bounded Gauss-Newton "
-    "prediction, confirmed by a "
-    "short updating",
-    "orthogonal sensitivities": "QR with column pivoting of the weighted sensitivities scaled by "
-    "the prior: the "
-    "parameters that span most, whatever the residual",
-    "largest sensitivities": "the largest weighted sensitivities scaled by the prior, overlap "
-    "ignored",
+    "best subset": (
+        "forward selection on J with re-linearisation after each choice, then, from it and from "
+        "the two simpler sets, exchange of members while J falls; each trial is a bounded "
+        "Gauss-Newton prediction, confirmed by a short updating"
+    ),
+    "orthogonal sensitivities": (
+        "QR with column pivoting of the weighted sensitivities scaled by the prior: the "
+        "parameters that span most, whatever the residual"
+    ),
+    "largest sensitivities": (
+        "the largest weighted sensitivities scaled by the prior, overlap ignored"
+    ),
 }
 SHORT_METHOD = Method("levenberg-marquardt")
 TIE = 1e-9  # relative difference up to which two norms of sensitivities are equal
@@ -48,7 +50,11 @@ class Candidates(Protocol):
     def with_parameters(self, active: Sequence[int], base: Float | None = None) -> Self: ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class FittedSet:
     """A subset, and where a short updating took it.
 
@@ -167,9 +173,16 @@ def _promising(problem: Problem, now: FittedSet, options: Sequence[list[int]]) -
     for at in options:
         gone = np.setdiff1d(np.flatnonzero(now.x), at)
         value = r.value + r.slope[:, gone] @ now.x[gone]  # what is not a member goes back to 0
-        j = predicted(r.slope[:, at], value, x=now.x[at], w=w[at], low=low[at], high=high[at])
+        j = predicted(
+            r.slope[:, at],
+            value,
+            x=now.x[at],
+            w=w[at],
+            low=low[at],
+            high=high[at],
+        )
         values.append(rounded(j))
-    return [options[i] for i in np.argsort(values, kind="stable").tolist()]
+    return [options[i] for i in np.argsort(values, kind="stable")]
 
 
 def _grown(problem: Problem, count: int, progress: Progress) -> FittedSet:
@@ -237,8 +250,7 @@ def largest(sensitivities: Float, count: int) -> Int:
 
 def collinear_pairs(sensitivities: Float, names: Sequence[str]) -> tuple[str, ...]:
     """Pairs of candidates whose effects the data cannot separate, a line each."""
-    unit = sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-300)
-    cosine = np.abs(unit.T @ unit)
+    cosine = cosines(sensitivities)
     a, b = np.nonzero(np.triu(cosine, 1) > COLLINEARITY.cosine)
     return tuple(
         f"{names[i]} and {names[j]} have the same effect on the measured modes "
@@ -252,5 +264,5 @@ def falling(value: Float) -> Int:
 
     Values are equal to nine digits of the largest: rounding must not choose between candidates.
     """
-    largest_value = max(float(value.max(initial=0.0)), 1e-300)
+    largest_value = max(value.max(initial=0.0), 1e-300)
     return np.argsort(-np.round(value / largest_value, 9), kind="stable")

@@ -75,7 +75,11 @@ class SearchSettings:
 DEFAULT_SEARCH = SearchSettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Here:
     """The residuals linearised about a point x (p,), with the residual (r,) there when some members
     are put back to 0.
@@ -95,7 +99,11 @@ class Here:
 Ranked = list[tuple[float, list[int]]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Search:
     """The candidates, what they are fitted to, and which of them may enter.
 
@@ -190,7 +198,12 @@ class Search:
         """
         sharp = weighed(self.problem, found)
         again = Search.of(sharp, self.settings, conflicts=self.conflicts, start=start)
-        return replace(again, problem=doubting(sharp), assumed=self.assumed, pool=self.pool)
+        return replace(
+            again,
+            problem=doubting(sharp),
+            assumed=self.assumed,
+            pool=self.pool,
+        )
 
     def point(self, x: Float) -> Residual:
         """Residuals and sensitivities to all candidates at x, computed once."""
@@ -202,11 +215,9 @@ class Search:
     def value(self, x: Float) -> Residual:
         """Residuals at x, computed once, with sensitivities only where these are known."""
         key = x.tobytes()
-        if key in self.points:
-            return self.points[key]
-        if key not in self.values:
+        if key not in self.points and key not in self.values:
             self.values[key] = residual_at(self.problem, x, slopes=False)
-        return self.values[key]
+        return self.points.get(key) or self.values[key]
 
     def fit(self, members: Sequence[int], x: Float, limit: int = SHORT) -> FittedSet:
         """A short updating from x, or from the nominal model where x cannot be solved; done
@@ -268,7 +279,14 @@ class Search:
         y = np.linalg.solve(g.T @ g + np.diag(w), g.T @ load)
         if (y >= low).all() and (y <= high).all():
             return float(np.sum((load - g @ y) ** 2) + w @ y**2)
-        return predicted(g, here.value, x=here.x[i], w=w, low=low, high=high)
+        return predicted(
+            g,
+            here.value,
+            x=here.x[i],
+            w=w,
+            low=low,
+            high=high,
+        )
 
     def best(self, here: Here, stay: Sequence[int], free: Int) -> Ranked:
         """Sets `stay` + one of `free`, by predicted J; a cheap bound chooses those looked at."""
@@ -334,7 +352,11 @@ def _compact(r: Residual) -> Residual:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Subsets:
     """The sets that were found.
 
@@ -459,9 +481,9 @@ def _path(
     path = [none]
     for k in range(1, min(most, int(data) - 4) + 1):  # AICc needs more data than parameters
         now = path[-1]
-        tried = [c for c in few if c.members.size == k] or _with_one_more(search, now)
+        tried = [c for c in few if c.members.size == k] or _with_more(search, now, 1)
         if k > 1:
-            tried += _with_two_more(search, path[-2])
+            tried += _with_more(search, path[-2], 2)
         tried += _with_one_far(search, now, tried)
         if not tried:
             break
@@ -469,29 +491,19 @@ def _path(
         more = [c for c in few if k < c.members.size <= most]
         if k >= later and np.argmin(criteria(search, [*path, *more])) <= k - later:
             break  # more parameters do not pay
-        progress(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members.tolist())}")
+        progress(k / most, f"best {k}: {', '.join(names[i] for i in path[-1].members)}")
     return path
 
 
-def _with_one_more(search: Search, now: FittedSet) -> list[FittedSet]:
-    """Sets with one member more."""
+def _with_more(search: Search, now: FittedSet, count: int) -> list[FittedSet]:
+    """Sets with one or two members more."""
     r = search.point(now.x)
     stay = now.members.tolist()
     free = search.free(stay)
-    if not free.size or not r.used.any():
+    if free.size < count or not r.used.any():
         return []
-    options = search.best(Here.of(r, now.x), stay, free)[: search.settings.trials]
-    return [search.fit(at, now.x) for _, at in options]
-
-
-def _with_two_more(search: Search, now: FittedSet) -> list[FittedSet]:
-    """Sets with two members more."""
-    r = search.point(now.x)
-    stay = now.members.tolist()
-    free = search.free(stay)
-    if free.size < 2 or not r.used.any():
-        return []
-    options = search.best_pairs(Here.of(r, now.x), stay, free)[: search.settings.trials]
+    best = search.best if count == 1 else search.best_pairs
+    options = best(Here.of(r, now.x), stay, free)[: search.settings.trials]
     return [search.fit(at, now.x) for _, at in options]
 
 
@@ -599,7 +611,7 @@ def price(search: Search, sets: Sequence[Int]) -> Float:
 def _log_sets(pool: int, size: Int) -> Float:
     """ln of the number of sets of each size."""
     rest = gammaln(np.maximum(pool - size, 0) + 1)
-    return np.asarray(gammaln(pool + 1) - gammaln(size + 1) - rest)
+    return gammaln(pool + 1) - gammaln(size + 1) - rest
 
 
 def aicc(search: Search, path: Sequence[FittedSet]) -> Float:
