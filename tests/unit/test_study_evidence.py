@@ -381,7 +381,7 @@ def record(name: str, setup: str, drawn: bool) -> RecordSummary:
 def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     records = tuple(record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2))
     found = replace(done.results["identify"], records=records)
-    data = Stages.of({"identify": found}, "", "", Acceptance())
+    data = Stages("", "", Acceptance(), identify=found)
     section = system.survey(data)
     assert section is not None
     table = next(b for b in section.blocks if isinstance(b, ReportTable) and "Record" in b.heads[1])

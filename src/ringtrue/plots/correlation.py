@@ -29,6 +29,7 @@ from ringtrue.plots.style import (
     REMODELLED,
     SEQUENTIAL,
     TEST,
+    above_and_below,
     axis,
     f32,
     figure,
@@ -36,11 +37,7 @@ from ringtrue.plots.style import (
 from ringtrue.study.results import FrfEvidence
 
 
-def tracking_page(
-    title: str,
-    tracked: Tracked,
-    notes: Sequence[str] = (),
-) -> str:
+def tracking_page(title: str, tracked: Tracked, notes: Sequence[str]) -> str:
     """A self-contained page: frequencies and damping ratios of all modes through time.
 
     Parameters
@@ -84,7 +81,14 @@ def frequencies(tracked: Tracked) -> go.Figure:
     """Frequencies over time with one standard deviation."""
     fig = figure(460, xaxis=axis("Time, h"), yaxis=axis("Frequency, Hz"))
     for i, t in enumerate(tracked.tracks):
-        _series(fig, tracked, t=t, y=t.frequency, std=t.std_frequency, number=i)
+        _series(
+            fig,
+            tracked,
+            t=t,
+            y=t.frequency,
+            std=t.std_frequency,
+            number=i,
+        )
     return fig
 
 
@@ -92,7 +96,14 @@ def dampings(tracked: Tracked) -> go.Figure:
     """Damping ratios over time with one standard deviation."""
     fig = figure(340, xaxis=axis("Time, h"), yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, t in enumerate(tracked.tracks):
-        _series(fig, tracked, t=t, y=100 * t.damping, std=100 * t.std_damping, number=i)
+        _series(
+            fig,
+            tracked,
+            t=t,
+            y=100 * t.damping,
+            std=100 * t.std_damping,
+            number=i,
+        )
     return fig
 
 
@@ -136,7 +147,13 @@ def matrix(
             showgrid=False,
             ticks="",
         ),
-        yaxis=axis(rows.title, type="category", autorange="reversed", showgrid=False, ticks=""),
+        yaxis=axis(
+            rows.title,
+            type="category",
+            autorange="reversed",
+            showgrid=False,
+            ticks="",
+        ),
     )
     for a in (fig.layout.xaxis, fig.layout.yaxis):
         a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
@@ -241,25 +258,41 @@ def channels(c: CompleteCorrelation) -> go.Figure:
     )
     for n, span, (name, value, color) in zip(("", "2"), spans, sides, strict=False):
         fig.layout[f"xaxis{n}"] = axis(
-            f"{name}, %", domain=span, anchor=f"y{n}", rangemode="tozero"
+            f"{name}, %",
+            domain=span,
+            anchor=f"y{n}",
+            rangemode="tozero",
         )
         fig.layout[f"yaxis{n}"] = axis(
-            anchor=f"x{n}", type="category", autorange="reversed", showgrid=False, ticks=""
+            anchor=f"x{n}",
+            type="category",
+            autorange="reversed",
+            showgrid=False,
+            ticks="",
         )
         worst = np.argsort(-value, kind="stable")[:WORST]
-        names = [c.channels[i] for i in worst.tolist()]
-        fig.add_bar(y=names, x=f32(100 * value[worst]), orientation="h", marker_color=color)
+        names = [c.channels[i] for i in worst]
+        fig.add_bar(
+            y=names,
+            x=f32(100 * value[worst]),
+            orientation="h",
+            marker_color=color,
+        )
         fig.data[-1].update(
             xaxis=f"x{n}",
             yaxis=f"y{n}",
             hovertemplate=f"%{{y}}: {name} %{{x:.1f}} %<extra></extra>",
         )
     fig.layout.xaxis3 = axis(
-        "Channel left out, one by one", domain=spans[2], anchor="y3", tickangle=-60, showgrid=False
+        "Channel left out, one by one",
+        domain=spans[2],
+        anchor="y3",
+        tickangle=-60,
+        showgrid=False,
     )
     fig.layout.xaxis3.update(type="category", tickfont={"size": 10})
     fig.layout.yaxis3 = axis("Mean MAC, %", anchor="x3")
-    x = ["none", *(c.channels[i] for i in c.by_channel.elimination.order.tolist())]
+    x = ["none", *(c.channels[i] for i in c.by_channel.elimination.order)]
     look = {"color": TEST, "width": 1.6}
     fig.add_scatter(
         x=x,
@@ -285,7 +318,10 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
         460,
         showlegend=False,
         xaxis=axis(
-            tickvals=[0, 1, 2, 3], ticktext=list(steps), range=[-0.12, 3.12], showgrid=False
+            tickvals=[0, 1, 2, 3],
+            ticktext=list(steps),
+            range=[-0.12, 3.12],
+            showgrid=False,
         ),
         yaxis=axis("Frequency, Hz"),
     )
@@ -299,7 +335,11 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
         for i, certain in enumerate((overlap >= LOST).tolist()):
             line = {"width": 1.5, "color": color, "dash": "solid" if certain else "dot"}
             fig.add_scatter(
-                x=[i, i + 1], y=f32(f[i : i + 2]), mode="lines", line=line, hoverinfo="skip"
+                x=[i, i + 1],
+                y=f32(f[i : i + 2]),
+                mode="lines",
+                line=line,
+                hoverinfo="skip",
             )
         numbers = tracks.index[::-1, k] + 1
         shared = ["", *(f", MAC with the step before {100 * o:.0f} %" for o in overlap)]
@@ -333,10 +373,20 @@ def frf_agreement(e: FrfEvidence) -> go.Figure:
     """
     fig = figure(
         330,
-        xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
+        xaxis=axis(
+            domain=[0, 1],
+            anchor="y",
+            matches="x2",
+            showticklabels=False,
+        ),
         yaxis=axis("Shape, %", domain=[0.54, 1], range=[0, 102]),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=axis("Amplitude, %", domain=[0, 0.46], anchor="x2", range=[0, 102]),
+        yaxis2=axis(
+            "Amplitude, %",
+            domain=[0, 0.46],
+            anchor="x2",
+            range=[0, 102],
+        ),
     )
     sides: tuple[tuple[str, FrfComparison, str], ...] = (
         ("initial model", e.initial, MUTED),
@@ -344,18 +394,14 @@ def frf_agreement(e: FrfEvidence) -> go.Figure:
     )
     for name, c, color in sides:
         line = {"width": 1.6, "color": color}
-        x = f32(c.freqs)
-        fig.add_scatter(x=x, y=f32(100 * c.mean_shape), name=name, line=line, legendgroup=name)
-        y = f32(100 * c.mean_amplitude)
-        fig.add_scatter(
-            x=x,
-            y=y,
-            xaxis="x2",
-            yaxis="y2",
-            name=name,
-            line=line,
-            legendgroup=name,
-            showlegend=False,
+        shape, amplitude = (100 * x.mean(axis=1) for x in (c.shape, c.amplitude))
+        above_and_below(
+            fig,
+            name,
+            line,
+            x=c.freqs,
+            upper=shape,
+            lower=amplitude,
         )
     return fig
 
@@ -367,12 +413,28 @@ def fdac(values: Float, lines: Float, title: str) -> go.Figure:
     ends = [float(lines[0]), float(lines[-1])]
     fig = figure(
         400,
-        xaxis=axis(f"{title}, Hz", showgrid=False, constrain="domain", range=ends),
-        yaxis=axis("Test, Hz", showgrid=False, scaleanchor="x", constrain="domain", range=ends),
+        xaxis=axis(
+            f"{title}, Hz",
+            showgrid=False,
+            constrain="domain",
+            range=ends,
+        ),
+        yaxis=axis(
+            "Test, Hz",
+            showgrid=False,
+            scaleanchor="x",
+            constrain="domain",
+            range=ends,
+        ),
     )
     bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
     fig.add_heatmap(
-        z=f32(100 * values), x=f32(lines), y=f32(lines), zmin=-100, zmax=100, colorscale=DIVERGING
+        z=f32(100 * values),
+        x=f32(lines),
+        y=f32(lines),
+        zmin=-100,
+        zmax=100,
+        colorscale=DIVERGING,
     )
     fig.data[0].update(
         colorbar=bar,
@@ -397,7 +459,12 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     low = 0.0 if alone else 0.44
     fig = figure(
         300 if alone else 470,
-        xaxis=axis(type="category", anchor="y", matches="x2", showticklabels=False),
+        xaxis=axis(
+            type="category",
+            anchor="y",
+            matches="x2",
+            showticklabels=False,
+        ),
         yaxis=axis(
             "Δf, % of the test",
             domain=[low, 1],
@@ -405,7 +472,12 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             zerolinecolor="#5c6b7a",
             zerolinewidth=1,
         ),
-        xaxis2=axis("Test mode, Hz", type="category", anchor="y2", tickangle=-45),
+        xaxis2=axis(
+            "Test mode, Hz",
+            type="category",
+            anchor="y2",
+            tickangle=-45,
+        ),
         yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
     )
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
@@ -429,7 +501,13 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
         if alone:
             continue
-        fig.add_scatter(y=f32(table.mac_percent), xaxis="x2", yaxis="y2", showlegend=False, **drawn)
+        fig.add_scatter(
+            y=f32(table.mac_percent),
+            xaxis="x2",
+            yaxis="y2",
+            showlegend=False,
+            **drawn,
+        )
         fig.data[-1].customdata = f32(table.subspace_mac_percent)
         fig.data[-1].hovertemplate = (
             f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC "
@@ -439,7 +517,10 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:
         fig.layout.xaxis.update(
-            title=fig.layout.xaxis2.title, matches=None, showticklabels=True, tickangle=-45
+            title=fig.layout.xaxis2.title,
+            matches=None,
+            showticklabels=True,
+            tickangle=-45,
         )
         fig.update_layout(xaxis2=None, yaxis2=None)
     return fig

@@ -42,11 +42,7 @@ def _strokes(
     at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
     every = -(-at.size // LIMIT) or 1
     at = at[::every]
-    step = (
-        float(np.diff(diagram.poles.orders).min(initial=2))
-        if diagram.poles.orders.size > 1
-        else 2.0
-    )
+    step = float(np.diff(diagram.poles.orders).min(initial=2))
     x, y = ticks(f[at], order[at] - 0.42 * step, order[at] + 0.42 * step)
     return x, y, f" (one in {every} drawn)" if every > 1 else ""
 
@@ -62,25 +58,45 @@ def pole_span(diagram: StableDiagram) -> tuple[float, float]:
     return max(low - margin, 0.0), high + margin
 
 
+def spectrum(
+    diagram: StableDiagram, span: tuple[float, float], height: int, points: int
+) -> go.Figure:
+    """The axes of a stabilisation diagram, with the spectrum behind."""
+    fig = figure(
+        height,
+        xaxis=axis("Frequency, Hz", range=list(span)),
+        yaxis=axis("Model order", rangemode="tozero"),
+        yaxis2=axis(
+            "Spectrum, dB",
+            overlaying="y",
+            side="right",
+            showgrid=False,
+            tickmode="auto",
+            nticks=5,
+        ),
+    )
+    inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
+    inside = inside[:: max(1, inside.size // points)]
+    grey = {"width": 1, "color": "#b4bec8"}
+    x = f32(diagram.freqs[inside])
+    y = f32(diagram.level[inside])
+    fig.add_scatter(
+        x=x,
+        y=y,
+        yaxis="y2",
+        line=grey,
+        name="spectrum",
+        hoverinfo="skip",
+    )
+    return fig
+
+
 def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     """Poles by model order over the spectrum; the modes as marks. Drawn where there are poles."""
     span = pole_span(diagram)
     in_mode = diagram.cluster >= 0
-    fig = figure(
-        240,
-        xaxis=axis("Frequency, Hz", range=list(span)),
-        yaxis=axis("Model order", rangemode="tozero"),
-        yaxis2=axis(
-            "Spectrum, dB", overlaying="y", side="right", showgrid=False, tickmode="auto", nticks=5
-        ),
-    )
+    fig = spectrum(diagram, span, 240, points=1000)
     fig.update_layout(showlegend=False, margin={"r": 60, "t": 10})
-    inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
-    inside = inside[:: max(1, inside.size // 1000)]
-    grey = {"width": 1, "color": "#b4bec8"}
-    x = f32(diagram.freqs[inside])
-    y = f32(diagram.level[inside])
-    fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
     for name, chosen, color, width in (
         ("unstable", ~diagram.stable & ~in_mode, "#d3cbbd", 1.0),
         ("stable", diagram.stable & ~in_mode, QUALITATIVE[5], 1.6),
@@ -88,13 +104,24 @@ def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     ):
         x, y, note = _strokes(diagram, chosen, span)
         line = {"width": width, "color": color}
-        fig.add_scatter(x=x, y=y, mode="lines", line=line, name=name + note, hoverinfo="skip")
+        fig.add_scatter(
+            x=x,
+            y=y,
+            mode="lines",
+            line=line,
+            name=name + note,
+            hoverinfo="skip",
+        )
     top = float(diagram.poles.order.max(initial=1))
     f = modes.band(*span).frequencies
     mark = {"symbol": "triangle-down", "size": 8, "color": TEST}
     hover = "%{x:.3f} Hz<extra>mode</extra>"
     fig.add_scatter(
-        x=f32(f), y=np.full(f.shape, top * 1.05), mode="markers", marker=mark, name="mode"
+        x=f32(f),
+        y=np.full(f.shape, top * 1.05),
+        mode="markers",
+        marker=mark,
+        name="mode",
     )
     fig.data[-1].hovertemplate = hover
     return fig
@@ -110,15 +137,20 @@ def damping(
     fig = figure(320, xaxis=x, yaxis=axis("Damping ratio, %", rangemode="tozero"))
     for i, (name, modes, std) in enumerate(sets):
         color = (TEST, QUALITATIVE[0])[i % 2]
-        bar = (
-            {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3}
-            if std
-            else None
-        )
+        bar = None
+        if std:
+            bar = {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3}
         mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
         f = f32(modes.frequencies)
         y = f32(100 * modes.damping)
-        fig.add_scatter(x=f, y=y, error_y=bar, mode="markers", marker=mark, name=name)
+        fig.add_scatter(
+            x=f,
+            y=y,
+            error_y=bar,
+            mode="markers",
+            marker=mark,
+            name=name,
+        )
     if used is not None:
         mark = {
             "size": 9,
@@ -127,7 +159,13 @@ def damping(
             "line": {"width": 2, "color": FINAL},
         }
         f, y = (f32(x[elastic(used[0])]) for x in (used[0], 100 * used[1]))
-        fig.add_scatter(x=f, y=y, mode="markers", marker=mark, name="carried by the final model")
+        fig.add_scatter(
+            x=f,
+            y=y,
+            mode="markers",
+            marker=mark,
+            name="carried by the final model",
+        )
     return fig
 
 
@@ -143,8 +181,18 @@ def precision(modes: ModeSet, std: Float, expected: Float) -> go.Figure:
     )
     fig.layout.yaxis.update(type="log", dtick=1)
     names = [f"{f:.2f}" for f in modes.frequencies]
-    fig.add_bar(x=names, y=f32(100 * std), name="frequency", marker_color=FE)
-    fig.add_bar(x=names, y=f32(100 * expected), name="damping", marker_color=MUTED)
+    fig.add_bar(
+        x=names,
+        y=f32(100 * std),
+        name="frequency",
+        marker_color=FE,
+    )
+    fig.add_bar(
+        x=names,
+        y=f32(100 * expected),
+        name="damping",
+        marker_color=MUTED,
+    )
     return fig
 
 
@@ -160,9 +208,19 @@ def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
             f32(np.array([r[f"{k}_{name}"] for r in rows])) for k in ("planned", "found")
         )
         line = {"width": 1.6, "color": color}
-        fig.add_scatter(x=f, y=planned, mode="lines", line=line, name=f"{name}, planned")
         fig.add_scatter(
-            x=f, y=found, mode="markers", marker={"size": 7, "color": color}, name="found"
+            x=f,
+            y=planned,
+            mode="lines",
+            line=line,
+            name=f"{name}, planned",
+        )
+        fig.add_scatter(
+            x=f,
+            y=found,
+            mode="markers",
+            marker={"size": 7, "color": color},
+            name="found",
         )
         fig.data[-1].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
     return fig

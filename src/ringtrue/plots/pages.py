@@ -13,9 +13,19 @@ from ringtrue.core.arrays import Bool
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.identification.common.stabilisation import StableDiagram
-from ringtrue.plots.identification import pole_span
+from ringtrue.plots.identification import pole_span, spectrum
 from ringtrue.plots.signals import frf_unit
-from ringtrue.plots.style import FE, FONT, INK, QUALITATIVE, TEST, axis, f32, figure, log_axis
+from ringtrue.plots.style import (
+    FE,
+    FONT,
+    INK,
+    QUALITATIVE,
+    TEST,
+    above_and_below,
+    axis,
+    figure,
+    log_axis,
+)
 from ringtrue.viewer.view import script_json
 
 _PAGE_STYLE = (
@@ -117,24 +127,19 @@ def picker_page(title: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -
     """
     drawn = [d for d in diagrams if len(d.poles)]
     figures = [("{:.4g} to {:.4g} Hz".format(*pole_span(d)), pick_figure(d, modes)) for d in drawn]
-    return figure_page(title, figures, before=_BEFORE, after=_AFTER, script=_SCRIPT)
+    return figure_page(
+        title,
+        figures,
+        before=_BEFORE,
+        after=_AFTER,
+        script=_SCRIPT,
+    )
 
 
 def pick_figure(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     """Poles by model order as points that tell frequency, order, damping and standard deviation."""
     low, high = pole_span(diagram)
-    fig = figure(
-        420,
-        xaxis=axis("Frequency, Hz", range=[low, high]),
-        yaxis=axis("Model order", rangemode="tozero"),
-        yaxis2=axis("Spectrum, dB", overlaying="y", side="right", showgrid=False),
-    )
-    inside = np.flatnonzero((diagram.freqs >= low) & (diagram.freqs <= high))
-    inside = inside[:: max(1, inside.size // 2000)]
-    grey = {"width": 1, "color": "#b4bec8"}
-    x = f32(diagram.freqs[inside])
-    y = f32(diagram.level[inside])
-    fig.add_scatter(x=x, y=y, yaxis="y2", line=grey, name="spectrum", hoverinfo="skip")
+    fig = spectrum(diagram, (low, high), 420, points=2000)
     taken = diagram.cluster >= 0
     for name, which, color, size in (
         ("unstable pole", ~diagram.stable & ~taken, "#c9bfae", 4),
@@ -146,7 +151,13 @@ def pick_figure(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
     top = 1.05 * float(diagram.poles.order.max(initial=1))
     mark = {"symbol": "triangle-down", "size": 11, "color": TEST}
     order = np.zeros(f.size)
-    fig.add_scatter(x=f, y=np.full(f.size, top), mode="markers", marker=mark, name="mode")
+    fig.add_scatter(
+        x=f,
+        y=np.full(f.size, top),
+        mode="markers",
+        marker=mark,
+        name="mode",
+    )
     fig.data[-1].update(
         customdata=np.stack([f, order], axis=1).tolist(),
         hovertemplate="mode, %{x:.5f} Hz<extra></extra>",
@@ -161,7 +172,13 @@ def _poles(
     every = -(-at.size // MOST) or 1
     p = diagram.poles.take(at[::every])
     note = f" (one in {every} drawn)" if every > 1 else ""
-    fig.add_scatter(x=p.frequencies, y=p.order, mode="markers", marker=mark, name=name + note)
+    fig.add_scatter(
+        x=p.frequencies,
+        y=p.order,
+        mode="markers",
+        marker=mark,
+        name=name + note,
+    )
     hover_data = np.stack(
         [p.frequencies, p.order, 100 * p.damping, np.nan_to_num(p.std_frequency)], axis=1
     )
@@ -184,7 +201,11 @@ def responses(data: FrfSet, column: int) -> go.Figure:
     fig = figure(
         520,
         showlegend=True,
-        xaxis=axis(anchor="y", matches="x2", showticklabels=False),
+        xaxis=axis(
+            anchor="y",
+            matches="x2",
+            showticklabels=False,
+        ),
         yaxis=log_axis(f"|H|, {frf_unit(data)}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
         yaxis2=axis(
@@ -195,21 +216,17 @@ def responses(data: FrfSet, column: int) -> go.Figure:
             range=[-190, 190],
         ),
     )
-    x = f32(data.freqs)
     for i, c in enumerate(data.outputs):
         h = data.data[:, i, column]
         line = {"width": 1.3, "color": QUALITATIVE[i % 8]}
         size = np.where(h == 0, np.nan, np.abs(h))
-        fig.add_scatter(x=x, y=f32(size), name=c.id, line=line, legendgroup=c.id)
-        y = f32(np.degrees(np.angle(h)))
-        fig.add_scatter(
-            x=x,
-            y=y,
-            name=c.id,
-            line=line,
-            legendgroup=c.id,
-            showlegend=False,
-            xaxis="x2",
-            yaxis="y2",
+        phase = np.degrees(np.angle(h))
+        above_and_below(
+            fig,
+            c.id,
+            line,
+            x=data.freqs,
+            upper=size,
+            lower=phase,
         )
     return fig

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.arrays import Float
 from ringtrue.plots.style import (
     FINAL,
     INITIAL,
@@ -18,6 +18,7 @@ from ringtrue.plots.style import (
     f32,
     figure,
     log_axis,
+    rule,
 )
 from ringtrue.study.results import DampedModes, DampedRegions
 from ringtrue.updating.prediction import RunUp
@@ -48,17 +49,31 @@ def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: 
         both = np.concatenate([high[i], low[i][::-1]])
         around = np.concatenate([x, x[::-1]])
         fig.add_scatter(
-            x=f32(around), y=f32(both), fill="toself", fillcolor=_faint(color), line={"width": 0}
+            x=f32(around),
+            y=f32(both),
+            fill="toself",
+            fillcolor=_faint(color),
+            line={"width": 0},
         )
-        fig.data[-1].update(hoverinfo="skip", legendgroup=name, showlegend=False)
+        fig.data[-1].update(
+            hoverinfo="skip",
+            legendgroup=name,
+            showlegend=False,
+        )
         line = {"color": color, "width": 1.6}
-        fig.add_scatter(x=f32(x), y=f32(median[i]), line=line, name=name, legendgroup=name)
+        fig.add_scatter(
+            x=f32(x),
+            y=f32(median[i]),
+            line=line,
+            name=name,
+            legendgroup=name,
+        )
         fig.data[-1].hovertemplate = f"{name}<br>%{{x:.1f}} Hz: %{{y:.3g}} {unit}<extra></extra>"
     start, end = found.validated
     fig.update_layout(
         shapes=[
             *(_beyond(a, b) for a, b in ((0.0, start), (end, float(x[-1]))) if b > a),
-            _mark(service),
+            rule(service),
         ],
         annotations=[_note(service, "service speed")],
     )
@@ -78,31 +93,14 @@ def _faint(color: str) -> str:
 
 
 def _beyond(a: float, b: float) -> dict[str, object]:
-    look = {"fillcolor": BEYOND, "line": {"width": 0}, "layer": "below"}
-    return {
-        "type": "rect",
-        "xref": "x",
-        "yref": "paper",
-        "x0": a,
-        "x1": b,
-        "y0": 0,
-        "y1": 1,
-        **look,
-    }
-
-
-def _mark(x: float) -> dict[str, object]:
-    line = {"color": MUTED, "width": 1, "dash": "dot"}
-    return {
-        "type": "line",
-        "xref": "x",
-        "yref": "paper",
-        "x0": x,
-        "x1": x,
-        "y0": 0,
-        "y1": 1,
-        "line": line,
-    }
+    return rule(
+        a,
+        type="rect",
+        x1=b,
+        fillcolor=BEYOND,
+        line={"width": 0},
+        layer="below",
+    )
 
 
 def _note(x: float, text: str) -> dict[str, object]:
@@ -132,12 +130,24 @@ def regions(found: DampedRegions) -> go.Figure:
     fig = figure(
         96 + 24 * len(at),
         xaxis=axis("Loss factor", rangemode="nonnegative"),
-        yaxis=axis(type="category", showgrid=False, ticks="", showline=False),
+        yaxis=axis(
+            type="category",
+            showgrid=False,
+            ticks="",
+            showline=False,
+        ),
     )
     low = np.maximum(found.expected - found.expected_std, 0.0)[at]
     high = (found.expected + found.expected_std)[at]
     look = {"color": "#dfe5ea", "line": {"width": 0}}
-    fig.add_bar(y=names, base=f32(low), x=f32(high - low), orientation="h", width=0.55, marker=look)
+    fig.add_bar(
+        y=names,
+        base=f32(low),
+        x=f32(high - low),
+        orientation="h",
+        width=0.55,
+        marker=look,
+    )
     fig.data[-1].update(
         name="expected, ± 1 σ", hovertemplate="%{base:.3g} to %{x:.3g}<extra></extra>"
     )
@@ -151,7 +161,11 @@ def regions(found: DampedRegions) -> go.Figure:
     }
     mark = {"size": 9, "color": FINAL}
     fig.add_scatter(
-        x=f32(found.coefficients[at]), y=names, mode="markers", marker=mark, error_x=bars
+        x=f32(found.coefficients[at]),
+        y=names,
+        mode="markers",
+        marker=mark,
+        error_x=bars,
     )
     fig.data[-1].update(name="found, ± 1 σ", hovertemplate="%{y}: %{x:.4f}<extra></extra>")
     return fig
@@ -162,15 +176,21 @@ def modes(found: DampedModes) -> go.Figure:
     open.
     """
     order = np.argsort(found.hertz)
-    x = [f"{i + 1}: {f:.2f}" for i, f in enumerate(found.hertz[order].tolist())]
+    x = [f"{i + 1}: {f:.2f}" for i, f in enumerate(found.hertz[order])]
     y = axis("Damping ratio, %", rangemode="tozero")
     ratios = np.stack([found.measured, found.before, found.after])
     if ratios.max(initial=0.0) > DECADE * ratios.min(initial=np.inf):
         ticks = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]
         y |= {"type": "log", "tickvals": ticks, "minor": {"ticks": "outside"}}
     fig = figure(340, xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60), yaxis=y)
-    line = {"color": INITIAL, "width": 1.6, "shape": "hvh"}
-    fig.add_scatter(x=x, y=f32(100 * found.before[order]), mode="lines", line=line, name="before")
+    step = {"color": INITIAL, "width": 1.6, "shape": "hvh"}
+    fig.add_scatter(
+        x=x,
+        y=f32(100 * found.before[order]),
+        mode="lines",
+        line=step,
+        name="before",
+    )
     used = found.used[order]
     for name, ratio, std, color, shape in (
         ("test", found.measured, found.measured_std, TEST, "circle"),
@@ -180,31 +200,26 @@ def modes(found: DampedModes) -> go.Figure:
         spread = 100 * std[order]
         bar = {"type": "data", "array": f32(spread), "thickness": 1.1, "width": 3}
         bar["arrayminus"] = f32(np.minimum(spread, np.maximum(percent - LEAST, 0.0)))
+        symbols = [shape if u else f"{shape}-open" for u in used.tolist()]
+        line = {"width": 2, "color": color}
+        mark = {"size": 8, "color": color, "symbol": symbols, "line": line}
         fig.add_scatter(
             x=x,
             y=f32(percent),
             mode="markers",
-            marker=_marks(used, color, shape),
+            marker=mark,
             error_y=bar,
             name=name,
         )
     return fig
 
 
-def _marks(used: Bool, color: str, shape: str) -> dict[str, object]:
-    symbols = [shape if u else f"{shape}-open" for u in used.tolist()]
-    return {"size": 8, "color": color, "symbol": symbols, "line": {"width": 2, "color": color}}
-
-
 def errors(found: DampedModes) -> tuple[list[str], Float, Float]:
     """Names and errors, %, before and after, of the modes with FRFs."""
     at = np.flatnonzero(np.isfinite(found.frf_after))
     at = at[np.argsort(found.hertz[at])]
-    return (
-        [f"{found.hertz[i]:.2f}" for i in at.tolist()],
-        100 * found.frf_before[at],
-        100 * found.frf_after[at],
-    )
+    names = [f"{found.hertz[i]:.2f}" for i in at]
+    return names, 100 * found.frf_before[at], 100 * found.frf_after[at]
 
 
 def frfs(found: DampedModes) -> go.Figure:
@@ -217,6 +232,16 @@ def frfs(found: DampedModes) -> go.Figure:
         xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60),
         yaxis=axis("Error of the FRFs, %", rangemode="tozero"),
     )
-    fig.add_bar(x=x, y=f32(before), name="before", marker_color=INITIAL)
-    fig.add_bar(x=x, y=f32(after), name="by the regions", marker_color=FINAL)
+    fig.add_bar(
+        x=x,
+        y=f32(before),
+        name="before",
+        marker_color=INITIAL,
+    )
+    fig.add_bar(
+        x=x,
+        y=f32(after),
+        name="by the regions",
+        marker_color=FINAL,
+    )
     return fig

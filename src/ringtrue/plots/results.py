@@ -42,10 +42,14 @@ def frf_curves(frfs: FrfSet) -> go.Figure:
 def mode_shapes(modes: ModeSet) -> go.Figure:
     """The real part of each shape over its channels, a line a mode."""
     drawn = figure()
-    for k, f in enumerate(modes.frequencies.tolist()):
+    for k, f in enumerate(modes.frequencies):
         shape = modes.shapes[:, k].real
         largest = np.abs(shape).max(initial=0.0) or 1.0
-        drawn.add_scatter(x=list(modes.channels), y=shape / largest, name=f"{k + 1}: {f:.4g} Hz")
+        drawn.add_scatter(
+            x=list(modes.channels),
+            y=shape / largest,
+            name=f"{k + 1}: {f:.4g} Hz",
+        )
     return drawn
 
 
@@ -56,5 +60,9 @@ def signals(record: TimeHistory) -> go.Figure:
     step = max(1, record.data.shape[1] // MOST_SAMPLES)
     time = np.arange(0, record.data.shape[1], step) / record.rate
     for channel, samples in zip(record.channels[:MOST_CHANNELS], record.data, strict=False):
-        drawn.add_scatter(x=time, y=samples[::step], name=f"{channel.id} [{channel.unit}]")
+        drawn.add_scatter(
+            x=time,
+            y=samples[::step],
+            name=f"{channel.id} [{channel.unit}]",
+        )
     return drawn

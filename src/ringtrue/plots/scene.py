@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +12,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.plots.style import QUALITATIVE
+from ringtrue.plots.style import QUALITATIVE, packed
 from ringtrue.study.results import Scene
 from ringtrue.viewer.view import View
 
@@ -21,17 +20,13 @@ PLAIN = "#c3ccd5"
 SOFT = ("#9fb4c7", "#d8b98a", "#a9c3a1", "#c9a7b8", "#d9cf9c", "#a7cbd6", "#b8a692", "#b9c0c8")
 
 
-def _pack(a: Any_, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
-
-
 def _skin(scene: Scene, colors: Sequence[str], alpha: Sequence[float]) -> dict[str, Any]:
     return {
-        "xyz": _pack(scene.xyz, "<f4"),
-        "tri": _pack(scene.triangles, "<u4"),
-        "tgroup": _pack(scene.triangle_group, "<u2"),
-        "line": _pack(scene.lines, "<u4"),
-        "lgroup": _pack(scene.line_group, "<u2"),
+        "xyz": packed(scene.xyz, "<f4"),
+        "tri": packed(scene.triangles, "<u4"),
+        "tgroup": packed(scene.triangle_group, "<u2"),
+        "line": packed(scene.lines, "<u4"),
+        "lgroup": packed(scene.line_group, "<u2"),
         "colors": list(colors),
         "alpha": list(alpha),
     }
@@ -45,11 +40,9 @@ def _test(test: TestModel) -> dict[str, Any]:
         else np.zeros((0, 2))
     )
     return {
-        "xyz": _pack(test.xyz, "<f4"),
-        "line": _pack(at, "<u4"),
-        "names": [
-            f"{p} {g}".strip() for p, g in zip(test.points.tolist(), test.groups, strict=True)
-        ],
+        "xyz": packed(test.xyz, "<f4"),
+        "line": packed(at, "<u4"),
+        "names": [f"{p} {g}".strip() for p, g in zip(test.points, test.groups, strict=True)],
     }
 
 
@@ -64,8 +57,15 @@ def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
         at = [k for k, c in enumerate(test.channels) if kinds.get(c, rest) == name]
         color = QUALITATIVE[(1, 0, 2, 3)[i % 4]]
         labels = [test.channels[k] for k in at]
-        packed = {"xyz": _pack(xyz[at], "<f4"), "dir": _pack(axes[at], "<f4")}
-        out.append({"name": name, "color": color, "labels": labels} | packed)
+        out.append(
+            {
+                "name": name,
+                "color": color,
+                "labels": labels,
+                "xyz": packed(xyz[at], "<f4"),
+                "dir": packed(axes[at], "<f4"),
+            }
+        )
     return out
 
 
@@ -110,7 +110,11 @@ def painted(
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": entries})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Shown:
     """One selectable shape: a model shape over the skin, a test shape over the wireframe, or
     both.
@@ -129,7 +133,7 @@ class Shown:
 def _quantised(a: Float) -> dict[str, Any]:
     a = np.nan_to_num(a)
     peak = float(np.abs(a).max(initial=0.0)) or 1.0
-    return {"peak": peak, "q": _pack(np.round(a * (32767 / peak)), "<i2")}
+    return {"peak": peak, "q": packed(np.round(a * (32767 / peak)), "<i2")}
 
 
 def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
@@ -138,7 +142,7 @@ def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
     node = np.repeat(scene.node, 3)
     at = dofs.find(node, np.tile(np.array([1, 2, 3]), scene.node.size))
     value = np.real(modes.shapes[:, k])[at] * np.sign(dofs.direction[at])
-    return np.asarray(np.where(at >= 0, value, 0.0).reshape(-1, 3))
+    return np.where(at >= 0, value, 0.0).reshape(-1, 3)
 
 
 def _at_points(test: TestModel, modes: ModeSet, values: Any_) -> Any_:
@@ -210,7 +214,7 @@ def test_modes(test: TestModel, shapes: ModeSet) -> View:
 
 
 def _numbered(shapes: ModeSet) -> list[str]:
-    return [f"mode {k + 1}: {f:.4g} Hz" for k, f in enumerate(shapes.frequencies.tolist())]
+    return [f"mode {k + 1}: {f:.4g} Hz" for k, f in enumerate(shapes.frequencies)]
 
 
 def channel_kinds(references: Sequence[str], ambient: Sequence[str]) -> dict[str, str]:
@@ -284,4 +288,4 @@ def _kept_corners(corners: Int, point: Bool) -> Int:
     whole = np.all(np.diff(key, axis=1) > 0, axis=1) | point
     at = np.flatnonzero(whole)
     _, first = np.unique(key[at], axis=0, return_index=True)
-    return np.asarray(at[np.sort(first)])
+    return at[np.sort(first)]

@@ -13,11 +13,13 @@ from ringtrue.plots.style import (
     INITIAL,
     QUALITATIVE,
     TEST,
+    above_and_below,
     axis,
     f32,
     figure,
     joined,
     log_axis,
+    rule,
     thinned,
     thinned_log,
 )
@@ -47,7 +49,13 @@ def record(preview: RecordPreview, unit: str) -> go.Figure:
         showlegend=True,
         xaxis=axis("Time, s", domain=[0, 0.41]),
         yaxis=axis(unit, exponentformat="power"),
-        xaxis2=axis("Frequency, Hz", type="log", domain=[0.59, 1], anchor="y2", dtick=1),
+        xaxis2=axis(
+            "Frequency, Hz",
+            type="log",
+            domain=[0.59, 1],
+            anchor="y2",
+            dtick=1,
+        ),
         yaxis2=log_axis(
             f"PSD, {unit if unit.isalpha() else f'({unit})'}²/Hz",
             anchor="x2",
@@ -59,7 +67,14 @@ def record(preview: RecordPreview, unit: str) -> go.Figure:
         line = {"width": 0.9, "color": QUALITATIVE[i % 8]}
         x = f32(preview.time)
         y = f32(preview.signal[i])
-        fig.add_scatter(x=x, y=y, name=name, line=line, legendgroup=name, opacity=0.85)
+        fig.add_scatter(
+            x=x,
+            y=y,
+            name=name,
+            line=line,
+            legendgroup=name,
+            opacity=0.85,
+        )
         x, y = (f32(a) for a in thinned_log(preview.freqs[ok], preview.psd[i][ok], 500))
         fig.add_scatter(
             x=x,
@@ -97,10 +112,20 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
     shown = data.freqs <= top
     fig = figure(
         560,
-        xaxis=axis(domain=[0, 1], anchor="y", matches="x2", showticklabels=False),
+        xaxis=axis(
+            domain=[0, 1],
+            anchor="y",
+            matches="x2",
+            showticklabels=False,
+        ),
         yaxis=axis(f"Im H, {frf_unit(data)}", domain=[0.5, 1], exponentformat="power"),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
-        yaxis2=log_axis(f"CMIF, {frf_unit(data)}", domain=[0, 0.44], anchor="x2", dtick=1),
+        yaxis2=log_axis(
+            f"CMIF, {frf_unit(data)}",
+            domain=[0, 0.44],
+            anchor="x2",
+            dtick=1,
+        ),
     )
     for j, c in enumerate(data.inputs):
         x, y = joined(*_imaginary(data, j, shown))
@@ -119,27 +144,22 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
         line = {"width": 1.4 if j == 0 else 1.0, "color": QUALITATIVE[j % 8]}
         x = f32(data.freqs[shown][at])
         fig.add_scatter(
-            x=x, y=f32(y[0]), line=line, xaxis="x2", yaxis="y2", name=f"σ{j + 1}", showlegend=False
+            x=x,
+            y=f32(y[0]),
+            line=line,
+            xaxis="x2",
+            yaxis="y2",
+            name=f"σ{j + 1}",
+            showlegend=False,
         )
-    fig.update_layout(shapes=[_mark(f) for f in marks[marks <= top].tolist()])
+    faint = {"width": 0.8, "color": "#8b97a3", "dash": "dot"}
+    fig.update_layout(
+        shapes=[rule(f, 0.44, xref="x2", line=faint) for f in marks[marks <= top].tolist()]
+    )
     return fig
 
 
-def _mark(f: float) -> dict[str, object]:
-    line = {"width": 0.8, "color": "#8b97a3", "dash": "dot"}
-    return {
-        "type": "line",
-        "xref": "x2",
-        "yref": "paper",
-        "x0": f,
-        "x1": f,
-        "y0": 0,
-        "y1": 0.44,
-        "line": line,
-    }
-
-
-def frf_pair(frfs: ComparedFrfs, k: int, unit: str = "(m/s²)/N") -> go.Figure:
+def frf_pair(frfs: ComparedFrfs, k: int, unit: str) -> go.Figure:
     """One measured FRF with the model's before and after, modulus and phase."""
     middle = PHASE.get(unit, 0)
     ticks = [middle - 180, middle, middle + 180]
@@ -152,7 +172,11 @@ def frf_pair(frfs: ComparedFrfs, k: int, unit: str = "(m/s²)/N") -> go.Figure:
             "y": 0.97,
             "font": {"size": 13},
         },
-        xaxis=axis(anchor="y", matches="x2", showticklabels=False),
+        xaxis=axis(
+            anchor="y",
+            matches="x2",
+            showticklabels=False,
+        ),
         yaxis=log_axis(f"|H|, {unit}", domain=[0.36, 1], dtick=1),
         xaxis2=axis("Frequency, Hz", anchor="y2"),
         yaxis2=axis(
@@ -163,7 +187,6 @@ def frf_pair(frfs: ComparedFrfs, k: int, unit: str = "(m/s²)/N") -> go.Figure:
             range=[ticks[0] - 10, ticks[-1] + 10],
         ),
     )
-    x = f32(frfs.freqs)
     for name, h, color, width in (
         ("initial model", frfs.initial, INITIAL, 1.2),
         ("test", frfs.test, TEST, 1.2),
@@ -171,17 +194,13 @@ def frf_pair(frfs: ComparedFrfs, k: int, unit: str = "(m/s²)/N") -> go.Figure:
     ):
         line = {"color": color, "width": width}
         modulus = np.maximum(np.abs(h[:, k]), 1e-300)
-        fig.add_scatter(x=x, y=f32(modulus), name=name, line=line, legendgroup=name)
-        y = f32((np.degrees(np.angle(h[:, k])) - ticks[0]) % 360 + ticks[0])
-        mark = {"color": color, "width": 0.9}
-        fig.add_scatter(
-            x=x,
-            y=y,
-            line=mark,
-            xaxis="x2",
-            yaxis="y2",
-            showlegend=False,
-            legendgroup=name,
-            name=name,
+        phase = (np.degrees(np.angle(h[:, k])) - ticks[0]) % 360 + ticks[0]
+        above_and_below(
+            fig,
+            name,
+            line,
+            x=frfs.freqs,
+            upper=modulus,
+            lower=phase,
         )
     return fig

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -64,13 +65,26 @@ def axis(title: str = "", **more: Any) -> dict[str, Any]:
 
 def log_axis(title: str = "", **more: Any) -> dict[str, Any]:
     """A logarithmic axis with powers of ten."""
-    return axis(title, type="log", exponentformat="power", tickfont={"size": 10}) | more
+    return (
+        axis(
+            title,
+            type="log",
+            exponentformat="power",
+            tickfont={"size": 10},
+        )
+        | more
+    )
 
 
 def hertz() -> dict[str, Any]:
     """A logarithmic axis of frequencies with 1, 2 and 5 of each decade written out."""
     values = [m * 10.0**k for k in range(-3, 6) for m in (1, 2, 5)]
-    return axis("Frequency, Hz", type="log", tickvals=values, ticktext=[f"{v:g}" for v in values])
+    return axis(
+        "Frequency, Hz",
+        type="log",
+        tickvals=values,
+        ticktext=[f"{v:g}" for v in values],
+    )
 
 
 def figure(height: int = 340, **layout: Any) -> go.Figure:
@@ -105,6 +119,11 @@ def f32(a: Any_) -> Any_:
     return np.asarray(a, dtype=np.float32)
 
 
+def packed(a: Any_, kind: str) -> str:
+    """An array as base64 of numbers of one kind, such as `<f4`."""
+    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
+
+
 def joined(x: Float, y: Float) -> tuple[Any_, Any_]:
     """Many curves `y` (curve, k) over one `x` (k,) as one broken line: a single path draws
     quickly.
@@ -113,6 +132,28 @@ def joined(x: Float, y: Float) -> tuple[Any_, Any_]:
     gap = np.full((rows, 1), np.nan)
     xs = np.concatenate([np.broadcast_to(x, y.shape), gap], axis=1)
     return f32(xs.ravel()), f32(np.concatenate([y, gap], axis=1).ravel())
+
+
+def rule(x: float, top: float = 1.0, **more: Any) -> dict[str, Any]:
+    """A dotted vertical line through a figure, up to `top` of its height."""
+    line = {"color": MUTED, "width": 1, "dash": "dot"}
+    ends = {"x0": x, "x1": x, "y0": 0, "y1": top}
+    return {"type": "line", "yref": "paper", **ends, "line": line} | more
+
+
+def above_and_below(
+    fig: go.Figure, name: str, look: dict[str, Any], x: Float, upper: Float, lower: Float
+) -> None:
+    """A curve in the upper and one in the lower half of a figure, under one name."""
+    drawn = {"x": f32(x), "name": name, "line": look, "legendgroup": name}
+    fig.add_scatter(y=f32(upper), **drawn)
+    fig.add_scatter(
+        y=f32(lower),
+        xaxis="x2",
+        yaxis="y2",
+        showlegend=False,
+        **drawn,
+    )
 
 
 def ticks(x: Float, low: Float, high: Float) -> tuple[Any_, Any_]:

@@ -18,6 +18,7 @@ from ringtrue.plots.style import (
     axis,
     f32,
     figure,
+    rule,
 )
 from ringtrue.study.results import (
     LocaliseStage,
@@ -32,12 +33,16 @@ from ringtrue.viewer.view import View
 def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
     """Heat map of one (mode, candidate) table; `modes` (mode,) Hz, `name` with its unit."""
     peak = float(np.nanmax(np.abs(values), initial=1e-12))
-    y = [
-        f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes.tolist(), modes.tolist(), strict=True)
-    ]
+    y = [f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes, modes, strict=True)]
     fig = figure(
         120 + 17 * len(y) + 90,
-        xaxis=axis(tickangle=-45, side="bottom", showgrid=False, showline=False, ticks=""),
+        xaxis=axis(
+            tickangle=-45,
+            side="bottom",
+            showgrid=False,
+            showline=False,
+            ticks="",
+        ),
         yaxis=axis(
             "FE mode",
             autorange="reversed",
@@ -78,38 +83,43 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
     seen = any(np.isfinite(s.history.subspace_mac).any() for s in sets)
     thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
-    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")[
-        : len(thirds)
-    ]
+    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")
     fig = figure(300)
     longest = max((s.history.objective.size for s in sets), default=1)
-    for k, (domain, title) in enumerate(zip(thirds, titles, strict=True), start=1):
-        n = "" if k == 1 else str(k)
+    numbers = ("", "2", "3")
+    for n, domain, title in zip(numbers, thirds, titles, strict=False):
         fig.layout[f"xaxis{n}"] = axis(
             "Iteration", domain=domain, anchor=f"y{n}", **_whole(longest, 7)
         )
         fig.layout[f"yaxis{n}"] = axis(title, anchor=f"x{n}")
-    fig.layout.yaxis.update(type="log", exponentformat="power", dtick=1, tickfont={"size": 10})
+    fig.layout.yaxis.update(
+        type="log",
+        exponentformat="power",
+        dtick=1,
+        tickfont={"size": 10},
+    )
     for i, s in enumerate(sets):
         look = {"color": QUALITATIVE[i % 8], "width": 2.6 if i == chosen else 1.4}
         name = s.name + (" (chosen)" if i == chosen else "")
-        start = (
-            s.history.objective[0]
-            if s.history.objective.size and s.history.objective[0] > 0
-            else 1.0
-        )
-        for k, y in enumerate(
-            (s.history.objective / start, s.history.deviation, s.history.subspace_mac)[
-                : len(thirds)
-            ],
-            start=1,
-        ):
-            n = "" if k == 1 else str(k)
+        h = s.history
+        start = float(h.objective[0]) if h.objective.size else 0.0
+        curves = (h.objective / (start if start > 0 else 1.0), h.deviation, h.subspace_mac)
+        for n, y, _ in zip(numbers, curves, thirds, strict=False):
             x = np.arange(y.size)
             fig.add_scatter(
-                x=x, y=f32(y), line=look, mode="lines+markers", marker={"size": 5}, name=name
+                x=x,
+                y=f32(y),
+                line=look,
+                mode="lines+markers",
+                marker={"size": 5},
+                name=name,
             )
-            fig.data[-1].update(xaxis=f"x{n}", yaxis=f"y{n}", legendgroup=name, showlegend=k == 1)
+            fig.data[-1].update(
+                xaxis=f"x{n}",
+                yaxis=f"y{n}",
+                legendgroup=name,
+                showlegend=not n,
+            )
     return fig
 
 
@@ -127,32 +137,24 @@ def factor_ticks(low: float, high: float) -> list[float]:
 
 def path(result: SetResult) -> go.Figure:
     """Factors of the parameters by iteration, with one standard deviation at the end."""
-    end = result.history.path[-1]
-    spread = np.nan_to_num(result.history.path[-1] * result.std)
-    shown = np.concatenate([result.history.path.ravel(), end - spread, end + spread])
-    ticks = factor_ticks(max(float(shown.min(initial=1.0)), 1e-3), float(shown.max(initial=1.0)))
+    path = result.history.path
+    spread = path[-1] * result.std
+    reach = np.nan_to_num(spread)
+    shown = np.concatenate([path.ravel(), path[-1] - reach, path[-1] + reach])
+    ticks = factor_ticks(max(shown.min(initial=1.0), 1e-3), float(shown.max(initial=1.0)))
     fig = figure(
         320,
-        xaxis=axis("Iteration", **_whole(result.history.path.shape[0], 18)),
+        xaxis=axis("Iteration", **_whole(len(path), 18)),
         yaxis=axis("Updated / initial", type="log"),
     )
     fig.layout.yaxis.update(tickvals=ticks, ticktext=[f"{t:.6g}" for t in ticks])
-    one = {
-        "type": "line",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": 1,
-        "y1": 1,
-        "line": {"color": MUTED, "width": 1},
-    }
-    fig.update_layout(shapes=[one])
+    fig.add_hline(1, line={"color": MUTED, "width": 1})
     for j, name in enumerate(result.parameters):
-        bar = np.zeros(result.history.path.shape[0])
-        bar[-1] = result.history.path[-1, j] * result.std[j]
+        bar = np.zeros(len(path))
+        bar[-1] = spread[j]
         fig.add_scatter(
             x=np.arange(bar.size),
-            y=f32(result.history.path[:, j]),
+            y=f32(path[:, j]),
             name=name,
             mode="lines+markers",
             marker={"size": 5, "symbol": j % 6},
@@ -188,23 +190,27 @@ def _mix(a: str, b: str, t: float) -> str:
 
 def regions(stage: LocaliseStage) -> go.Figure:
     """Bars of the concentration of error by region, the largest on top; `BARS` at most."""
-    value = stage.indicators.concentration
-    order = [
-        i for i in np.argsort(np.nan_to_num(value), kind="stable").tolist() if np.isfinite(value[i])
-    ][-BARS:]
-    names = [stage.indicators.regions[i] for i in order]
+    found = stage.indicators
+    value = found.concentration
+    order = np.argsort(np.nan_to_num(value), kind="stable")
+    order = order[np.isfinite(value[order])][-BARS:]
+    names = [found.regions[i] for i in order]
     fig = figure(
         max(220, 70 + 19 * len(order)),
         xaxis=axis("Share of error over share of strain energy", rangemode="tozero"),
-        yaxis=axis("", type="category", showgrid=False, ticks="", tickfont={"size": 11}),
+        yaxis=axis(
+            "",
+            type="category",
+            showgrid=False,
+            ticks="",
+            tickfont={"size": 11},
+        ),
     )
     marker = {
-        "color": [color(float(value[i])) for i in order],
+        "color": [color(x) for x in value[order].tolist()],
         "line": {"width": 0.5, "color": MUTED},
     }
-    extra = np.stack(
-        [100 * stage.indicators.constitutive[order], 100 * stage.indicators.strain[order]], axis=1
-    )
+    extra = 100 * np.stack([found.constitutive[order], found.strain[order]], axis=1)
     fig.add_bar(
         x=f32(value[order]),
         y=names,
@@ -213,15 +219,11 @@ def regions(stage: LocaliseStage) -> go.Figure:
         customdata=f32(extra),
         showlegend=False,
     )
-    fig.data[
-        0
-    ].hovertemplate = (
+    fig.data[0].hovertemplate = (
         "%{y}: %{x:.2f}<br>%{customdata[0]:.1f} % of the error, %{customdata[1]:.1f} % of "
+        "the strain energy<extra></extra>"
     )
-    fig.data[0].hovertemplate += "the strain energy<extra></extra>"
-    look = {"color": MUTED, "width": 1, "dash": "dot"}
-    line = {"type": "line", "x0": EVEN, "x1": EVEN, "yref": "paper", "y0": 0, "y1": 1, "line": look}
-    fig.update_layout(margin={"t": 10}, shapes=[line])
+    fig.update_layout(margin={"t": 10}, shapes=[rule(EVEN)])
     return fig
 
 
@@ -229,15 +231,13 @@ def view(scene: Scene, stage: LocaliseStage) -> View:
     """The model with its regions in the colours of `regions`, whose bars name them; `TOLD` in the
     key.
     """
-    value = dict(
-        zip(stage.indicators.regions, stage.indicators.concentration.tolist(), strict=True)
-    )
-    found = [value.get(g, np.nan) for g in scene.groups]
+    found = stage.indicators
+    value = dict(zip(found.regions, found.concentration.tolist(), strict=True))
+    shown = [value.get(g, np.nan) for g in scene.groups]
     strong = sorted((g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g])
     legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong[:TOLD]]
-    return painted(
-        scene, [color(x) for x in found], [1.0 if x > EVEN else 0.35 for x in found], legend
-    )
+    alpha = [1.0 if x > EVEN else 0.35 for x in shown]
+    return painted(scene, [color(x) for x in shown], alpha, legend)
 
 
 def sizes(stage: LocaliseStage) -> go.Figure:
@@ -268,7 +268,10 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
     fig = figure(
         90 + 42 * len(names),
         xaxis=axis(
-            "Updated / initial", type="log", tickvals=TICKS, ticktext=[f"{t:g}" for t in TICKS]
+            "Updated / initial",
+            type="log",
+            tickvals=TICKS,
+            ticktext=[f"{t:g}" for t in TICKS],
         ),
         yaxis=axis(
             "",
@@ -291,7 +294,11 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
             gap = np.full((len(at), 1), np.nan)
             x, y = (np.concatenate([low_high, gap], axis=1).ravel(), np.repeat(at, 3))
             fig.add_scatter(
-                x=f32(x), y=f32(y), mode="lines", name=name, line={"width": width, "color": color}
+                x=f32(x),
+                y=f32(y),
+                mode="lines",
+                name=name,
+                line={"width": width, "color": color},
             )
             fig.data[-1].update(hoverinfo="skip")
     marks = {"symbol": "line-ns", "size": 15, "line": {"width": 2.5, "color": TEST}}
@@ -304,10 +311,7 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
         text=names,
     )
     fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
-    look = {"color": MUTED, "width": 1, "dash": "dot"}
-    fig.update_layout(
-        shapes=[{"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": look}]
-    )
+    fig.update_layout(shapes=[rule(1)])
     return fig
 
 
@@ -316,8 +320,20 @@ def correlation(stage: UncertaintyStage) -> go.Figure:
     names = list(stage.posterior.parameters.names)
     fig = figure(
         130 + 30 * len(names),
-        xaxis=axis("", tickangle=-45, showgrid=False, showline=False, ticks=""),
-        yaxis=axis("", autorange="reversed", showgrid=False, showline=False, ticks=""),
+        xaxis=axis(
+            "",
+            tickangle=-45,
+            showgrid=False,
+            showline=False,
+            ticks="",
+        ),
+        yaxis=axis(
+            "",
+            autorange="reversed",
+            showgrid=False,
+            showline=False,
+            ticks="",
+        ),
     )
     bar = {"thickness": 10, "outlinewidth": 0}
     fig.add_heatmap(
@@ -329,7 +345,12 @@ def correlation(stage: UncertaintyStage) -> go.Figure:
         colorscale=DIVERGING,
         colorbar=bar,
     )
-    fig.data[0].update(xgap=1, ygap=1, texttemplate="%{z:.2f}", textfont={"size": 10})
+    fig.data[0].update(
+        xgap=1,
+        ygap=1,
+        texttemplate="%{z:.2f}",
+        textfont={"size": 10},
+    )
     fig.data[0].hovertemplate = "%{y}, %{x}: %{z:.2f}<extra></extra>"
     fig.update_layout(margin={"t": 10})
     return fig
@@ -343,16 +364,20 @@ def bands(stage: UncertaintyStage) -> go.Figure:
         350,
         xaxis=axis("Test mode, Hz", type="category", tickangle=-45),
         yaxis=axis(
-            "(f FE − f test)/f test, %", zeroline=True, zerolinecolor="#5c6b7a", zerolinewidth=1
+            "(f FE − f test)/f test, %",
+            zeroline=True,
+            zerolinecolor="#5c6b7a",
+            zerolinewidth=1,
         ),
     )
-    there = np.isfinite(stage.bands.predicted)
-    names = np.array([f"{i + 1}: {f:.2f}" for i, f in enumerate(stage.bands.test.tolist())])
-    deviation = 100 * (stage.bands.predicted / stage.bands.test - 1)
-    reach = 100 * (stage.bands.band[:, 1] - stage.bands.predicted) / stage.bands.test
+    b = stage.bands
+    there = np.isfinite(b.predicted)
+    names = np.array([f"{i + 1}: {f:.2f}" for i, f in enumerate(b.test)])
+    deviation = 100 * (b.predicted / b.test - 1)
+    reach = 100 * (b.band[:, 1] - b.predicted) / b.test
     for name, which, color, symbol in (
-        ("used in the updating", stage.bands.used, FE, "circle"),
-        ("left out of it", ~stage.bands.used, TEST, "diamond-open"),
+        ("used in the updating", b.used, FE, "circle"),
+        ("left out of it", ~b.used, TEST, "diamond-open"),
     ):
         at = there & which
         marker = {"size": 9, "symbol": symbol, "color": color, "line": {"width": 2, "color": color}}
@@ -364,7 +389,11 @@ def bands(stage: UncertaintyStage) -> go.Figure:
             "color": color,
         }
         fig.add_scatter(
-            x=names[at].tolist(), y=f32(deviation[at]), mode="markers", marker=marker, error_y=error
+            x=names[at].tolist(),
+            y=f32(deviation[at]),
+            mode="markers",
+            marker=marker,
+            error_y=error,
         )
         fig.data[-1].update(name=name, customdata=f32(reach[at]))
         fig.data[-1].hovertemplate = "%{x} Hz: %{y:.2f} ± %{customdata:.2f} %<extra></extra>"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,9 +15,10 @@ from plotly.offline import get_plotlyjs
 
 from ringtrue import __version__
 from ringtrue.core.arrays import Any_
-from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.io.files import atomic_write
-from ringtrue.report.parts import Acceptance, Photo, Picture, Plot, Scene3D, Section, Stages
+from ringtrue.plots.scene import thinned
+from ringtrue.plots.style import packed
+from ringtrue.report.parts import Acceptance, Photo, Plot, Scene3D, Section, Stages
 from ringtrue.report.sections import (
     correlation,
     damping,
@@ -64,11 +64,15 @@ SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     summary.provenance,
 )
 
+DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
+# nodes that are drawn of a model
+FEWEST = 3000
+MOST = 12_000
 GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; the rest is its look
 
 
 def build(
-    stages: Mapping[str, object],
+    stages: Mapping[str, Any],
     out: Path,
     *,
     title: str,
@@ -102,32 +106,20 @@ def build(
 
     Raises
     ------
-    ConfigError
-        On a stage or section that does not exist.
+    ConfigError, InputError
+        If a photograph cannot be read.
     """
-    data = Stages.of(stages, title, system_text, acceptance or Acceptance(), checks)
+    stages = dict(stages)
+    if (model := stages.get("model")) is not None:
+        most = min(max(DRAWN // max(len(model.modes), 1), FEWEST), MOST)
+        stages["model"] = replace(model, scene=thinned(model.scene, most))
+    accepted = acceptance or Acceptance()
+    data = Stages(title, system_text, accepted, checks, photos, **stages)
     sections = [s for s in (make(data) for make in SECTIONS) if s is not None]
-    sections = [_with_photos(s, photos) for s in sections]
-    _refuse_lost(photos, sections)
     page = _render(data, sections)
-    out = Path(out)
     with atomic_write(out) as part:
         part.write_text(page, encoding="utf-8")
     return out
-
-
-def _with_photos(section: Section, photos: Sequence[Photo]) -> Section:
-    mine = [Picture(p) for p in photos if p.section == section.id]
-    return replace(section, blocks=[*section.blocks, *mine]) if mine else section
-
-
-def _refuse_lost(photos: Sequence[Photo], sections: Sequence[Section]) -> None:
-    ids = [s.id for s in sections]
-    for p in photos:
-        if p.section not in ids:
-            raise ConfigError(
-                f"photo {p.path}: no section {p.section!r}{did_you_mean(p.section, ids)}"
-            )
 
 
 @dataclass(slots=True)
@@ -173,11 +165,6 @@ def _json(value: object) -> str:
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
-def _data_url(photo: Photo) -> str:
-    mime, raw = photo.read()
-    return f"data:{mime};base64,{base64.b64encode(raw).decode('ascii')}"
-
-
 def _diff_lines(text: str) -> Iterator[tuple[str, str]]:
     for line in text.splitlines():
         head = line[:3] in ("+++", "---") or line.startswith("@@")
@@ -192,7 +179,11 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    env.filters |= {"data_url": _data_url, "diff_lines": _diff_lines, "script_json": script_json}
+    env.filters |= {
+        "diff_lines": _diff_lines,
+        "kind": lambda block: type(block).__name__,
+        "script_json": script_json,
+    }
     return env
 
 
@@ -205,7 +196,11 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     def raw(name: str) -> str:
         return source.get_source(env, name)[0]
 
-    body = env.get_template("body.html.j2").render(data=data, sections=sections, figures=figures)
+    body = env.get_template("body.html.j2").render(
+        data=data,
+        sections=sections,
+        figures=figures,
+    )
     return env.get_template("report.html.j2").render(
         data=data,
         sections=sections,
@@ -229,33 +224,25 @@ def figure_json(figure: go.Figure) -> str:
     The page unfolds them: the abscissa is stored once, ordinates as 16-bit parts of the largest.
     """
     text = str(figure.to_json())
-    marked = [
-        i for i, t in enumerate(figure.data) if isinstance(t.meta, dict) and "overlay" in t.meta
-    ]
+    marked = [i for i, t in enumerate(figure.data) if t.meta]
     if not marked:
         return text
     spec = json.loads(text)
     for i in marked:
         trace = figure.data[i]
-        spec["data"][i] |= _packed(
-            np.asarray(trace.x), np.asarray(trace.y), int(trace.meta["overlay"])
-        )
-    return json.dumps(spec, separators=(",", ":"), allow_nan=False)
+        spec["data"][i] |= _packed(trace.x, trace.y, trace.meta["overlay"])
+    return _json(spec)
 
 
 def _packed(x: Any_, y: Any_, curves: int) -> dict[str, Any]:
     rows = np.nan_to_num(y.reshape(curves, -1)[:, :-1])
     peak = float(np.abs(rows).max(initial=0.0)) or 1.0
     meta = {
-        "x": _base64(x.reshape(curves, -1)[0, :-1], "<f4"),
-        "q": _base64(np.round(rows * (32767 / peak)), "<i2"),
+        "x": packed(x.reshape(curves, -1)[0, :-1], "<f4"),
+        "q": packed(np.round(rows * (32767 / peak)), "<i2"),
         "peak": peak,
     }
     return {"x": [], "y": [], "meta": meta}
-
-
-def _base64(a: Any_, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
 
 
 def deliver(
@@ -282,13 +269,12 @@ def write_report(run: StudyRun, out: Path, checks: Sequence[AcceptanceCheck] | N
         Photo(run.session.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)
     ]
     stages = {k: v for k, v in run.results.items() if v is not None}
-    acceptance = Acceptance.of(config.correlate)
     return build(
         stages,
         out,
         title=config.study.title,
         system_text=config.study.system,
-        acceptance=acceptance,
+        acceptance=Acceptance.of(config.correlate),
         photos=photos,
         checks=verdict(config, stages) if checks is None else checks,
     )

@@ -5,13 +5,12 @@ The stage results of a study by name, any of them absent.
 
 from __future__ import annotations
 
+import base64
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import NoneType
-from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import plotly.graph_objects as go
@@ -19,8 +18,7 @@ import plotly.graph_objects as go
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.plots.scene import thinned
+from ringtrue.errors import ConfigError, InputError
 from ringtrue.study.acceptance import Acceptance as Acceptance
 from ringtrue.study.acceptance import AcceptanceCheck
 from ringtrue.study.results import (
@@ -61,16 +59,13 @@ class Photo:
     path : Path
         PNG, JPEG, WebP or GIF; it is embedded.
     caption : str
-    section : str
-        The id of the section it stands in: `survey`, `model`, `plan`, `signals`, ...
     """
 
     path: Path
     caption: str = ""
-    section: str = "survey"
 
-    def read(self) -> tuple[str, bytes]:
-        """MIME type and bytes.
+    def data_url(self) -> str:
+        """The whole picture as an address.
 
         Raises
         ------
@@ -84,7 +79,8 @@ class Photo:
             raise ConfigError(f"photo {self.path}: allowed are {', '.join(sorted(IMAGES))}")
         if not self.path.is_file():
             raise InputError(f"photo {self.path}: no such file")
-        return mime, self.path.read_bytes()
+        raw = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f"data:{mime};base64,{raw}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,33 +106,23 @@ class ReportTable:
     foot: Sequence[str | Cell] = ()
     scroll: bool = False
     lead: int = 1  # columns that the first cell of the foot spans
-    kind: str = field(default="table", init=False)
 
     def without_blank(self, head: str) -> ReportTable:
         """The table without the columns with these words in their head, where no row has a number
         in them.
         """
-        blank = {
-            i
-            for i, h in enumerate(self.heads)
-            if head in h and not any(_told(row[i]) for row in self.rows)
-        }
+        named = [i for i, h in enumerate(self.heads) if head in h]
+        blank = [i for i in named if not any(re.search(r"\d", str(r[i])) for r in self.rows)]
 
         def rest(cells: Sequence[str | Cell], first: int = 0) -> list[str | Cell]:
             return [c for i, c in enumerate(cells, start=first) if i not in blank]
 
-        heads = [h for i, h in enumerate(self.heads) if i not in blank]
         return replace(
             self,
-            heads=heads,
+            heads=[h for i, h in enumerate(self.heads) if i not in blank],
             rows=[rest(r) for r in self.rows],
             foot=rest(self.foot, self.lead - 1),
         )
-
-
-def _told(cell: str | Cell) -> bool:
-    """Whether a cell holds a number."""
-    return any(c.isdigit() for c in (cell.text if isinstance(cell, Cell) else cell))
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +131,6 @@ class Text:
 
     text: str
     tone: str = ""
-    kind: str = field(default="text", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +138,6 @@ class Heading:
     """A heading inside a section."""
 
     text: str
-    kind: str = field(default="heading", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +146,6 @@ class Items:
 
     items: Sequence[str]
     title: str = ""
-    kind: str = field(default="items", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +163,6 @@ class Facts:
     """Headline numbers side by side."""
 
     facts: Sequence[Fact]
-    kind: str = field(default="facts", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +170,6 @@ class Checks:
     """What must hold, and whether it held."""
 
     checks: Sequence[AcceptanceCheck]
-    kind: str = field(default="checks", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +177,6 @@ class Key:
     """What the colours of the figures that follow mean: (name, colour)."""
 
     items: Sequence[tuple[str, str]]
-    kind: str = field(default="key", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +185,6 @@ class Plot:
 
     figure: go.Figure
     caption: str = ""
-    kind: str = field(default="plot", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +194,6 @@ class Scene3D:
     view: View
     caption: str = ""
     height: int = 520
-    kind: str = field(default="scene", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +202,6 @@ class Diff:
 
     text: str
     caption: str = ""
-    kind: str = field(default="diff", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +210,6 @@ class Code:
 
     title: str
     text: str
-    kind: str = field(default="code", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +217,6 @@ class Picture:
     """A photograph, embedded."""
 
     photo: Photo
-    kind: str = field(default="picture", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +224,6 @@ class Tabs:
     """Alternatives behind tabs; on paper one after the other."""
 
     tabs: Sequence[tuple[str, Sequence[Block]]]
-    kind: str = field(default="tabs", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +232,6 @@ class Fold:
 
     title: str
     blocks: Sequence[Block]
-    kind: str = field(default="fold", init=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +239,6 @@ class Columns:
     """Blocks side by side where the page is wide enough."""
 
     columns: Sequence[Sequence[Block]]
-    kind: str = field(default="columns", init=False)
 
 
 Block = (
@@ -311,7 +283,8 @@ def number(value: float | None, digits: int = 3) -> str:
     power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if power < -4 or power > 6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa.replace('-', '−')} × 10{_raised(int(exponent))}"
+        raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return f"{mantissa.replace('-', '−')} × 10{raised}"
     text = f"{value:.{max(digits - 1 - power, 0)}f}"
     if abs(value) >= 10000:
         text = f"{value:,.0f}".replace(",", "\u202f")
@@ -343,16 +316,6 @@ def signs(text: str) -> str:
     return re.sub(r"(?<=[\s(])-(?=\d)", "−", text)
 
 
-def _raised(n: int) -> str:
-    return str(n).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
-# nodes that are drawn of a model
-FEWEST = 3000
-MOST = 12_000
-
-
 @dataclass(frozen=True, slots=True)
 class Stages:
     """What a report is made of; a stage that was not run is None."""
@@ -360,7 +323,8 @@ class Stages:
     title: str
     system_text: str
     acceptance: Acceptance
-    checks: tuple[AcceptanceCheck, ...] = ()
+    checks: Sequence[AcceptanceCheck] = ()
+    photos: Sequence[Photo] = ()
     model: ModelStage | None = None
     plan: PlanStage | None = None
     identify: IdentifyStage | None = None
@@ -378,64 +342,29 @@ class Stages:
     predict: PredictStage | None = None
     provenance: Provenance | None = None
 
-    @classmethod
-    def of(
-        cls,
-        stages: Mapping[str, object],
-        title: str,
-        system_text: str,
-        acceptance: Acceptance,
-        checks: Sequence[AcceptanceCheck] = (),
-    ) -> Stages:
-        """From a mapping.
-
-        Raises
-        ------
-        ConfigError
-            On an unknown name or a result of the wrong type.
-        """
-        known: dict[str, Any] = {}
-        for name, value in stages.items():
-            if name not in KINDS:
-                raise ConfigError(f"no stage {name!r}{did_you_mean(name, KINDS)}")
-            if value is not None and not isinstance(value, KINDS[name]):
-                raise ConfigError(
-                    f"stage {name}: got {type(value).__name__}, needs {KINDS[name].__name__}"
-                )
-            known[name] = value
-        if (m := known.get("model")) is not None:
-            most = min(max(DRAWN // max(len(m.modes), 1), FEWEST), MOST)
-            known["model"] = replace(m, scene=thinned(m.scene, most))
-        return cls(title, system_text, acceptance, tuple(checks), **known)
-
     @property
     def test(self) -> TestModel | None:
         """The test model as measured, else as planned; none of frequencies alone."""
-        if self.identify is not None:
-            hammer = self.identify.hammer
-            return (
-                None if hammer is not None and hammer.modes.frequency_only else self.identify.test
-            )
-        return self.plan.sensors.test if self.plan is not None else None
+        if self.identify is None:
+            return self.plan.sensors.test if self.plan is not None else None
+        hammer = self.identify.hammer
+        if hammer is not None and hammer.modes.frequency_only:
+            return None
+        return self.identify.test
 
     @property
     def computed(self) -> Float:
         """Frequencies of the initial deck, Hz: up to [model] fmax, or as far as the test asked for
         them.
         """
-        found = [
-            s.frequencies
-            for s in (self.model and self.model.modes, self.correlate and self.correlate.fe_initial)
-            if s
-        ]
-        return max(found, key=len, default=np.zeros(0))
+        found = [np.zeros(0)]
+        if self.model is not None:
+            found.append(self.model.modes.frequencies)
+        if self.correlate is not None:
+            found.append(self.correlate.fe_initial.frequencies)
+        return max(found, key=len)
 
     @property
     def reference(self) -> ModeSet | None:
         """The test modes the model is judged by."""
         return self.correlate.reference.elastic if self.correlate is not None else None
-
-
-KINDS: dict[str, type] = {
-    n: get_args(h)[0] for n, h in get_type_hints(Stages).items() if NoneType in get_args(h)
-}

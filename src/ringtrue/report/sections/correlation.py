@@ -31,9 +31,16 @@ from ringtrue.report.parts import (
     signs,
 )
 from ringtrue.report.sections import evidence
-from ringtrue.study.results import ConfiguredTest, DeliveredConfiguration, RemodelStep, Seat
+from ringtrue.study.results import (
+    ConfiguredTest,
+    DeliveredConfiguration,
+    FinalStage,
+    RemodelStep,
+    Seat,
+)
 
 FOLDED = "Orthogonality, channels and close modes"
+QUALITY = ("Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Mean subspace MAC, %")
 FEW = 8  # modes above the other set's band that are still listed one by one
 
 
@@ -52,28 +59,14 @@ def pairs(
     """
     a, b = table.names
     deviations = judged or table_significance(table)
-    heads = [
-        "#",
-        f"{a} #",
-        f"{b} #",
-        f"f {a}, Hz",
-        f"f {b}, Hz",
-        "Δf, %",
-        "Δf, Hz",
-        "MAC, %",
-        "Subspace MAC, %",
-        "Δf/σ",
-        "|Acceptance",
-    ]
+    heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz"]
+    heads += ["MAC, %", "Subspace MAC, %", "Δf/σ", "|Acceptance"]
     heads += ["|Updating", "|"] if updating else ["|"]
     scatter = zip(deviations.z.tolist(), deviations.significant.tolist(), strict=True)
-    rows = [
-        _row(i + 1, r, data, updating, s)
-        for i, (r, s) in enumerate(zip(table.rows(), scatter, strict=True))
-    ]
-    mean = [fixed(table.mean_deviation(), 2), ""]
-    mean += [fixed(table.mean_mac(), 1), fixed(table.mean_subspace_mac(), 1)]
-    foot = ["Mean, of |Δf|", *mean, *[""] * (len(heads) - 9)]
+    every = zip(table.rows(), scatter, strict=True)
+    rows = [_row(i, r, data, updating, s) for i, (r, s) in enumerate(every, start=1)]
+    _, deviation, _, *macs = _means(table)
+    foot = ["Mean, of |Δf|", deviation, "", *macs, *[""] * (len(heads) - 9)]
     text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations)}"
     return ReportTable(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
 
@@ -85,8 +78,7 @@ def _scatter(deviations: Significance) -> str:
     inside = int((known & ~deviations.significant).sum())
     return (
         f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are "
-        "within its scatter "
-        f"(false discovery rate {100 * deviations.rate:g} %)."
+        f"within its scatter (false discovery rate {100 * deviations.rate:g} %)."
     )
 
 
@@ -100,27 +92,23 @@ def _row(
         str(r.fe),
         fixed(r.test_hz, 3),
         fixed(r.fe_hz, 3),
+        fixed(r.deviation_percent, 2, sign=True),
+        fixed(r.deviation_hz, 3, sign=True),
+        fixed(r.mac_percent, 1),
+        fixed(r.subspace_mac_percent, 1),
     ]
-    row += [fixed(r.deviation_percent, 2, sign=True), fixed(r.deviation_hz, 3, sign=True)]
-    row += [fixed(r.mac_percent, 1), fixed(r.subspace_mac_percent, 1)]
     z, beyond = scatter
-    shown = fixed(z, 1) if z < 99.95 else fixed(z, 0)
-    row.append(
-        Cell(shown, "good", "within the scatter") if np.isfinite(z) and not beyond else shown
-    )
+    shown = fixed(z, 1 if z < 99.95 else 0)
+    within = np.isfinite(z) and not beyond
+    row.append(Cell(shown, "good", "within the scatter") if within else shown)
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
+    flag: str | Cell = Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""
     if r.beyond:
-        return [
-            *row,
-            Cell(
-                "beyond the gate",
-                "chip",
-                "beyond the frequency gate, with similar shapes, and like no other mode",
-            ),
-        ]
-    return [*row, Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""]
+        why = "beyond the frequency gate, with similar shapes, and like no other mode"
+        flag = Cell("beyond the gate", "chip", why)
+    return [*row, flag]
 
 
 def unpaired(table: CorrelationTable) -> list[Block]:
@@ -132,17 +120,13 @@ def unpaired(table: CorrelationTable) -> list[Block]:
         (table.names[0], p.unpaired_a, p.reasons_a, table.all_test_hz),
         (table.names[1], p.unpaired_b, p.reasons_b, table.all_fe_hz),
     ):
-        every = [
-            (str(k + 1), fixed(float(f[k]), 3), signs(why))
-            for k, why in zip(lone.tolist(), reasons, strict=True)
-        ]
-        below = [row for row, k in zip(every, lone.tolist(), strict=True) if f[k] <= top]
-        rows = every if len(every) - len(below) <= FEW else below
+        every = list(zip(lone.tolist(), reasons, strict=True))
+        above = int((f[lone] > top).sum())
         caption = f"{name[:1].upper()}{name[1:]} modes without a partner."
-        if len(rows) < len(every):
-            caption += (
-                f" {len(every) - len(rows)} more lie above the highest {table.names[0]} mode."
-            )
+        if above > FEW:
+            every = [(k, why) for k, why in every if f[k] <= top]
+            caption += f" {above} more lie above the highest {table.names[0]} mode."
+        rows = [(str(k + 1), fixed(f[k], 3), signs(why)) for k, why in every]
         if rows:
             out.append(ReportTable(("#", "f, Hz", "|Reason"), rows, caption))
     return out
@@ -174,14 +158,10 @@ def tests(data: Stages) -> Section | None:
     table = data.compare.table
     e = data.compare.evidence
     caption = "The two tests at their common channels."
-    body = blocks(
-        table, data, caption, updating=False, judged=e.measures.significance if e else None
-    )
-    return Section(
-        "tests",
-        "Ambient against hammer",
-        [*body, *evidence.brief(e, table, "Channels and close modes")],
-    )
+    judged = e.measures.significance if e else None
+    body = blocks(table, data, caption, updating=False, judged=judged)
+    body += evidence.brief(e, table, "Channels and close modes")
+    return Section("tests", "Ambient against hammer", body)
 
 
 def initial(data: Stages) -> Section | None:
@@ -190,34 +170,29 @@ def initial(data: Stages) -> Section | None:
     if c is None:
         return None
     body: list[Block] = [Text(sentence(m.text)) for m in c.sensors.mendings]
-    placed = c.sensors.alignment
-    body += [Text(sentence(placed))] if placed else []
-    body += [Items(c.notes, f"Notes on the test ({len(c.notes)})")] if c.notes else []
-    read = c.sensors.seats
-    if read:
+    if c.sensors.alignment:
+        body.append(Text(sentence(c.sensors.alignment)))
+    if c.notes:
+        body.append(Items(c.notes, f"Notes on the test ({len(c.notes)})"))
+    if read := c.sensors.seats:
         body.append(Fold(f"Where the sensors are read ({len(read)} channels)", [seats(read)]))
     body += blocks(c.initial, data, "The initial model against the test.", updating=True)
-    return Section(
-        "initial",
-        "Initial correlation",
-        [*body, *evidence.brief(c.evidence_initial, c.initial, FOLDED)],
-    )
+    body += evidence.brief(c.evidence_initial, c.initial, FOLDED)
+    return Section("initial", "Initial correlation", body)
 
 
 def seats(found: Sequence[Seat]) -> ReportTable:
     """The map from the points of the sheet to the nodes of the deck."""
-    rows = []
-    for s in found:
-        sensor = s.sensor + (" turned" if s.sign < 0 else "")
-        rows.append(
-            [
-                s.channel,
-                sensor,
-                str(s.point),
-                " ".join(map(str, s.nodes)),
-                fixed(1e3 * s.distance, 1),
-            ]
-        )
+    rows = [
+        [
+            s.channel,
+            s.sensor + (" turned" if s.sign < 0 else ""),
+            str(s.point),
+            " ".join(map(str, s.nodes)),
+            fixed(1e3 * s.distance, 1),
+        ]
+        for s in found
+    ]
     text = (
         "The nodes of the deck at which each channel is read; numbers of points are those of "
         "the sensor sheet."
@@ -236,9 +211,8 @@ def remodelled(data: Stages) -> Section | None:
     body += [_history(r.history)] if len(r.history) > 2 else []
     body += [Diff(r.diff, "The remodelling as a change of the deck.")] if r.diff else []
     body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
-    return Section(
-        "remodelled", "Remodelling", [*body, *evidence.brief(c.evidence, c.remodelled, FOLDED)]
-    )
+    body += evidence.brief(c.evidence, c.remodelled, FOLDED)
+    return Section("remodelled", "Remodelling", body)
 
 
 def _history(steps: Sequence[RemodelStep]) -> ReportTable:
@@ -255,15 +229,7 @@ def _history(steps: Sequence[RemodelStep]) -> ReportTable:
         ]
         for i, s in enumerate(steps)
     ]
-    heads = (
-        "Step",
-        "|What",
-        "Pairs",
-        "Mean |Δf|, %",
-        "Max |Δf|, %",
-        "Mean MAC, %",
-        "Mean subspace MAC, %",
-    )
+    heads = ("Step", "|What", *QUALITY)
     text = "The initial deck and that after each step of the remodelling, against the test."
     return ReportTable(heads, rows, text).without_blank("MAC")
 
@@ -280,12 +246,9 @@ def final(data: Stages) -> Section | None:
     if len(f.rigid):
         body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))
     body += evidence.whole(f.evidence, f.table)
-    deck = changes(f.files, f.changes)
-    return Section(
-        "final",
-        "Final correlation",
-        [*body, Heading("Changes of the deck"), *deck] if deck else body,
-    )
+    if deck := changes(f.files, f.changes):
+        body += [Heading("Changes of the deck"), *deck]
+    return Section("final", "Final correlation", body)
 
 
 def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
@@ -302,32 +265,20 @@ def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
     return [ReportTable(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]
 
 
-HEADS = (
-    "|Configuration",
-    "|Deck",
-    "|Test",
-    "Pairs",
-    "Mean |Δf|, %",
-    "Max |Δf|, %",
-    "Mean MAC, %",
-    "Mean subspace MAC, %",
-)
-
-
 def configurations(data: Stages) -> Section | None:
     """One line a configuration, then the tables of each."""
     if data.configurations is None:
         return None
     after = {c.name: c for c in data.configured.items} if data.configured else {}
     items = data.configurations.items
-    lead = "Each configuration has a deck and a test of its own. "
-    lead += (
-        "One parameter set was updated over all of them and over the deck of the study; every "
-        "deck that has a changed "
-        "field was edited in place, read back and judged by its own test."
-        if after
-        else "Nothing has been updated yet."
-    )
+    done = "Nothing has been updated yet."
+    if after:
+        done = (
+            "One parameter set was updated over all of them and over the deck of the study; every "
+            "deck that has a changed field was edited in place, read back and judged by its own "
+            "test."
+        )
+    lead = f"Each configuration has a deck and a test of its own. {done}"
     body: list[Block] = [Text(lead, "lead"), _configuration_table(data, items, after)]
     for c in items:
         body += _configuration(data, c, after.get(c.name))
@@ -338,58 +289,49 @@ def _configuration_table(
     data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]
 ) -> ReportTable:
     rows = []
-    if data.correlate is not None:
-        last = data.final.table if data.final else None
+    if (c := data.correlate) is not None:
         deck = Path(data.model.files[0]).name if data.model else ""
-        modes = f"{len(data.correlate.reference.elastic)} modes"
-        rows.append(
-            ["the deck of the study", deck, modes, *_before_after(data.correlate.remodelled, last)]
-        )
-    for c in items:
-        done = after.get(c.name)
-        rows.append(
-            [
-                c.name,
-                Path(c.files[0]).name,
-                c.source,
-                *_before_after(c.initial, done.table if done else None),
-            ]
-        )
-    return ReportTable(
-        HEADS,
-        rows,
-        "Every configuration before → after the updating; modes left out are counted, too.",
-    )
+        values = _before_after(c.remodelled, data.final)
+        modes = f"{len(c.reference.elastic)} modes"
+        rows.append(["the deck of the study", deck, modes, *values])
+    for item in items:
+        values = _before_after(item.initial, after.get(item.name))
+        rows.append([item.name, Path(item.files[0]).name, item.source, *values])
+    text = "Every configuration before → after the updating; modes left out are counted, too."
+    return ReportTable(("|Configuration", "|Deck", "|Test", *QUALITY), rows, text)
 
 
-def _before_after(before: CorrelationTable, after: CorrelationTable | None) -> list[str]:
-    def both(one: str, two: str) -> str:
-        return f"{one} → {two}" if after is not None else one
+def _before_after(
+    before: CorrelationTable, after: FinalStage | DeliveredConfiguration | None
+) -> list[str]:
+    now = _means(before)
+    if after is None:
+        return now
+    return [f"{one} → {two}" for one, two in zip(now, _means(after.table), strict=True)]
 
-    b = before
-    a = after or before
+
+def _means(table: CorrelationTable) -> list[str]:
+    """The columns of `QUALITY`."""
     return [
-        both(str(len(b)), str(len(a))),
-        both(fixed(b.mean_deviation(), 2), fixed(a.mean_deviation(), 2)),
-        both(fixed(b.max_deviation(), 2), fixed(a.max_deviation(), 2)),
-        both(fixed(b.mean_mac(), 1), fixed(a.mean_mac(), 1)),
-        both(fixed(b.mean_subspace_mac(), 1), fixed(a.mean_subspace_mac(), 1)),
+        str(len(table)),
+        fixed(table.mean_deviation(), 2),
+        fixed(table.max_deviation(), 2),
+        fixed(table.mean_mac(), 1),
+        fixed(table.mean_subspace_mac(), 1),
     ]
 
 
 def _configuration(
     data: Stages, c: ConfiguredTest, after: DeliveredConfiguration | None
 ) -> list[Block]:
-    before = blocks(
-        c.initial, data, f"{c.name}: the deck before the updating against its test.", updating=True
-    )
+    caption = f"{c.name}: the deck before the updating against its test."
+    before = blocks(c.initial, data, caption, updating=True)
     out: list[Block] = [Heading(c.name)]
     out += [Text(sentence(m.text)) for m in c.sensors.mendings]
     out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
     if after is None:
         return [*out, *before]
-    out += blocks(
-        after.table, data, f"{c.name}: the delivered deck against its test.", updating=True
-    )
+    caption = f"{c.name}: the delivered deck against its test."
+    out += blocks(after.table, data, caption, updating=True)
     out.append(Fold(f"{c.name}: before the updating", before))
     return [*out, *changes(after.files, after.changes)]

@@ -49,7 +49,7 @@ def response(data: Stages) -> Section | None:
 
 def _agreement(e: FrfEvidence) -> list[Block]:
     """FRFs reference by reference, over frequency, and line against line."""
-    span = f"{number(float(e.final.freqs[0]), 3)} to {number(float(e.final.freqs[-1]), 3)} Hz"
+    span = f"{number(e.final.freqs[0], 3)} to {number(e.final.freqs[-1], 3)} Hz"
     rows = [_reference(a, b) for a, b in zip(e.initial.by_input(), e.final.by_input(), strict=True)]
     heads = (
         "|Reference",
@@ -104,12 +104,11 @@ def _damping_plot(data: Stages) -> Plot:
     sets: list[tuple[str, ModeSet, Uncertainty | None]] = []
     if data.identify is not None:
         i = data.identify
-        sets += [("ambient", i.ambient.modes, i.ambient.uncertainty)] if len(i.ambient) else []
-        sets += (
-            [(i.source.removesuffix(" test"), i.hammer.modes, i.hammer.uncertainty)]
-            if i.hammer is not None
-            else []
-        )
+        if len(i.ambient):
+            sets.append(("ambient", i.ambient.modes, i.ambient.uncertainty))
+        if i.hammer is not None:
+            name = i.source.removesuffix(" test")
+            sets.append((name, i.hammer.modes, i.hammer.uncertainty))
     assert data.final is not None
     used = (data.final.modes.frequencies, data.final.damping)
     text = (
@@ -124,8 +123,8 @@ def _damping_table(data: Stages) -> ReportTable:
     rows = [
         (
             str(k + 1),
-            fixed(float(f.modes.frequencies[k]), 3),
-            fixed(100 * float(f.damping[k]), 2),
+            fixed(f.modes.frequencies[k], 3),
+            fixed(100 * f.damping[k], 2),
             f.damping_from[k],
         )
         for k in range(int(np.size(f.damping)))
@@ -167,26 +166,19 @@ def damping(data: Stages) -> Section | None:
 
 def _lead(d: DampingStage, modes: DampedModes) -> str:
     """What came out, in two sentences."""
-    (before, after), (blind_before, blind) = modes.spread(True), modes.spread(False)
+    before, after = modes.spread(True)
+    blind_before, blind = modes.spread(False)
     text = (
         "Loss factors and dashpots of the regions, fitted to the damping ratios of the "
-        "identified modes. "
+        f"identified modes. The ratios of the modes used deviate by {100 * after:.0f} % from the "
+        f"test (root mean square; {100 * before:.0f} % with {d.before})"
     )
-    text += (
-        f"The ratios of the modes used deviate by {_percent(after)} from the test (root mean "
-        "square; "
-    )
-    text += f"{_percent(before)} with {d.before})"
     if math.isfinite(blind):
         text += (
-            f"; those of the modes left out, a prediction, by {_percent(blind)} "
-            f"({_percent(blind_before)})"
+            f"; those of the modes left out, a prediction, by {100 * blind:.0f} % "
+            f"({100 * blind_before:.0f} %)"
         )
-    return text + "."
-
-
-def _percent(x: float) -> str:
-    return f"{100 * x:.0f} %"
+    return f"{text}."
 
 
 def _regions(r: DampedRegions) -> ReportTable:
@@ -200,8 +192,8 @@ def _regions(r: DampedRegions) -> ReportTable:
             if ratio > TOLD
             else fixed(ratio, 2)
         )
-        known = f"{number(float(r.expected[i]), 2)} ± {number(float(r.expected_std[i]), 2)}"
-        values = [number(float(x), 3 - k) for k, x in enumerate((r.coefficients[i], r.std[i]))]
+        known = f"{number(r.expected[i], 2)} ± {number(r.expected_std[i], 2)}"
+        values = [number(x, 3 - k) for k, x in enumerate((r.coefficients[i], r.std[i]))]
         rows.append(
             [name, Cell(r.targets[i], "muted"), unit[r.natures[i]], *values, known, described]
         )
@@ -230,13 +222,13 @@ def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
         [
             m.test[i],
             str(int(m.fe[i]) + 1),
-            fixed(float(m.hertz[i]), 3),
+            fixed(m.hertz[i], 3),
             *(
-                fixed(100 * float(x[i]), 3)
+                fixed(100 * x[i], 3)
                 for x in (m.measured, m.measured_std, m.before, m.after, m.after_std)
             ),
             fixed(100 * float(m.after[i] / m.measured[i] - 1), 0, sign=True),
-            *(fixed(100 * float(x[i]), 0) for x in (m.frf_before, m.frf_after)),
+            *(fixed(100 * x[i], 0) for x in (m.frf_before, m.frf_after)),
             "used" if m.used[i] else Cell("left out", "chip"),
         ]
         for i in order

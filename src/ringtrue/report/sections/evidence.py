@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.measures import CloseSubspace, CompleteCorrelation
 from ringtrue.correlation.orthogonality import Failure, OrthogonalityCheck
 from ringtrue.correlation.table import CorrelationTable
@@ -35,13 +34,9 @@ def brief(e: Evidence | None, table: CorrelationTable, title: str) -> list[Block
     """Suspected channels in the open, all else folded away."""
     if e is None:
         return []
-    inner = [
-        *orthogonality(e, table),
-        *channels(e.measures),
-        *close(e.measures, table),
-        *_notes(e.measures),
-    ]
-    return [suspects(e.measures, table), *([Fold(title, inner)] if inner else [])]
+    m = e.measures
+    inner = [*orthogonality(e, table), *channels(m), *close(m, table), *_notes(m)]
+    return [suspects(m, table), *([Fold(title, inner)] if inner else [])]
 
 
 def whole(e: Evidence | None, table: CorrelationTable) -> list[Block]:
@@ -93,58 +88,50 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
 
 def _check(c: OrthogonalityCheck, measures: CompleteCorrelation) -> list[str | Cell]:
     v = c.verdict
-    verdict = Cell("passed", "good") if v.passed else Cell("failed", "bad")
+    least = fixed(100 * v.least_diagonal, 1) if c.kind != "self" else "–"
+    most = fixed(100 * v.largest_off_diagonal, 1)
+    named = _beyond(c.kind, v.failures)
+    return [c.mass, WHOSE[c.kind], least, most, verdict(c, measures), named]
+
+
+def verdict(c: OrthogonalityCheck, measures: CompleteCorrelation) -> Cell:
+    """Whether a check has passed, where it can be judged."""
     if not measures.judges(c):
-        verdict = Cell("no verdict", "warn")
-    least = 100 * v.least_diagonal
-    most = 100 * v.largest_off_diagonal
-    shown = fixed(least, 1) if c.kind != "self" else "–"
-    return [c.mass, WHOSE[c.kind], shown, fixed(most, 1), verdict, _beyond(c.kind, v.failures)]
+        return Cell("no verdict", "warn")
+    return Cell("passed", "good") if c.verdict.passed else Cell("failed", "bad")
 
 
 def _beyond(kind: str, failures: Sequence[Failure]) -> str:
     """The entries beyond the gate, the worst first; those of a symmetric matrix once."""
     once = [f for f in failures if kind == "cross" or f.a < f.b]
-    sides = {"model": ("FE", "FE"), "self": ("", ""), "cross": ("", "FE ")}[kind]
-    gap = {"model": " ", "self": "", "cross": ""}[kind]
-    described = [
-        f"{sides[0]}{gap}{f.a + 1} – {sides[1]}{gap}{f.b + 1}: {100 * f.value:.0f} %"
-        for f in once[:MOST]
-    ]
+    left, right = {"model": ("FE ", "FE "), "self": ("", ""), "cross": ("", "FE ")}[kind]
+    described = [f"{left}{f.a + 1} – {right}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]]
     return ", ".join(described) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
 
 
 def suspects(c: CompleteCorrelation, table: CorrelationTable) -> ReportTable | Text:
     """Channels that contradict the other set: named, never mended."""
+    if not c.suspects and len(table) < 3:
+        return Text("With fewer than 3 pairs channels are not judged.")
     if not c.suspects:
-        judged = len(table) >= 3
-        described = (
-            "no channel looks reversed, swapped, mis-scaled or dead"
-            if judged
-            else "channels are not judged"
-        )
-        return Text(
-            f"Against the {table.names[1]} modes {described}."
-            if judged
-            else f"With fewer than 3 pairs {described}."
-        )
+        clean = "no channel looks reversed, swapped, mis-scaled or dead"
+        return Text(f"Against the {table.names[1]} modes {clean}.")
     caption = (
         "Channels to look at; nothing was mended. A region that is wrong in the model may "
         "look like a fault."
     )
     heads = ("|Channel", "|Looks", "|What is seen", "MAC now, %", "MAC if mended, %")
-    return ReportTable(heads, [_suspect(s) for s in c.suspects], caption)
-
-
-def _suspect(s: Suspect) -> list[str | Cell]:
-    described = sentence(s.message.split("; ")[0])
-    return [
-        s.channel,
-        Cell(s.fault, "warn"),
-        described,
-        fixed(100 * s.mac_now, 1),
-        fixed(100 * s.mac_mended, 1),
+    rows = [
+        (
+            s.channel,
+            Cell(s.fault, "warn"),
+            sentence(s.message.split("; ")[0]),
+            fixed(100 * s.mac_now, 1),
+            fixed(100 * s.mac_mended, 1),
+        )
+        for s in c.suspects
     ]
+    return ReportTable(heads, rows, caption)
 
 
 def channels(c: CompleteCorrelation) -> list[Block]:
@@ -153,19 +140,18 @@ def channels(c: CompleteCorrelation) -> list[Block]:
         return []
     caption = (
         "The channels with the lowest CoMAC; those with the highest eCoMAC, which sees signs and "
-        "what moves; the "
-        "mean MAC of the pairs if the channels that spoil it most were left out one by one. "
-        "Nothing was left out."
+        "what moves; the mean MAC of the pairs if the channels that spoil it most were left out "
+        "one by one. Nothing was left out."
     )
-    order = c.by_channel.comac.argsort(kind="stable").tolist()
+    by = c.by_channel
     rows = [
         (
             c.channels[i],
-            fixed(100 * float(c.by_channel.comac[i]), 1),
-            fixed(100 * float(c.by_channel.ecomac[i]), 2),
-            fixed(100 * float(c.by_channel.contribution[i]), 2),
+            fixed(100 * by.comac[i], 1),
+            fixed(100 * by.ecomac[i], 2),
+            fixed(100 * by.contribution[i], 2),
         )
-        for i in order
+        for i in by.comac.argsort(kind="stable")
     ]
     heads = ("|Channel", "CoMAC, %", "eCoMAC, %", "Contribution to the MAC, %")
     text = (
@@ -195,7 +181,7 @@ def _close(s: CloseSubspace, table: CorrelationTable) -> list[str | Cell]:
     for modes, f in ((s.a, table.all_test_hz), (s.b, table.all_fe_hz)):
         sides += [
             ", ".join(str(i + 1) for i in modes),
-            ", ".join(fixed(float(f[i]), 2) for i in modes),
+            ", ".join(fixed(f[i], 2) for i in modes),
         ]
     described = ", ".join(fixed(math.degrees(x), 1) for x in s.angles)
     return [*sides, Cell(described, "warn" if max(s.angles) > TURNED else "")]

@@ -90,9 +90,9 @@ def _modes(found: IdentifiedModes, caption: str) -> ReportTable:
         rows.append(
             (
                 str(k + 1),
-                fixed(float(modes.frequencies[k]), 3),
+                fixed(modes.frequencies[k], 3),
                 number(sf, 2),
-                fixed(100 * float(modes.damping[k]), 2),
+                fixed(100 * modes.damping[k], 2),
                 number(100 * sz, 2),
                 Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
             )
@@ -106,7 +106,7 @@ def _by_record(data: Stages) -> Block:
         (
             r.record,
             str(len(r.modes)),
-            "  ".join(fixed(f, 2) for f in r.modes.frequencies.tolist()) or "–",
+            "  ".join(fixed(f, 2) for f in r.modes.frequencies) or "–",
         )
         for r in data.identify.ambient_records
     ]

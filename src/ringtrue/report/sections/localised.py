@@ -55,77 +55,44 @@ def section(data: Stages) -> Section | None:
     s = data.localise
     if s is None:
         return None
-    which = (
-        f", the {plots.BARS} largest of {len(s.indicators.regions)}"
-        if len(s.indicators.regions) > plots.BARS
-        else ""
-    )
-    bars = Plot(
-        plots.regions(s),
-        f"Concentration of error by region{which}; dotted: an error that is spread evenly.",
-    )
-    if not s.indicators.modes.size:
-        return Section(
-            "localisation", "Where the model is wrong", [Text(NO_SHAPES, "lead"), *_proposal(s)]
-        )
-    blocks: list[Block] = [Text(LEAD.format(EXPANSIONS[s.indicators.expansion]), "lead"), bars]
+    title = "Where the model is wrong"
+    found = s.indicators
+    if not found.modes.size:
+        return Section("localisation", title, [Text(NO_SHAPES, "lead"), *_proposal(s)])
+    count = len(found.regions)
+    which = f", the {plots.BARS} largest of {count}" if count > plots.BARS else ""
+    text = f"Concentration of error by region{which}; dotted: an error that is spread evenly."
+    bars: Block = Plot(plots.regions(s), text)
     if data.model is not None:
-        view = Scene3D(
-            plots.view(data.model.scene, s),
-            "The same on the model: amber to red is more than its share.",
-            430,
-        )
-        blocks = [blocks[0], Columns([[bars], [view]])]
-    blocks += [Fold("All indicators by region", [_regions(s)]), Heading("Proposal"), *_proposal(s)]
-    return Section("localisation", "Where the model is wrong", blocks)
+        same = "The same on the model: amber to red is more than its share."
+        bars = Columns([[bars], [Scene3D(plots.view(data.model.scene, s), same, 430)]])
+    lead = Text(LEAD.format(EXPANSIONS[found.expansion]), "lead")
+    every = Fold("All indicators by region", [_regions(s)])
+    return Section("localisation", title, [lead, bars, every, Heading("Proposal"), *_proposal(s)])
 
 
 def _regions(s: LocaliseStage) -> ReportTable:
-    heads = (
-        "|Region",
-        "Strain energy, %",
-        "Constitutive error, %",
-        "×",
-        "Force residual, %",
-        "Energy change, %",
-        "×",
-    )
-    value = s.indicators.concentration
+    heads = ["|Region", "Strain energy, %", "Constitutive error, %", "×"]
+    heads += ["Force residual, %", "Energy change, %", "×"]
+    found = s.indicators
+    value = found.concentration
     rows = []
-    for i in np.argsort(-np.nan_to_num(value), kind="stable").tolist():
-        change = (
-            s.indicators.energy[i] / s.indicators.strain[i] if np.isfinite(value[i]) else np.nan
-        )
-        described = (
-            Cell(fixed(float(value[i]), 2), "warn") if value[i] > 1 else fixed(float(value[i]), 2)
-        )
-        shares = [
-            fixed(100 * float(v[i]), 1)
-            for v in (
-                s.indicators.strain,
-                s.indicators.constitutive,
-                s.indicators.force,
-                s.indicators.energy,
-            )
+    for i in np.argsort(-np.nan_to_num(value), kind="stable"):
+        change = found.energy[i] / found.strain[i] if np.isfinite(value[i]) else np.nan
+        row: list[str | Cell] = [
+            found.regions[i],
+            fixed(100 * found.strain[i], 1),
+            fixed(100 * found.constitutive[i], 1),
+            Cell(fixed(value[i], 2), "warn") if value[i] > 1 else fixed(value[i], 2),
+            fixed(100 * found.force[i], 1),
+            fixed(100 * found.energy[i], 1),
+            fixed(change, 2),
         ]
-        rows.append(
-            [
-                s.indicators.regions[i],
-                shares[0],
-                shares[1],
-                described,
-                shares[2],
-                shares[3],
-                fixed(float(change), 2),
-            ]
-        )
+        rows.append(row)
     text = (
-        f"Shares of the regions in the expanded shapes of {s.indicators.modes.size} used "
-        "modes; ×: over "
-        "their share of strain "
-        "energy. Error in constitutive relation (Ladevèze and Reynier 1989), force residual "
-        "(shared by all that meet "
-        "at a node), change of modal strain energy."
+        f"Shares of the regions in the expanded shapes of {found.modes.size} used modes; ×: over "
+        "their share of strain energy. Error in constitutive relation (Ladevèze and Reynier "
+        "1989), force residual (shared by all that meet at a node), change of modal strain energy."
     )
     if s.indicators.misfit.size:
         text += (
@@ -145,12 +112,11 @@ def _proposal(s: LocaliseStage) -> list[Block]:
             Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"),
             _candidates(s),
         ]
-    before, after = (100 * float(x) for x in p.mac[:2])
-    mac = (
-        f", mean MAC {'rises' if after >= before else 'falls'} from {fixed(before, 1)} to "
-        f"{fixed(after, 1)} %"
-    )
-    mac = mac if p.seen else ""
+    before, after = (100 * x for x in p.mac)
+    mac = ""
+    if p.seen:
+        way = "rises" if after >= before else "falls"
+        mac = f", mean MAC {way} from {fixed(before, 1)} to {fixed(after, 1)} %"
     gain = (
         f"With {_count(len(p.members))} of them mean |Δf| of the used modes "
         f"{'falls' if p.after <= p.before else 'rises'} from {fixed(100 * p.before, 2)} to "
@@ -205,41 +171,24 @@ def _proposal(s: LocaliseStage) -> list[Block]:
 
 def _made(s: LocaliseStage) -> str:
     text = (
-        f"{s.pool.made} candidates are made from the deck; {len(s.candidates.what)} that "
-        "explain most of the "
-        "deviations, each in a way "
+        f"{s.pool.made} candidates are made from the deck; {len(s.candidates.what)} that explain "
+        "most of the deviations, each in a way of its own, are looked at closely."
     )
-    text += "of its own, are looked at closely."
-    lost = (
-        f" {_count(len(s.pool.dropped)).capitalize()} "
-        f"change{'s' if len(s.pool.dropped) == 1 else ''} "
-        "no mode."
-    )
-    return text + (lost if s.pool.dropped else "")
+    if lost := len(s.pool.dropped):
+        text += f" {_count(lost).capitalize()} change{'s' if lost == 1 else ''} no mode."
+    return text
 
 
 def _count(n: int) -> str:
-    words = [
-        "no",
-        "one",
-        "two",
-        "three",
-        "four",
-        "five",
-        "six",
-        "seven",
-        "eight",
-        "nine",
-        "ten",
-        "eleven",
-        "twelve",
-    ]
+    words = ["no", "one", "two", "three", "four", "five", "six"]
+    words += ["seven", "eight", "nine", "ten", "eleven", "twelve"]
     return words[n] if n < len(words) else str(n)
 
 
 def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
-    low, high = (float(x[0]) for x in s.candidates.parameters.take([m.index]).bounds())
-    x = float(s.candidates.parameters.take([m.index]).vector(np.array([m.factor]))[0])
+    own = s.candidates.parameters.take([m.index])
+    low, high = (x[0] for x in own.bounds())
+    x = own.vector(np.array([m.factor]))[0]
     factor = f"+ {number(m.added, 3)}" if m.lump else fixed(m.factor, 3)
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.collinear, *m.rivals)) or "–"
@@ -251,11 +200,9 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
 def _few(regions: str) -> str:
     """The first of the regions that a candidate is in, where there are many."""
     names = regions.split(", ")
-    return (
-        regions
-        if len(names) <= REGIONS
-        else f"{', '.join(names[:REGIONS])} and {len(names) - REGIONS} more"
-    )
+    if len(names) <= REGIONS:
+        return regions
+    return f"{', '.join(names[:REGIONS])} and {len(names) - REGIONS} more"
 
 
 def _candidates(s: LocaliseStage) -> Block:
@@ -277,24 +224,20 @@ def _candidates(s: LocaliseStage) -> Block:
         "|",
     )
     rows = []
-    for i in np.argsort(-s.candidates.effect, kind="stable").tolist():
-        name = s.candidates.parameters.names[i]
-        known = [
-            fixed(float(s.candidates.others_known[i]), 2),
-            fixed(float(s.candidates.all_free[i]), 2),
+    c = s.candidates
+    for i in np.argsort(-c.effect, kind="stable"):
+        name = c.parameters.names[i]
+        row: list[str | Cell] = [
+            name,
+            Cell(c.what[i], "muted"),
+            _few(c.elements[i]),
+            number(c.effect[i], 3),
+            fixed(100 * max(c.explains[i], 0.0), 0),
+            fixed(c.others_known[i], 2),
+            fixed(c.all_free[i], 2),
+            verdict.get(name, ""),
         ]
-        explains = fixed(100 * max(float(s.candidates.explains[i]), 0.0), 0)
-        rows.append(
-            [
-                name,
-                Cell(s.candidates.what[i], "muted"),
-                _few(s.candidates.elements[i]),
-                number(float(s.candidates.effect[i]), 3),
-                explains,
-                *known,
-                verdict.get(name, ""),
-            ]
-        )
+        rows.append(row)
     text = (
         "All candidates. Effect: of one prior standard deviation, in standard deviations of the "
         "residuals. Explains "

@@ -53,7 +53,7 @@ def section(data: Stages) -> Section | None:
     blocks += [
         Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
     ]
-    side = correlation.MatrixSide([str(i + 1) for i in plan.target_modes.tolist()], "FE mode")
+    side = correlation.MatrixSide([str(i + 1) for i in plan.target_modes], "FE mode")
     auto = correlation.matrix(plan.sensors.auto_mac, side, side, height=430, diagonal=False)
     left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
     right = _precision(data, plan)
@@ -70,10 +70,9 @@ def section(data: Stages) -> Section | None:
         )
     if plan.excitation.sets:
         blocks.append(_ranked(plan))
-    lists: list[Block] = [
-        *([_targets(plan)] if plan.target_frequencies.size else []),
-        _points(plan),
-    ]
+    lists: list[Block] = [_points(plan)]
+    if plan.target_frequencies.size:
+        lists.insert(0, _targets(plan))
     if plan.virtual_ambient_test is not None:
         lists.append(_ambient(plan, plan.virtual_ambient_test))
     if data.identify is None:
@@ -87,12 +86,11 @@ def section(data: Stages) -> Section | None:
 
 
 def _references(plan: PlanStage) -> str:
-    both = (
-        " All are channels, too: each pair of them checks reciprocity."
-        if len(plan.excitation.references) > 1
-        else ""
-    )
-    return f"Hammer references: {', '.join(plan.excitation.references)}.{both}"
+    references = plan.excitation.references
+    text = f"Hammer references: {', '.join(references)}."
+    if len(references) > 1:
+        text += " All are channels, too: each pair of them checks reciprocity."
+    return text
 
 
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
@@ -130,38 +128,36 @@ def _hung(found: SuspensionPlan) -> str:
 
 def _foreseen(modes: Int, r: VirtualTest, what: str, whose: str) -> list[Block]:
     """What the virtual test says in a sentence, and the modes that it misses."""
-    names = [str(k + 1) for k in modes.tolist()]
+    names = [str(k + 1) for k in modes]
     missed = rarely_found_modes(r, names, SURE)
     described = (
         f"{what}: {len(names) - len(missed)} of {len(names)} {whose} were found in at least "
         f"{100 * SURE:.0f} % of "
         f"{r.trials} tests."
     )
-    return [
-        Text(described),
-        *([Items(missed, "Modes that the test may miss")] if missed else []),
-    ]
+    blocks: list[Block] = [Text(described)]
+    if missed:
+        blocks.append(Items(missed, "Modes that the test may miss"))
+    return blocks
 
 
 def _targets(plan: PlanStage) -> ReportTable:
     """Target modes: how well they are excited and shown, and what the virtual test made of them."""
     heads = ["FE mode", "f, Hz", "reach, %"]
     columns: list[list[str | Cell]] = [
-        [str(k + 1) for k in plan.target_modes.tolist()],
-        [fixed(f, 3) for f in plan.target_frequencies.tolist()],
+        [str(k + 1) for k in plan.target_modes],
+        [fixed(f, 3) for f in plan.target_frequencies],
         [
             Cell(fixed(100 * r, 0), "bad" if lost else "")
-            for r, lost in zip(
-                plan.excitation.reach.tolist(), plan.excitation.missed.tolist(), strict=True
-            )
+            for r, lost in zip(plan.excitation.reach, plan.excitation.missed, strict=True)
         ],
     ]
     if plan.sensors.shown.size:
         heads.append("shown, %")
-        columns.append([fixed(100 * s, 0) for s in plan.sensors.shown.tolist()])
+        columns.append([fixed(100 * s, 0) for s in plan.sensors.shown])
     if plan.sensors.loaded.size:
         heads.append("shift by sensors, %")
-        columns.append([fixed(100 * x, 2, sign=True) for x in plan.sensors.loaded.tolist()])
+        columns.append([fixed(100 * x, 2, sign=True) for x in plan.sensors.loaded])
     if len(set(plan.reasons)) > 1:
         heads.insert(1, "|why")
         columns.insert(1, list(plan.reasons))
@@ -188,11 +184,11 @@ def _ambient(plan: PlanStage, r: VirtualTest) -> ReportTable:
     errors.
     """
     columns: list[list[str | Cell]] = [
-        [str(k + 1) for k in plan.acquisition.modes.tolist()],
-        [fixed(f, 3) for f in r.frequencies.tolist()],
+        [str(k + 1) for k in plan.acquisition.modes],
+        [fixed(f, 3) for f in r.frequencies],
         *_found(r),
-        [number(100 * x, 2) for x in plan.acquisition.std_frequency.tolist()],
-        [number(100 * x, 2) for x in plan.acquisition.std_damping.tolist()],
+        [number(100 * x, 2) for x in plan.acquisition.std_frequency],
+        [number(100 * x, 2) for x in plan.acquisition.std_damping],
     ]
     heads = (
         "FE mode",
@@ -214,14 +210,14 @@ def _ambient(plan: PlanStage, r: VirtualTest) -> ReportTable:
 
 
 def _found(r: VirtualTest) -> list[list[str | Cell]]:
-    hints = [f"at least {100 * p:.0f} % with 95 % confidence" for p in r.at_least.tolist()]
+    hints = [f"at least {100 * p:.0f} % with 95 % confidence" for p in r.at_least]
     found: list[str | Cell] = [
         Cell(fixed(100 * p, 0), "" if p >= SURE else "bad", hint)
-        for p, hint in zip(r.found.tolist(), hints, strict=True)
+        for p, hint in zip(r.found, hints, strict=True)
     ]
     rest = (100 * r.frequency_std, 100 * r.damping_std)
-    spread: list[list[str | Cell]] = [[number(x, 2) for x in c.tolist()] for c in rest]
-    return [found, *spread, [fixed(100 * x, 1) for x in r.mac.tolist()]]
+    spread: list[list[str | Cell]] = [[number(x, 2) for x in c] for c in rest]
+    return [found, *spread, [fixed(100 * x, 1) for x in r.mac]]
 
 
 def _ranked(plan: PlanStage) -> ReportTable:
@@ -236,7 +232,7 @@ def _ranked(plan: PlanStage) -> ReportTable:
         )
         for s, least, missed in zip(
             plan.excitation.sets,
-            plan.excitation.least_reach.tolist(),
+            plan.excitation.least_reach,
             plan.excitation.missed_by_sets,
             strict=True,
         )
@@ -251,33 +247,26 @@ def _ranked(plan: PlanStage) -> ReportTable:
 
 def _points(plan: PlanStage) -> ReportTable:
     """Measuring points, and what is struck there; the struck ones first."""
-    struck = {
-        p: [r for r in plan.excitation.references if r.startswith((f"{p}+", f"{p}-"))]
-        for p in plan.sensors.test.points.tolist()
-    }
+    test = plan.sensors.test
+    setups = plan.sensors.setups
     read: dict[int, list[str]] = {}
-    for p, name in zip(plan.sensors.test.at.tolist(), plan.sensors.test.channels, strict=True):
+    for p, name in zip(test.at, test.channels, strict=True):
         read.setdefault(p, []).append(name.removeprefix(str(p)))
-    there = (
-        {p: str(k + 1) for k in range(plan.sensors.setups.count) for p in plan.sensors.roving(k)}
-        if plan.sensors.setups
-        else {}
-    )
-    parts = any(plan.sensors.test.groups)
+    there = {}
+    if setups:
+        there = {p: str(k + 1) for k in range(setups.count) for p in plan.sensors.roving(k)}
+    parts = any(test.groups)
     rows: list[tuple[str, ...]] = []
-    for p, xyz, group in zip(
-        plan.sensors.test.points.tolist(),
-        plan.sensors.test.xyz.tolist(),
-        plan.sensors.test.groups,
-        strict=True,
-    ):
-        setup = (there.get(p, "all"),) if plan.sensors.setups else ()
+    for p, xyz, group in zip(test.points, test.xyz, test.groups, strict=True):
+        setup = (there.get(p, "all"),) if setups else ()
         part = (group,) if parts else ()
         place = (fixed(v, 3) for v in xyz)
-        rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck[p])))
+        ends = (f"{p}+", f"{p}-")
+        struck = [r for r in plan.excitation.references if r.startswith(ends)]
+        rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck)))
     rows.sort(key=lambda row: not row[-1])
     part = ("|part",) if parts else ()
-    setup = ("setup",) if plan.sensors.setups else ()
+    setup = ("setup",) if setups else ()
     heads = ("point", *part, "x, m", "y, m", "z, m", "|channels", *setup, "|strike")
     return ReportTable(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
 

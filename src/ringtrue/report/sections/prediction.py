@@ -68,25 +68,16 @@ def _share(inside: Bool, which: Bool) -> str:
 def _facts(s: UncertaintyStage) -> Facts:
     there = np.isfinite(s.bands.predicted)
     percent = f"{100 * s.level:g} %"
-    facts = [Fact("Model discrepancy, frequency", fixed(100 * float(s.discrepancy[0]), 2), "%")]
-    if (there & ~s.bands.used).any():
-        facts.append(
-            Fact(
-                f"Left-out modes in their {percent} bands",
-                _share(s.bands.inside, there & ~s.bands.used),
-            )
-        )
-    in_turn = s.held.in_turn
-    facts.append(
-        Fact("Used modes, left out in turn, in theirs", _share(s.held.inside(s.level), in_turn))
-    )
-    facts.append(
-        Fact(
-            "Parameters that the test has determined",
-            f"{int(s.posterior.moved.sum())} of {s.posterior.moved.size}",
-        )
-    )
-    return Facts(facts)
+    facts = [Fact("Model discrepancy, frequency", fixed(100 * s.discrepancy[0], 2), "%")]
+    left_out = there & ~s.bands.used
+    if left_out.any():
+        inside = _share(s.bands.inside, left_out)
+        facts.append(Fact(f"Left-out modes in their {percent} bands", inside))
+    inside = _share(s.held.inside(s.level), s.held.in_turn)
+    facts.append(Fact("Used modes, left out in turn, in theirs", inside))
+    moved = s.posterior.moved
+    determined = f"{int(moved.sum())} of {moved.size}"
+    return Facts([*facts, Fact("Parameters that the test has determined", determined)])
 
 
 def _lead(s: UncertaintyStage) -> str:
@@ -94,46 +85,37 @@ def _lead(s: UncertaintyStage) -> str:
     assumed = [100 * float(x) for x in s.assumed]
     times = f / max(100 * float(np.median(s.bands.parts[:, 1])), 1e-9)
     exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
-    seen = np.isfinite(m)
-    of_mac, and_mac = (
-        (f" and {fixed(m, 1)} % of MAC", f" and {number(assumed[1], 2)}") if seen else ("", "")
-    )
+    found = f"{fixed(f, 2)} % of a frequency"
+    before = number(assumed[0], 2)
+    if np.isfinite(m):
+        found += f" and {fixed(m, 1)} % of MAC"
+        before += f" and {number(assumed[1], 2)}"
     return (
         "What no parameter can explain is the discrepancy of the model. Estimated from modes "
-        "predicted unseen it is "
-        f"{fixed(f, 2)} % of a frequency{of_mac} (the updating assumed "
-        f"{number(assumed[0], 2)}{and_mac} %){exact}. "
+        f"predicted unseen it is {found} (the updating assumed {before} %){exact}. "
         "It is part of every interval and band below."
     )
 
 
 def _modes(s: UncertaintyStage) -> ReportTable:
-    heads = (
-        "#",
-        "f test, Hz",
-        "f FE, Hz",
-        "Δf, %",
-        "Band, ± %",
-        "Parameters, %",
-        "Test, %",
-        "Model, %",
-        "|Updating",
-        "|",
-    )
+    heads = ["#", "f test, Hz", "f FE, Hz", "Δf, %", "Band, ± %"]
+    heads += ["Parameters, %", "Test, %", "Model, %", "|Updating", "|"]
+    b = s.bands
     rows: list[list[str | Cell]] = []
-    for i in np.flatnonzero(np.isfinite(s.bands.predicted)).tolist():
-        f = float(s.bands.test[i])
-        g = float(s.bands.predicted[i])
-        reach = 100 * float(s.bands.band[i, 1] - g) / f
+    for i in np.flatnonzero(np.isfinite(b.predicted)):
+        f = b.test[i]
+        g = b.predicted[i]
         row: list[str | Cell] = [
             str(i + 1),
             fixed(f, 3),
             fixed(g, 3),
             fixed(100 * (g / f - 1), 2, sign=True),
+            fixed(100 * (b.band[i, 1] - g) / f, 2),
+            *(number(100 * x, 2) for x in b.parts[i]),
+            "used" if b.used[i] else Cell("left out", "chip"),
+            Cell("inside", "good") if b.inside[i] else Cell("outside", "bad"),
         ]
-        row += [fixed(reach, 2), *(number(100 * float(x), 2) for x in s.bands.parts[i])]
-        row.append("used" if s.bands.used[i] else Cell("left out", "chip"))
-        rows.append([*row, Cell("inside", "good") if s.bands.inside[i] else Cell("outside", "bad")])
+        rows.append(row)
     text = (
         "Predicted frequencies and their bands; standard deviations from the parameters, the "
         "test and the model."
@@ -147,23 +129,24 @@ def _folds(s: UncertaintyStage) -> ReportTable:
     inside = h.inside(s.level)
     band = h.band(s.level)
     for k in range(int(h.fold.max(initial=-1)) + 1):
-        for j, i in enumerate(np.flatnonzero(h.fold == k).tolist()):
+        for j, i in enumerate(np.flatnonzero(h.fold == k)):
             row: list[str | Cell] = [
                 str(k + 1) if j == 0 else "",
                 str(i + 1),
-                fixed(float(h.test[i]), 3),
+                fixed(h.test[i], 3),
             ]
             if not np.isfinite(h.predicted[i]):
                 rows.append([*row, "–", "–", "–", "–", Cell("no partner", "warn")])
                 continue
-            reach = 100 * float(band[i, 1] - h.predicted[i]) / float(h.test[i])
+            reach = 100 * (band[i, 1] - h.predicted[i]) / h.test[i]
             row += [
-                fixed(float(h.predicted[i]), 3),
-                fixed(100 * float(h.error[i]), 2, sign=True),
+                fixed(h.predicted[i], 3),
+                fixed(100 * h.error[i], 2, sign=True),
                 fixed(reach, 2),
+                fixed(100 * h.mac[i], 1),
+                Cell("inside", "good") if inside[i] else Cell("outside", "bad"),
             ]
-            verdict = Cell("inside", "good") if inside[i] else Cell("outside", "bad")
-            rows.append([*row, fixed(100 * float(h.mac[i]), 1), verdict])
+            rows.append(row)
     heads = ("Fold", "Test #", "f test, Hz", "Predicted, Hz", "Δf, %", "Band, ± %", "MAC, %", "|")
     seen = h.in_turn
     off = fixed(100 * float(np.abs(h.error[seen]).mean()), 2)
@@ -180,27 +163,23 @@ def _folds(s: UncertaintyStage) -> ReportTable:
 
 def _parameters(s: UncertaintyStage) -> ReportTable:
     sampled = len(s.chains.sampled) > 0
-    heads = [
-        "|Parameter",
-        "Factor",
-        f"{100 * s.level:g} % after the test",
-        "before it",
-        "σ after / before",
-    ]
-    heads += ["Change kept, %"]
+    heads = ["|Parameter", "Factor", f"{100 * s.level:g} % after the test", "before it"]
+    heads += ["σ after / before", "Change kept, %"]
     heads += ["sampled"] if sampled else []
     rows: list[list[str | Cell]] = []
-    for i, name in enumerate(s.posterior.parameters.names):
+    p = s.posterior
+    for i, name in enumerate(p.parameters.names):
         row: list[str | Cell] = [
             name,
-            fixed(float(s.posterior.factor[i]), 3),
-            _span(s.posterior.interval[i]),
-            _span(s.posterior.prior[i]),
+            fixed(p.factor[i], 3),
+            _span(p.interval[i]),
+            _span(p.prior[i]),
+            number(p.ratio[i], 2),
+            fixed(100 * s.kept[i], 0),
         ]
-        row += [number(float(s.posterior.ratio[i]), 2), fixed(100 * float(s.kept[i]), 0)]
         row += [_span(s.chains.sampled[i])] if sampled else []
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
-        rows.append([*row, chip if s.posterior.moved[i] else Cell("the test says little", "warn")])
+        rows.append([*row, chip if p.moved[i] else Cell("the test says little", "warn")])
     text = (
         "Intervals of the factors, around the final values, with the discrepancy of the model as "
         "the error and the "
@@ -225,7 +204,7 @@ def _parameters(s: UncertaintyStage) -> ReportTable:
 
 
 def _span(low_high: np.ndarray) -> str:
-    low, high = (float(v) for v in low_high)
+    low, high = low_high
     narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not distinguish the ends
     digits = 1 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
     return f"{number(low, digits)} to {number(high, digits)}"
@@ -246,33 +225,20 @@ def prediction(data: Stages) -> Section | None:
 
 def _run_up_lead(p: PredictStage) -> str:
     u = p.unbalance
-    text = (
+    return (
         f"A rotor of {number(u.mass, 4)} kg at node {p.rotor}, turning about {p.axis} and "
-        "balanced to G "
+        f"balanced to G {plain(u.grade)} for {plain(u.service)} Hz, has an unbalance of "
+        f"{number(u.moment, 3)} kg m. It is run up to {plain(p.run_up.freqs[-1])} Hz. "
+        f"{sentence(validity_sentence(p.run_up.validated))}"
     )
-    text += (
-        f"{plain(u.grade)} for {plain(u.service)} Hz, has an unbalance of "
-        f"{number(u.moment, 3)} kg m. "
-    )
-    text += f"It is run up to {plain(float(p.run_up.freqs[-1]))} Hz. "
-    return text + sentence(validity_sentence(p.run_up.validated))
 
 
 def _peaks(p: PredictStage) -> ReportTable:
     r = p.run_up
     level = f"{100 * r.peak.level:.0f} %"
     at = int(np.argmin(np.abs(r.freqs - p.unbalance.service)))
-    heads = (
-        "|Quantity",
-        "|Unit",
-        "Peak",
-        f"{level} band",
-        "Speed, Hz",
-        f"{level} band",
-        "|",
-        "At service",
-        f"{level} band",
-    )
+    band = f"{level} band"
+    heads = ("|Quantity", "|Unit", "Peak", band, "Speed, Hz", band, "|", "At service", band)
     rows: list[list[str | Cell]] = []
     for i, name in enumerate(r.names):
         factor, unit = predicted.shown(r.units[i])
@@ -302,9 +268,7 @@ def _peaks(p: PredictStage) -> ReportTable:
 
 def _banded(values: Bands, i: int, factor: float) -> list[str]:
     """Median and band."""
-    low, median, high = (
-        number(factor * float(x[i])) for x in (values.low, values.median, values.high)
-    )
+    low, median, high = (number(factor * x[i]) for x in (values.low, values.median, values.high))
     return [median, f"{low} to {high}"]
 
 
@@ -326,15 +290,9 @@ def _curves(p: PredictStage, name: str, at: list[int]) -> Plot:
 
 
 def _basis(p: PredictStage) -> str:
-    text = (
-        "The bands come from the uncertainty of the updated parameters, from a discrepancy of "
-        "each frequency of "
-    )
-    text += (
-        f"{100 * p.discrepancy:.1f} % that no parameter removes, and from the damping "
-        f"({p.damping}). "
-    )
     return (
-        text
-        + f"Residual of the reduced model at the worst speed: {100 * p.residual:.1f} % of the load."
+        "The bands come from the uncertainty of the updated parameters, from a discrepancy of "
+        f"each frequency of {100 * p.discrepancy:.1f} % that no parameter removes, and from the "
+        f"damping ({p.damping}). Residual of the reduced model at the worst speed: "
+        f"{100 * p.residual:.1f} % of the load."
     )

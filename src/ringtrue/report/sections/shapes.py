@@ -11,28 +11,16 @@ from ringtrue.report.parts import Scene3D, Section, Stages, fixed
 def section(data: Stages) -> Section | None:
     """One viewer for all stages and modes."""
     scene = data.model.scene if data.model is not None else None
-    shown = (
-        _final(data)
-        + _initial(data)
-        + _remodelled(data)
-        + _expanded(data)
-        + _model_only(data)
-        + _test_only(data)
-    )
+    shown = _final(data) + _before(data) + _expanded(data) + _test_only(data)
     if not shown:
         return None
-    parts = [
-        "Mode shapes: the model's skin, coloured by its displacement"
-        if scene is not None
-        else "Mode shapes"
-    ]
+    text = "Mode shapes"
+    if scene is not None:
+        text += ": the model's skin, coloured by its displacement"
     if data.test is not None:
-        parts.append("the test's wireframe in orange, turned and scaled onto the model's shape")
-    return Section(
-        "shapes",
-        "Mode shapes",
-        [Scene3D(modes(scene, data.test, shown), "; ".join(parts) + ".", 540)],
-    )
+        text += "; the test's wireframe in orange, turned and scaled onto the model's shape"
+    view = Scene3D(modes(scene, data.test, shown), f"{text}.", 540)
+    return Section("shapes", "Mode shapes", [view])
 
 
 def first(data: Stages) -> Scene3D | None:
@@ -40,11 +28,9 @@ def first(data: Stages) -> Scene3D | None:
     shown = _final(data)
     if not shown or data.model is None:
         return None
-    caption = (
-        "First pair: test in orange over the final model."
-        if data.test is not None
-        else "First pair, final model."
-    )
+    caption = "First pair, final model."
+    if data.test is not None:
+        caption = "First pair: test in orange over the final model."
     return Scene3D(modes(data.model.scene, data.test, shown[:1]), caption, 350)
 
 
@@ -65,7 +51,14 @@ def _paired(
         info += f", MAC {fixed(r.mac_percent, 1)} %"
         info += f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
         out.append(
-            Shown(stage=stage, label=label, info=info, fe=fe, test=(test, t), seen=(seen, k))
+            Shown(
+                stage,
+                label,
+                info,
+                fe=fe,
+                test=(test, t),
+                seen=(seen, k),
+            )
         )
     return out
 
@@ -77,20 +70,17 @@ def _final(data: Stages) -> list[Shown]:
     return _paired("Final model and test", f.table, data.reference, f.observed, f.modes)
 
 
-def _initial(data: Stages) -> list[Shown]:
+def _before(data: Stages) -> list[Shown]:
+    """The modes of the deck before the updating: with those of the test, or alone."""
     c = data.correlate
-    if c is None or data.model is None:
-        return []
-    return _paired(
-        "Initial model and test", c.initial, c.reference.elastic, c.fe_initial, data.model.modes
-    )
-
-
-def _remodelled(data: Stages) -> list[Shown]:
-    c = data.correlate
-    if c is None or c.remodelling is None:
-        return []
-    return _paired("Remodelled and test", c.remodelled, c.reference.elastic, c.fe_remodelled, None)
+    m = data.model.modes if data.model is not None else None
+    if c is None:
+        return [_alone("Model", m, k, (m, k), None) for k in range(len(m))] if m else []
+    test = c.reference.elastic
+    out = _paired("Initial model and test", c.initial, test, c.fe_initial, m) if m else []
+    if c.remodelling is not None:
+        out += _paired("Remodelled and test", c.remodelled, test, c.fe_remodelled, None)
+    return out
 
 
 def _expanded(data: Stages) -> list[Shown]:
@@ -100,28 +90,20 @@ def _expanded(data: Stages) -> list[Shown]:
     test = data.correlate.reference.elastic
     out = []
     for k, (f, misfit) in enumerate(zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)):
-        info = (
-            f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by "
-            f"{fixed(100 * misfit, 1)} %"
-        )
+        info = f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by "
+        info += f"{fixed(100 * misfit, 1)} %"
+        label = f"mode {k + 1} · {fixed(f, 2)} Hz"
         out.append(
             Shown(
-                stage="Test, expanded",
-                label=f"mode {k + 1} · {fixed(f, 2)} Hz",
-                info=info,
+                "Test, expanded",
+                label,
+                info,
                 fe=(e.modes, k),
                 test=(test, k),
                 seen=(test, k),
             )
         )
     return out
-
-
-def _model_only(data: Stages) -> list[Shown]:
-    if data.correlate is not None or data.model is None:
-        return []
-    m = data.model.modes
-    return [_alone("Model", m, k, (m, k), None) for k in range(len(m))]
 
 
 def _test_only(data: Stages) -> list[Shown]:

@@ -26,11 +26,11 @@ from ringtrue.report.parts import (
     number,
 )
 from ringtrue.report.sections import shapes, system
+from ringtrue.report.sections.evidence import verdict
 from ringtrue.study.acceptance import in_both
 
 GOOD = Cell("passed", "good")
 BAD = Cell("failed", "bad")
-UNFIT = Cell("no verdict", "warn")
 
 
 def summary(data: Stages) -> Section | None:
@@ -91,11 +91,12 @@ def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
     """The initial model, remodelled if it was, and updated."""
     out: list[tuple[str, CorrelationTable]] = []
     if (c := data.correlate) is not None:
-        out += [
-            ("initial", c.initial),
-            *([("remodelled", c.remodelled)] if c.remodelling is not None else []),
-        ]
-    return out + ([("final", data.final.table)] if data.final is not None else [])
+        out.append(("initial", c.initial))
+        if c.remodelling is not None:
+            out.append(("remodelled", c.remodelled))
+    if data.final is not None:
+        out.append(("final", data.final.table))
+    return out
 
 
 def _deviations(data: Stages) -> Plot:
@@ -113,10 +114,12 @@ def _outcome(data: Stages) -> list[Block]:
     before = data.correlate.initial if data.correlate is not None else None
     left: list[Block] = [Heading("What must hold"), Checks(data.checks)] if data.checks else []
     left += _evidence(data)
-    blocks: list[Block] = [_facts(final.table, before)]
-    blocks += _beside(left, shapes.first(data))
-    blocks += [_deviations(data), stages_table(data)]
-    return blocks
+    picture = shapes.first(data)
+    if left and picture is not None:
+        left = [Columns([left, [picture]])]
+    elif picture is not None:
+        left = [picture]
+    return [_facts(final.table, before), *left, _deviations(data), stages_table(data)]
 
 
 def _evidence(data: Stages) -> list[Block]:
@@ -127,12 +130,9 @@ def _evidence(data: Stages) -> list[Block]:
     e = final.evidence.measures
     table = final.table
     missed = len(data.acceptance.missed(table))
+    kept = f"{len(table) - missed} of {len(table)}"
     rows: list[tuple[str, str, str | Cell]] = [
-        (
-            f"Pairs with {data.acceptance.words()}",
-            f"{len(table) - missed} of {len(table)}",
-            BAD if missed else GOOD,
-        )
+        (f"Pairs with {data.acceptance.words()}", kept, BAD if missed else GOOD)
     ]
     rows += [_orthogonality(e.cross, e)] if e.cross else []
     names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
@@ -140,14 +140,8 @@ def _evidence(data: Stages) -> list[Block]:
         ("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD)
     )
     if (frfs := final.evidence.frfs) is not None:
-        before, after = (100 * float(c.shape.mean()) for c in (frfs.initial, frfs.final))
-        rows.append(
-            (
-                "Shape correlation of the FRFs, mean of the lines",
-                f"{before:.0f} → {after:.0f} %",
-                "",
-            )
-        )
+        change = f"{100 * frfs.initial.shape.mean():.0f} → {100 * frfs.final.shape.mean():.0f} %"
+        rows.append(("Shape correlation of the FRFs, mean of the lines", change, ""))
     caption = "The evidence of the final correlation, in short."
     return [Heading("What it rests on"), ReportTable(("|Evidence", "|Found", "|"), rows, caption)]
 
@@ -158,22 +152,10 @@ def _orthogonality(
     """What the mass at the channels says, if it distinguishes the model's own modes."""
     v = cross.verdict
     name = f"Cross-orthogonality, {cross.mass} mass, gate {v.gate.name}"
+    found = f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
     if not measures.judges(cross):
-        return (
-            name,
-            "not to be judged: at these channels it does not distinguish the model's own modes",
-            UNFIT,
-        )
-    limits = (
-        f"pairs ≥ {100 * v.least_diagonal:.0f} %, others ≤ {100 * v.largest_off_diagonal:.0f} %"
-    )
-    return name, limits, GOOD if v.passed else BAD
-
-
-def _beside(left: list[Block], right: Block | None) -> list[Block]:
-    if right is None:
-        return left
-    return [Columns([left, [right]])] if left else [right]
+        found = "not to be judged: at these channels it does not distinguish the model's own modes"
+    return name, found, verdict(cross, measures)
 
 
 def stages_table(data: Stages) -> ReportTable:
@@ -188,33 +170,24 @@ def stages_table(data: Stages) -> ReportTable:
             count = len(table) if which is None else int(which.sum())
             if not count:
                 continue
-            deviation = (
+            row = (
+                name.capitalize() if which is None else "",
+                label,
+                str(count),
                 fixed(table.mean_deviation(which), 2),
                 fixed(table.max_deviation(which), 2),
-            )
-            mac = (fixed(table.mean_mac(which), 1), fixed(table.min_mac(which), 1))
-            subspace = (
+                fixed(table.mean_mac(which), 1),
+                fixed(table.min_mac(which), 1),
                 fixed(table.mean_subspace_mac(which), 1),
                 fixed(table.min_subspace_mac(which), 1),
             )
-            model = name.capitalize() if which is None else ""
-            rows.append((model, label, str(count), *deviation, *mac, *subspace))
-    heads = [
-        "|Model",
-        "|Modes",
-        "Pairs",
-        "Mean |Δf|, %",
-        "Max |Δf|, %",
-        "Mean MAC, %",
-        "Min MAC, %",
-    ]
-    heads += ["Mean subspace MAC, %", "Min subspace MAC, %"]
+            rows.append(row)
+    heads = ["|Model", "|Modes", "Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %"]
+    heads += ["Min MAC, %", "Mean subspace MAC, %", "Min subspace MAC, %"]
     text = (
         "The stages of the model against the test. Modes that were used or left out are those "
-        "with a partner in the "
-        "first stage and the last; the ones left out judge the prediction. Subspace MAC: close "
-        "modes are rotated "
-        "inside their subspace towards the test."
+        "with a partner in the first stage and the last; the ones left out judge the prediction. "
+        "Subspace MAC: close modes are rotated inside their subspace towards the test."
     )
     return ReportTable(heads, rows, text).without_blank("MAC")
 
@@ -235,15 +208,10 @@ def provenance(data: Stages) -> Section | None:
     run = [("ringtrue", p.version), ("Python", p.python), ("Platform", p.platform)]
     run += [("Seed", str(p.seed)), ("Started", p.started.replace("T", " ")), *p.packages.items()]
     spent = [(k, fixed(v, 1)) for k, v in p.timings.items()]
-    timings = ReportTable(
-        ("|Stage", "Time, s"), spent, "Timings.", ("total", fixed(sum(p.timings.values()), 1))
-    )
-    blocks: list[Block] = [
-        Columns([[ReportTable(("|What", "|Version or value"), run, "The run.")], [timings]])
-    ]
+    total = ("total", fixed(sum(p.timings.values()), 1))
     inputs = [(name, Cell(sha, "mono")) for name, sha in p.inputs.items()]
-    blocks.append(
-        ReportTable(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
-    )
-    blocks.append(Code("Resolved settings", _shortened(p.settings)))
-    return Section("provenance", "Provenance", blocks)
+    versions = ReportTable(("|What", "|Version or value"), run, "The run.")
+    timings = ReportTable(("|Stage", "Time, s"), spent, "Timings.", total)
+    files = ReportTable(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
+    settings = Code("Resolved settings", _shortened(p.settings))
+    return Section("provenance", "Provenance", [Columns([[versions], [timings]]), files, settings])

@@ -20,6 +20,7 @@ from ringtrue.report.parts import (
     Fold,
     Heading,
     Items,
+    Picture,
     Plot,
     ReportTable,
     Scene3D,
@@ -33,7 +34,7 @@ from ringtrue.report.parts import (
     sentence,
     signs,
 )
-from ringtrue.study.results import ModelStage, RecordPreview, RecordSummary
+from ringtrue.study.results import ModelStage, RecordSummary
 
 
 def survey(data: Stages) -> Section | None:
@@ -43,28 +44,29 @@ def survey(data: Stages) -> Section | None:
         blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:
         blocks += [Heading("Tests"), *_tests(data.identify.records)]
+    blocks += [Picture(p) for p in data.photos]
     return Section("survey", "System and tests", blocks) if blocks else None
 
 
 def _system(model: ModelStage, computed: Float) -> ReportTable:
     length, (mass, unit) = UNIT_SYSTEMS[model.units].length, weight(model)
-    x, y, z = (fixed(float(v) * length, 2) for v in model.mass.cg)
-    inertia = (
-        np.diag(model.mass.inertia)
-        * length**2
-        * (mass / model.mass.mass if model.mass.mass else 1.0)
-    )
+    x, y, z = (fixed(v * length, 2) for v in model.mass.cg)
+    scale = mass / model.mass.mass if model.mass.mass else 1.0
+    inertia = np.diag(model.mass.inertia) * length**2 * scale
+    span = "0"
+    if computed.size:
+        span = f"{computed.size}, {number(computed[0], 3)} to {number(computed[-1], 4)}"
     rows = [
         *([("Model", model.title, "")] if model.title else []),
         ("Mass", number(mass, 4), unit),
         ("Centre of gravity x, y, z", f"{x}, {y}, {z}", "m"),
         (
             "Moments of inertia xx, yy, zz",
-            ", ".join(number(float(v), 4) for v in inertia),
+            ", ".join(number(v, 4) for v in inertia),
             f"{unit}·m²",
         ),
         ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
-        ("Modes computed", _span(computed), "Hz"),
+        ("Modes computed", span, "Hz"),
     ]
     return ReportTable(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
 
@@ -73,10 +75,6 @@ def weight(model: ModelStage) -> tuple[float, str]:
     """The mass in t, or in kg below one."""
     kg = model.mass.mass * UNIT_SYSTEMS[model.units].kilograms
     return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
-
-
-def _span(f: Float) -> str:
-    return f"{f.size}, {number(float(f[0]), 3)} to {number(float(f[-1]), 4)}" if f.size else "0"
 
 
 HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min")
@@ -90,9 +88,8 @@ def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
     roving = [[r] for mine in setups.values() if len(mine) > 1 for r in mine]
     out = _listed(list(setups.values()), "The records of the tests.")
     if roving:
-        out.append(
-            Fold(f"The {len(roving)} records of the setups", _listed(roving, "Records one by one."))
-        )
+        every = _listed(roving, "Records one by one.")
+        out.append(Fold(f"The {len(roving)} records of the setups", every))
     return out
 
 
@@ -102,7 +99,8 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     """
     described: dict[str, list[str]] = {}
     for mine in parts:
-        for note in _test_notes(mine):
+        count = Counter(n for r in mine for n in (*map(note_sentence, r.channel_notes), *r.notes))
+        for note in (n if k == 1 else f"{n} ({k} records)" for n, k in count.items()):
             described.setdefault(note, []).append(_name(mine))
     notes = [f"{'; '.join(names)}: {note}" for note, names in described.items()]
     table = ReportTable(HEADS, [_test_row(mine) for mine in parts], caption)
@@ -127,41 +125,24 @@ def _name(mine: list[RecordSummary]) -> str:
     return name.replace("-", "\u2011")
 
 
-def _test_notes(mine: list[RecordSummary]) -> list[str]:
-    notes = Counter(n for r in mine for n in (*map(note_sentence, r.channel_notes), *r.notes))
-    return [n if k == 1 else f"{n} ({k} records)" for n, k in notes.items()]
-
-
 def model(data: Stages) -> Section | None:
     """Deck, 3D view with the sensors, modes."""
     if data.model is None:
         return None
     m = data.model
     test = data.test
-    kinds = (
-        scene.channel_kinds(data.plan.excitation.references, data.plan.sensors.ambient)
-        if data.plan is not None
-        else {}
-    )
+    kinds = {}
+    if data.plan is not None:
+        kinds = scene.channel_kinds(data.plan.excitation.references, data.plan.sensors.ambient)
     blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
-    cards = ReportTable(
-        ("|Card", "Count"),
-        [(k, str(v)) for k, v in sorted(m.cards.items())],
-        "Cards of the deck.",
-        scroll=True,
-    )
+    counts = [(k, str(v)) for k, v in sorted(m.cards.items())]
+    cards = ReportTable(("|Card", "Count"), counts, "Cards of the deck.", scroll=True)
     blocks.append(Columns([[_mode_table(data.computed, m.residuals)], [cards]]))
-    blocks.append(
-        Text(
-            f"Files: {', '.join(Path(f).name for f in m.files)} (units {m.units}). "
-            f"{sentence(m.proof)}",
-            "note",
-        )
-    )
+    files = ", ".join(Path(f).name for f in m.files)
+    blocks.append(Text(f"Files: {files} (units {m.units}). {sentence(m.proof)}", "note"))
     if m.findings:
-        blocks.append(
-            Items([_by_name(f, m.files) for f in m.findings], "Findings of the deck check")
-        )
+        findings = [_by_name(f, m.files) for f in m.findings]
+        blocks.append(Items(findings, "Findings of the deck check"))
     title = "Finite element model and sensors" if test is not None else "Finite element model"
     return Section("model", title, blocks)
 
@@ -183,10 +164,10 @@ def _caption(test: TestModel | None) -> str:
 
 def _mode_table(frequencies: Float, residuals: Float) -> ReportTable:
     described = [
-        *(number(r, 2) for r in residuals.tolist()),
+        *(number(r, 2) for r in residuals),
         *["–"] * (frequencies.size - residuals.size),
     ]
-    rows = [(str(i + 1), number(f, 4), described[i]) for i, f in enumerate(frequencies.tolist())]
+    rows = [(str(i + 1), number(f, 4), described[i]) for i, f in enumerate(frequencies)]
     return ReportTable(
         ("#", "Frequency, Hz", "Residual"),
         rows,
@@ -207,7 +188,11 @@ def signal_section(data: Stages) -> Section | None:
 
 
 def _test(records: list[RecordSummary]) -> list[Block]:
-    out: list[Block] = [_record(r, r.preview) for r in records if r.preview is not None]
+    out: list[Block] = []
+    for r in records:
+        if (p := r.preview) is not None:
+            text = f"{r.name}, {r.excitation}: time preview and power spectral density."
+            out.append(Plot(plots.record(p, p.unit.replace("^2", "²")), text))
     setups = list(dict.fromkeys(r.setup for r in records))
     if len(setups) > 1:
         described = (
@@ -216,11 +201,6 @@ def _test(records: list[RecordSummary]) -> list[Block]:
         )
         return [Text(described, "note"), *out]
     return out
-
-
-def _record(r: RecordSummary, preview: RecordPreview) -> Block:
-    text = f"{r.name}, {r.excitation}: time preview and power spectral density."
-    return Plot(plots.record(preview, preview.unit.replace("^2", "²")), text)
 
 
 def frf_section(data: Stages) -> Section | None:
@@ -247,19 +227,10 @@ def frf_section(data: Stages) -> Section | None:
         worst = np.nanmax(ident.synthesis_error)
         text = (
             "The FRFs synthesised from the identified modes differ from the measured ones by "
-            f"{100 * middle:.1f} % "
+            f"{100 * middle:.1f} % in the median and {100 * worst:.1f} % at worst (relative norm "
+            "over the band)."
         )
-        blocks.append(
-            Text(
-                text
-                + f"in the median and {100 * worst:.1f} % at worst (relative norm over the band)."
-            )
-        )
-    if ident.rejected_hits:
-        blocks.append(
-            Items(
-                [signs(h) for h in ident.rejected_hits],
-                f"Rejected hits ({len(ident.rejected_hits)})",
-            )
-        )
+        blocks.append(Text(text))
+    if hits := ident.rejected_hits:
+        blocks.append(Items([signs(h) for h in hits], f"Rejected hits ({len(hits)})"))
     return Section("frfs", "Frequency response functions", blocks)

@@ -95,10 +95,7 @@ def updating(data: Stages) -> Section | None:
     blocks.append(Plot(plots.path(best), text))
     blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:
-        notes = {
-            p: f"× {number(f, 3)}"
-            for p, f in zip(best.parameters, best.factor.tolist(), strict=True)
-        }
+        notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor, strict=True)}
         view = scene.regions(data.model.scene, u.regions, notes)
         blocks.append(
             Scene3D(
@@ -132,7 +129,7 @@ def _measured(d: DataResult) -> ReportTable:
     where = f", measured on {d.configuration}" if d.configuration else ""
     columns = (d.measured, d.before, d.after, d.error)
     rows = [
-        [label, unit, *(number(float(v), 4) for v in row)]
+        [label, unit, *(number(v, 4) for v in row)]
         for label, unit, *row in zip(d.labels, d.units, *columns, strict=True)
     ]
     text = (
@@ -151,30 +148,22 @@ def _compared(u: UpdateStage) -> ReportTable:
     rows = []
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
-        values = [
+        row = [
+            name,
+            str(len(s.parameters)),
             fixed(s.fit.mean_deviation, 2),
             fixed(s.fit.max_deviation, 2),
             fixed(s.fit.mean_subspace_mac, 1),
-        ]
-        values += [
             fixed(s.fit.mean_deviation_left_out, 2),
             number(s.fit.condition, 3),
             fixed(s.fit.criterion, 1),
+            str(max(len(s.history.objective) - 1, 0)),
+            Cell(s.outcome.verdict, "", s.outcome),
         ]
-        rows.append(
-            [
-                name,
-                str(len(s.parameters)),
-                *values,
-                str(max(len(s.history.objective) - 1, 0)),
-                Cell(s.outcome.verdict, "", s.outcome),
-            ]
-        )
-    other = [f"{s.name}: {s.settings}" for s in u.sets if s.settings]
+        rows.append(row)
     text = "Parameter sets updated and compared; the chosen one is marked."
-    return ReportTable(
-        heads, rows, " ".join([text, *(f"{sentence(o)}" for o in other)])
-    ).without_blank("MAC")
+    other = [sentence(f"{s.name}: {s.settings}") for s in u.sets if s.settings]
+    return ReportTable(heads, rows, " ".join([text, *other])).without_blank("MAC")
 
 
 def _parameters(u: UpdateStage, s: SetResult, std: Float) -> ReportTable:
@@ -184,19 +173,20 @@ def _parameters(u: UpdateStage, s: SetResult, std: Float) -> ReportTable:
         low, high = (float(x) for x in s.bounds[j])
         factor = float(s.factor[j])
         at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
-        shown = Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3)
-        values = [
+        row = [
+            name,
             number(u.initial_values.get(name), 4),
             number(u.updated_values.get(name), 4),
-            shown,
+            Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3),
+            number(100 * std[j], 2),
+            f"{plain(low)} to {plain(high)}",
+            number(s.identifiability[j], 2),
         ]
-        spread = [number(100 * float(std[j]), 2), f"{plain(low)} to {plain(high)}"]
-        rows.append([name, *values, *spread, number(float(s.identifiability[j]), 2)])
+        rows.append(row)
     text = (
         "The updated parameters, deck units. σ after / before, with the errors that the "
-        "updating assumed, near 1: "
+        "updating assumed, near 1: the data say nothing about it."
     )
-    text += "the data say nothing about it."
     return ReportTable(heads, rows, text)
 
 
@@ -214,17 +204,9 @@ def suspension(data: Stages) -> Section | None:
             pairs(table, data, f"{o.name}: rigid-body modes {when} tuning.", updating=False)
             for table, when in ((o.before, "before"), (o.after, "after"))
         ]
-    rows = [
-        (k, fixed(v, 3), number(100 * t.std[k] if k in t.std else None, 2))
-        for k, v in t.factors.items()
-    ]
-    blocks.append(
-        ReportTable(
-            ("|Suspension parameter", "Factor", "σ, %"),
-            rows,
-            "Tuned stiffnesses of the suspension.",
-        )
-    )
+    heads = ("|Suspension parameter", "Factor", "σ, %")
+    rows = [(k, fixed(v, 3), number(100 * t.std.get(k, np.nan), 2)) for k, v in t.factors.items()]
+    blocks.append(ReportTable(heads, rows, "Tuned stiffnesses of the suspension."))
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
     blocks += [Text(sentence(v)) for v in t.flags]
     return Section("suspension", "Rigid-body tuning", blocks)
