@@ -68,10 +68,6 @@ class TestModes(Displayed):
     confidence : (mode,) float64, 0..1
     reasons : tuple of str
         Evidence for and against each mode.
-    remarks : tuple of str
-        What is particular of each mode, in six words.
-    others : OtherCandidates
-        Doubtful modes and harmonics, which are not among the modes.
     notes : tuple of str
         What is to be known of the data.
     modes : ModeSet
@@ -95,8 +91,6 @@ class TestModes(Displayed):
     modes: ModeSet
     uncertainty: Uncertainty
     reasons: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-    others: OtherCandidates = field(default_factory=OtherCandidates.none)
     notes: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
     result: AmbientResult | HammerResult | SecondOpinion | None = None
@@ -129,6 +123,20 @@ class TestModes(Displayed):
     def channels(self) -> tuple[str, ...]:
         """The rows of the shapes."""
         return self.modes.channels
+
+    @property
+    def others(self) -> OtherCandidates:
+        """Doubtful modes and harmonics, which are not among the modes."""
+        if isinstance(self.result, AmbientResult):
+            return self.result.others
+        return OtherCandidates.none(self.channels)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is particular of each mode, in six words; empty for one beyond doubt."""
+        if isinstance(self.result, AmbientResult):
+            return self.result.remarks
+        return ("",) * len(self)
 
     def plot(self, sensors: SensorSheet | None = None) -> Any:
         """The stabilisation diagram of the first band, else the shapes as lines.
@@ -671,8 +679,7 @@ def identify_ambient(
         refuse_choice(method, AMBIENT, choice)
         one = next(iter(parts))
         return _of_result(identify_ambient_by(method, one, settings, near=near, progress=progress))
-    found = identify_stretches(iter(parts), settings, choice=choice, progress=progress)
-    return replace(_of_result(found), remarks=found.remarks, others=found.others)
+    return _of_result(identify_stretches(iter(parts), settings, choice=choice, progress=progress))
 
 
 def ambient_parts(

@@ -94,10 +94,9 @@ def mode_lines(found: TestModes) -> list[str]:
     """One line a mode and a candidate, at most 100 columns, ascending in frequency."""
     natural = _lines(found.modes, found.uncertainty)
     names = [f"{k + 1:3}" for k in range(len(found))]
-    remarks = (*found.remarks, *[""] * (len(found) - len(found.remarks)))
     others = _lines(found.others.modes, found.others.uncertainty)
     both = [
-        *zip(natural, names, ["natural"] * len(found), remarks, strict=True),
+        *zip(natural, names, ["natural"] * len(found), found.remarks, strict=True),
         *zip(
             others,
             ["  -"] * len(found.others),

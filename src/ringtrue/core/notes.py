@@ -13,7 +13,7 @@ SENTENCES = {
         "under random forces"
     ),
     "candidate complex": "its shape is complex (MPC {mpc:.2f}): a mixture, or noise",
-    "candidate peak": "the spectrum along its shape is hardly higher than on both sides",
+    "candidate peak": "the spectrum along its shape is not much higher than on both sides",
     "mode pair": (
         "one of a pair closer than this record can separate: any turn of the two shapes in their "
         "plane fits as well"
@@ -62,7 +62,7 @@ SENTENCES = {
         "(a temperature, a column of time or counts); left out"
     ),
     "channel of another kind": (
-        "channel {subject}: hardly coherent with the others and of another level: another quantity "
+        "channel {subject}: little coherence with the others and another level: another quantity "
         "(strain, pressure); left out"
     ),
     "channel quantity": (
@@ -114,7 +114,7 @@ SUMMARIES = {
     "candidate orders": "few model orders show it",
     "candidate scatter": "scatters along the record",
     "candidate complex": "complex shape",
-    "candidate peak": "hardly a peak in the spectrum",
+    "candidate peak": "no clear peak in the spectrum",
     "candidate forced": "shape is a sum of others",
     "candidate line": "line of a machine",
     "candidate undamped": "almost no damping",

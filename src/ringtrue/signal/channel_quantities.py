@@ -1,4 +1,4 @@
-"""What channels without a unit measure, learned from the record: velocities beside accelerations,
+"""What channels without a unit measure, learned from the record: velocities among accelerations,
 and columns that show no motion.
 
 Modes of little damping under random forces have cross spectra that are real between channels of one
@@ -48,7 +48,7 @@ class QuantitySettings:
         Standard deviations by which the spectrum of a column that measures a motion has peaks.
     stray, level : float
         Share of the typical coherence below which, and ratio of the typical level above which, a
-        column is of another kind (strain beside accelerations).
+        column is of another kind (strain among accelerations).
     """
 
     segments: int = 64
@@ -198,8 +198,8 @@ def _learned(
     if first < 0:
         orders = (1, 2) if rises else (2, 1)
     else:
-        beside = first + 1 if rises else first - 1
-        orders = (first, beside if 0 <= beside <= 2 else 1)
+        second = first + 1 if rises else first - 1
+        orders = (first, second if 0 <= second <= 2 else 1)
         stated = order[known & other]
         if stated.size:
             orders = (first, int(np.bincount(stated).argmax()))
