@@ -1,0 +1,510 @@
+"""The angle of a shaft from the harmonics of its machine, all of them together.
+
+The angle θ(t) is one smooth function of time, and harmonic k has the phase kθ(t) plus a constant.
+Its course is found in two steps. Short frames are searched for spectra that stand up at multiples
+of one frequency, and the most likely course of this frequency is taken (Viterbi 1967). The record
+is then resampled over the angle, where a harmonic is a constant but for a phase error kε, and ε is
+refined from the phases of all harmonics, from short lags to long ones. How smooth it is follows
+from the record, by the marginal likelihood of a random walk of the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.ndimage import map_coordinates, median_filter, spline_filter1d
+
+from ringtrue.core.arrays import Any_, Bool, Float, Int
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSearch:
+    """How the frequency of a comb is searched.
+
+    Attributes
+    ----------
+    lowest : float, Hz
+        Fundamental.
+    fewest : int
+        Harmonics below the Nyquist frequency, at least.
+    orders : int
+        Harmonics that are summed, at most.
+    cycles : int
+        Revolutions in a frame, at least: a quarter of an order is resolved.
+    steps : int
+        Instants of the course, at most.
+    stiffness : float
+        Log-likelihood that a change by one step of the grid costs, in standard deviations.
+    each : int
+        Candidates of one octave.
+    apart : float
+        Relative distance of two candidates, at least: less is one course.
+    """
+
+    lowest: float = 2.0
+    fewest: int = 6
+    orders: int = 24
+    cycles: int = 16
+    steps: int = 600
+    stiffness: float = 0.25
+    each: int = 4
+    apart: float = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseLock:
+    """How the angle is refined.
+
+    Attributes
+    ----------
+    revolutions : int
+        Of a block, at least.
+    blocks : int
+        Of a record, at most.
+    gate : float
+        Standard deviations by which the phases of a harmonic must agree for it to count.
+    """
+
+    revolutions: int = 4
+    blocks: int = 2000
+    gate: float = 2.5
+
+
+SEARCH = SpeedSearch()
+LOCK = PhaseLock()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchedSignals:
+    """Some channels of a record as their spectrum.
+
+    Attributes
+    ----------
+    spectrum : (ch, line) complex64
+        Of the whole record.
+    length : int
+        Of the transform, samples.
+    samples : int
+    rate : float, Hz
+    """
+
+    spectrum: Any_
+    length: int
+    samples: int
+    rate: float
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.samples / self.rate
+
+    @property
+    def highest(self) -> float:
+        """Hz: what the filters of recorders leave."""
+        return 0.46 * self.rate
+
+    @classmethod
+    def of(cls, data: Any_, rate: float) -> SearchedSignals:
+        """Of signals (ch, sample) float32 about their means."""
+        n = int(next_fast_len(data.shape[1], real=True))
+        return cls(rfft(data, n, axis=1), n, data.shape[1], rate)
+
+    def whitened(self, top: float, width: float, over: float) -> tuple[Any_, float]:
+        """Signals (ch, sample) float32 of the band to `top` Hz, and their rate, `over` times as
+        high.
+
+        Their spectra are level but for what is narrower than `width` Hz.
+        """
+        step = self.rate / self.length
+        size = int(next_fast_len(int(np.ceil(over * top / step)), real=True))
+        lines = min(int(top / step), self.spectrum.shape[1], size // 2)
+        white = np.zeros((len(self.spectrum), size // 2 + 1), dtype=np.complex64)
+        for own, y in zip(self.spectrum, white, strict=True):
+            y[:lines] = own[:lines] / _level(own[:lines], max(1, int(width / 16 / step)))
+        white[:, 0] = 0
+        signals = irfft(white, size, axis=1)[:, : int(self.samples * size / self.length)]
+        signals /= np.maximum(signals.std(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+        return signals, step * size
+
+
+def _level(spectrum: Any_, group: int) -> Any_:
+    """(line,) float32 typical amplitude around each line of a spectrum (line,), by groups of
+    lines.
+    """
+    groups = max(spectrum.size // group, 1)
+    used = spectrum[: groups * group]
+    power = (used.real**2 + used.imag**2).reshape(groups, -1).mean(axis=1)
+    level = np.sqrt(median_filter(power, size=33, mode="nearest") + np.finfo(np.float32).tiny)
+    middles = (np.arange(groups) + 0.5) * group
+    return np.interp(np.arange(spectrum.size), middles, level).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """The angle of a shaft over time.
+
+    Attributes
+    ----------
+    knots : (j,) float64, s
+    revolutions : (j,) float64
+        Angle at the knots over 2π; a cubic spline between them.
+    """
+
+    knots: Float
+    revolutions: Float
+
+    @property
+    def frequency(self) -> float:
+        """Mean speed, Hz."""
+        turned = self.revolutions[-1] - self.revolutions[0]
+        return float(turned / (self.knots[-1] - self.knots[0]))
+
+    @property
+    def rises(self) -> bool:
+        """Whether the shaft never turns back."""
+        return bool((np.diff(self.revolutions) > 0).all())
+
+    def geared(self, ratio: float) -> Course:
+        """Of a shaft that turns `ratio` times as fast."""
+        return Course(self.knots, ratio * self.revolutions)
+
+    def angle(self, times: Float) -> Float:
+        """Revolutions at `times` (i,), s."""
+        return np.asarray(CubicSpline(self.knots, self.revolutions)(times))
+
+    def instants(self, angles: Float) -> Float:
+        """Times (i,), s, at which `angles` (i,), revolutions, are reached."""
+        fine = np.linspace(self.knots[0], self.knots[-1], 4 * self.knots.size)
+        turned = np.maximum.accumulate(self.angle(fine))
+        turned += 1e-9 * np.arange(turned.size)  # strictly, for the spline
+        return np.asarray(CubicSpline(turned, fine)(angles))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A course of the frequency of a comb.
+
+    Attributes
+    ----------
+    score : float
+        Its mean log-likelihood over that of the typical course, in standard deviations.
+    course : Course
+    """
+
+    score: float
+    course: Course
+
+
+def candidates(signals: SearchedSignals) -> list[Candidate]:
+    """Courses that combs might have, the most likely first; multiples and parts of one speed are
+    all among them.
+    """
+    found = list[Candidate]()
+    low = SEARCH.lowest
+    while low * SEARCH.fewest < signals.highest:
+        if low * signals.duration > 8 * SEARCH.cycles:
+            found += _octave(signals, low)
+        low *= 2
+    found.sort(key=lambda candidate: -candidate.score)
+    apart = list[Candidate]()
+    for candidate in found:
+        f = candidate.course.frequency
+        if all(abs(np.log(f / x.course.frequency)) > SEARCH.apart for x in apart):
+            apart.append(candidate)
+    return apart
+
+
+def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
+    """Courses between `low` Hz and twice as much."""
+    top = min(signals.highest, 2.1 * low * SEARCH.orders)
+    x, rate = signals.whitened(top, 4 * low, 2.0)
+    length = 2 * round(0.5 * SEARCH.cycles / low * rate)
+    levels, hop = _frame_levels(x, length, top / rate)
+    count = round(np.log(2) * 2 * SEARCH.orders * SEARCH.cycles)
+    edge = count // 16
+    step = 1 / (2 * SEARCH.orders * SEARCH.cycles)
+    grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
+    score, state = _courses(_comb_scores(levels, grid * length / rate))
+    times = np.asarray((hop * np.arange(len(state)) + length / 2) / rate, dtype=np.float64)
+    mean = np.exp(np.log(grid)[state].mean(axis=0))
+    out = list[Candidate]()
+    left = np.ones(grid.size, dtype=np.bool_)
+    while len(out) < SEARCH.each and left.any():
+        best = int(np.where(left, score, -np.inf).argmax())
+        course = _integrated(times, grid[state[:, best]], signals.duration)
+        out.append(Candidate(float(score[best]), course))
+        left &= np.abs(np.log(mean / mean[best])) > SEARCH.apart
+    return out
+
+
+def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
+    """(bin, step) float32 log-levels of frames of `length` samples to `top` of the rate, in
+    standard deviations about their mean, and the distance of steps in samples.
+
+    The logarithm of one plus the power bounds what a mode adds to a sum over many harmonics.
+    """
+    frames = sliding_window_view(x, length, axis=1)[:, :: length // 2]
+    win = np.hanning(length + 1)[:-1].astype(np.float32)
+    bins = int(top * length)
+    together = -(-frames.shape[1] // SEARCH.steps)
+    steps = frames.shape[1] // together
+    total = np.zeros((steps, bins), dtype=np.float32)
+    for own in frames:
+        y = rfft(own[: steps * together] * win, axis=1)[:, :bins]
+        power = y.real**2 + y.imag**2
+        power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 200), 2:])
+        total += np.log1p(power, out=power).reshape(steps, together, bins).sum(axis=1)
+    total -= total[:, 2:].mean(axis=1, keepdims=True)
+    total /= total[:, 2:].std()
+    return np.ascontiguousarray(total.T), together * (length // 2)
+
+
+def _comb_scores(levels: Any_, places: Float) -> Any_:
+    """(step, grid) float32 sums of `levels` (bin, step) over the multiples of `places` (grid,), in
+    bins, of unit standard deviation.
+    """
+    total = np.zeros((places.size, levels.shape[1]), dtype=np.float32)
+    count = np.zeros(places.size)
+    for k in range(1, SEARCH.orders + 1):
+        at = np.rint(k * places).astype(np.int64)
+        inside = int(np.searchsorted(at, len(levels)))
+        total[:inside] += levels[at[:inside]]
+        count[:inside] += 1
+    total /= np.sqrt(np.maximum(count, 4.0)).astype(np.float32)[:, None]
+    return np.ascontiguousarray(total.T)
+
+
+def _courses(scores: Any_) -> tuple[Float, Any_]:
+    """The most likely course to each last place: (grid,) its score, and (step, grid) its places.
+
+    Viterbi (1967); a course moves by at most three places of the grid a step.
+    """
+    steps, size = scores.shape
+    moves = np.arange(-3, 4)
+    cost = (SEARCH.stiffness * moves**2).astype(np.float32)
+    back = np.zeros((steps, size), dtype=np.int64)
+    padded = np.full(size + 6, -np.inf, dtype=np.float32)
+    shifted = sliding_window_view(padded, size)  # (move, grid)
+    total = scores[0].copy()
+    for m in range(1, steps):  # each step needs the one before
+        padded[3:-3] = total
+        options = shifted - cost[:, None]
+        best = options.argmax(axis=0)
+        back[m] = np.arange(size) + moves[best]
+        total = options.max(axis=0) + scores[m]
+    state = np.empty((steps, size), dtype=np.int64)
+    state[-1] = np.arange(size)
+    for m in range(steps - 1, 0, -1):
+        state[m - 1] = back[m][state[m]]
+    return np.asarray((total - np.median(total)) / np.sqrt(steps), dtype=np.float64), state
+
+
+def _integrated(times: Float, frequency: Float, duration: float) -> Course:
+    """The angle of a `frequency` (i,), Hz, at `times` (i,), s, of which steps of the grid are
+    smoothed out.
+    """
+    kernel = np.hanning(7)[1:-1] / np.hanning(7).sum()
+    smooth = np.convolve(np.pad(frequency, 2, mode="edge"), kernel, mode="valid")
+    t = np.concatenate([[0.0], times, [duration]])
+    f = np.concatenate([smooth[:1], smooth, smooth[-1:]])
+    turned = np.cumsum(np.diff(t) * (f[1:] + f[:-1]) / 2)
+    return Course(t, np.concatenate([[0.0], turned]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrderBlocks:
+    """Harmonics over blocks of whole revolutions.
+
+    Attributes
+    ----------
+    values : (block, order, ch) complex64
+        Amplitude, up to a constant: what does not change over the blocks is a harmonic.
+    orders : (order,) int64
+        Multiples of the speed.
+    centres : (block,) float64
+        Angle of the middle of each block, revolutions.
+    """
+
+    values: Any_
+    orders: Int
+    centres: Float
+
+    def taken(self, use: Bool) -> OrderBlocks:
+        """Some of the orders, as `use` (order,) says."""
+        return replace(self, values=self.values[:, use], orders=self.orders[use])
+
+    def turned(self, error: Float) -> Any_:
+        """(block, order, ch) amplitudes without a phase `error` (block,), revolutions."""
+        turn = np.exp(-2j * np.pi * error[:, None] * self.orders).astype(np.complex64)
+        return np.asarray(self.values * turn[:, :, None])
+
+
+def order_blocks(signals: SearchedSignals, course: Course, orders: int) -> OrderBlocks | None:
+    """The first `orders` harmonics over the record; None if it has too few revolutions.
+
+    The blocks overlap by half under a Hann window, in which one harmonic hides all others.
+    """
+    f = course.frequency
+    turned = int(course.revolutions[-1] - course.revolutions[0])
+    size = LOCK.revolutions * max(1, -(-2 * turned // (LOCK.revolutions * LOCK.blocks)))
+    if turned < 12 * size or not course.rises:
+        return None
+    # cubic splines need samples twice as near as the band
+    x, rate = signals.whitened(min(signals.highest, 1.05 * f * orders), 4 * f, 2.6)
+    per_turn = 2 * int(np.ceil(1.3 * orders))
+    angles = course.revolutions[0] + np.arange(turned * per_turn) / per_turn
+    places = course.instants(angles)[None] * rate
+    length = size * per_turn
+    win = (1 - np.cos(2 * np.pi * (np.arange(length) + 0.5) / length)).astype(np.float32) / length
+    values = list[Any_]()
+    for own in x:
+        over_angle = np.empty(places.size, dtype=np.float32)
+        coefficients = spline_filter1d(own, 3, output=np.float32)
+        map_coordinates(coefficients, places, over_angle, order=3, prefilter=False)
+        frames = sliding_window_view(over_angle, length)[:: length // 2] * win
+        folded = frames.reshape(len(frames), size, per_turn).sum(axis=1)
+        values.append(rfft(folded, axis=1)[:, 1 : orders + 1])
+    z = np.stack(values, axis=2)
+    centres = course.revolutions[0] + (np.arange(len(z)) + 1) * size / 2
+    return OrderBlocks(z, np.arange(1, orders + 1), centres)
+
+
+def phase_errors(blocks: OrderBlocks, shortest: int = 2) -> Float:
+    """(block,) revolutions by which the angle is beyond the one that the blocks are taken at.
+
+    Parameters
+    ----------
+    blocks : OrderBlocks
+    shortest : int
+        First lag in blocks; each next one is twice as long.
+    """
+    z = blocks.values
+    power = (z.real**2 + z.imag**2).mean(axis=0)
+    unit = replace(blocks, values=z / np.sqrt(power + np.finfo(np.float32).tiny))
+    k = blocks.orders
+    count = len(z)
+    error = np.zeros(count)
+    lag = shortest
+    while lag < count // 3:
+        # the mean over a box and the one of a lag later show the speed, all else its ripple
+        box = max(1, lag // 2)
+        mean = _box_means(unit.turned(error), box)
+        products = (mean[:-lag].conj() * mean[lag:]).sum(axis=2)
+        scaled = _score(products, k, box)
+        if scaled is None:
+            return np.asarray(error)
+        slope = _smoothed(lag * scaled[0] / box, lag**2 * scaled[1] / box, _first_differences)
+        ends = (count - 1 - slope.size) / 2
+        each = np.interp(np.arange(count - 1), np.arange(slope.size) + ends, slope)
+        error = error + np.concatenate([[0.0], np.cumsum(each)])
+        z = unit.turned(error)
+        scaled = _score((_around(z, lag).conj() * z).sum(axis=2), k, 1)
+        if scaled is None:
+            return np.asarray(error)
+        error = error + _smoothed(*scaled, _second_differences)
+        lag *= 2
+    return np.asarray(error)
+
+
+def _box_means(z: Any_, box: int) -> Any_:
+    """(block - box + 1, order, ch) means of `box` blocks."""
+    total = np.cumsum(np.concatenate([np.zeros_like(z[:1]), z]), axis=0, dtype=np.complex64)
+    return np.asarray((total[box:] - total[:-box]) / np.float32(box))
+
+
+def _around(z: Any_, reach: int) -> Any_:
+    """(block, order, ch) mean of up to `reach` blocks to each side, without the next: these share
+    samples with the block.
+    """
+    total = np.cumsum(np.concatenate([np.zeros_like(z[:1]), z]), axis=0)
+    m = np.arange(len(z))
+    low = np.maximum(m - reach, 0)
+    high = np.minimum(m + reach + 1, len(z))
+    inner_low = np.maximum(m - 1, 0)
+    inner_high = np.minimum(m + 2, len(z))
+    count = (high - low - inner_high + inner_low).astype(np.float32)
+    summed = total[high] - total[low] - total[inner_high] + total[inner_low]
+    return np.asarray(summed / count[:, None, None])
+
+
+def _score(products: Any_, orders: Int, box: int) -> tuple[Float, float] | None:
+    """(block,) gradient of the log-likelihood of a phase, and its mean information, from
+    `products` (block, order) of two amplitudes; None where no harmonic is coherent.
+
+    Each order weighs by its mean real part over its variance; `box` neighbours are of one sample.
+    """
+    real = products.real
+    coherent = real.mean(axis=0, dtype=np.float64)
+    variance = np.maximum(real.var(axis=0, dtype=np.float64), 1e-12)
+    clear = coherent > LOCK.gate * np.sqrt(variance * 2 * box / len(real))
+    if not clear.any():
+        return None
+    weight = np.where(clear, coherent / variance, 0.0)
+    score = 2 * np.pi * (products.imag @ (orders * weight))
+    information = (2 * np.pi) ** 2 * float((orders**2 * weight * coherent).sum())
+    return np.asarray(score, dtype=np.float64), information
+
+
+def _first_differences(size: int) -> Float:
+    """(2, size) lower bands of DᵀD of first differences."""
+    bands = np.zeros((2, size))
+    bands[0] = 2
+    bands[0, [0, -1]] = 1
+    bands[1] = -1
+    return bands
+
+
+def _second_differences(size: int) -> Float:
+    """(3, size) lower bands of DᵀD of second differences."""
+    bands = np.zeros((3, size))
+    bands[0] = 6
+    bands[0, [0, -1]] = 1
+    bands[0, [1, -2]] = 5
+    bands[1] = -4
+    bands[1, [0, -2]] = -2
+    bands[2] = 1
+    return bands
+
+
+def _smoothed(score: Float, information: float, differences: Callable[[int], Float]) -> Float:
+    """(i,) the most likely smooth sequence e: (P + λDᵀD) e = score, with λ of the largest marginal
+    likelihood.
+    """
+    size = score.size
+    bands = differences(size)
+    rank = size - len(bands) + 1
+    measured = float(score @ score) / information
+    best = -np.inf
+    out = np.zeros(size)
+    for stiffness in 10.0 ** np.arange(-2, 10):
+        matrix = information * stiffness * bands
+        matrix[0] += information
+        factor = cholesky_banded(matrix, lower=True)
+        e = np.asarray(cho_solve_banded((factor, True), score))
+        misfit = measured - float(score @ e)
+        determinant = float(np.log(factor[0]).sum()) - 0.5 * size * np.log(information)
+        likelihood = -0.5 * misfit - determinant + 0.5 * rank * np.log(stiffness)
+        if likelihood > best:
+            best = likelihood
+            out = e
+    return out
+
+
+def corrected(course: Course, blocks: OrderBlocks, error: Float) -> Course:
+    """The course with a phase `error` (block,), revolutions, of its blocks."""
+    at = course.instants(blocks.centres)
+    before = blocks.centres[0] - course.revolutions[0]
+    after = course.revolutions[-1] - blocks.centres[-1]
+    spacing = blocks.centres[1] - blocks.centres[0]
+    first = error[0] - (error[1] - error[0]) * before / spacing
+    last = error[-1] + (error[-1] - error[-2]) * after / spacing
+    revolutions = np.concatenate(
+        [[course.revolutions[0] + first], blocks.centres + error, [course.revolutions[-1] + last]]
+    )
+    return Course(np.concatenate([course.knots[:1], at, course.knots[-1:]]), revolutions)
