@@ -58,7 +58,7 @@ class MachineSettings:
     """
 
     channels: int = 4
-    candidates: int = 6
+    candidates: int = 8
     most: int = 4
     orders: int = 256
     line: float = 0.01

@@ -35,14 +35,19 @@ class SpeedSearch:
         Harmonics below the Nyquist frequency, at least.
     orders : int
         Harmonics that are summed, at most.
-    cycles : int
-        Revolutions in a frame, at least: a quarter of an order is resolved.
+    cycles : tuple of int
+        Revolutions in a frame, at least: short ones for a speed that wanders, long ones for lines
+        that hardly stand out.
+    line : int
+        Bins of a frame to which its mean spectrum is level: what is wider is a mode.
     steps : int
         Instants of the course, at most.
     stiffness : float
         Log-likelihood that a change by one step of the grid costs, in standard deviations.
+    bound : float
+        Standard deviations that one harmonic adds to the score of a course, at most: modes are few.
     each : int
-        Candidates of one octave.
+        Candidates of one octave and length of frames.
     apart : float
         Relative distance of two candidates, at least: less is one course.
     """
@@ -50,10 +55,12 @@ class SpeedSearch:
     lowest: float = 2.0
     fewest: int = 6
     orders: int = 24
-    cycles: int = 16
+    cycles: tuple[int, ...] = (16, 64)
+    line: int = 17
     steps: int = 600
     stiffness: float = 0.25
-    each: int = 4
+    bound: float = 5.0
+    each: int = 5
     apart: float = 0.03
 
 
@@ -193,7 +200,7 @@ class Candidate:
     Attributes
     ----------
     score : float
-        Its mean log-likelihood over that of the typical course, in standard deviations.
+        Of its harmonics together, in standard deviations of noise.
     course : Course
     """
 
@@ -208,8 +215,7 @@ def candidates(signals: SearchedSignals) -> list[Candidate]:
     found = list[Candidate]()
     low = SEARCH.lowest
     while low * SEARCH.fewest < signals.highest:
-        if low * signals.duration > 8 * SEARCH.cycles:
-            found += _octave(signals, low)
+        found += _octave(signals, low)
         low *= 2
     found.sort(key=lambda candidate: -candidate.score)
     apart = list[Candidate]()
@@ -224,22 +230,28 @@ def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
     """Courses between `low` Hz and twice as much."""
     top = min(signals.highest, 2.1 * low * SEARCH.orders)
     x, rate = signals.whitened(top, 4 * low, 2.0)
-    length = 2 * round(0.5 * SEARCH.cycles / low * rate)
-    levels, hop = _frame_levels(x, length, top / rate)
-    count = round(np.log(2) * 2 * SEARCH.orders * SEARCH.cycles)
-    edge = count // 16
-    step = 1 / (2 * SEARCH.orders * SEARCH.cycles)
-    grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
-    score, state = _courses(_comb_scores(levels, grid * length / rate))
-    times = np.asarray((hop * np.arange(len(state)) + length / 2) / rate, dtype=np.float64)
-    mean = np.exp(np.log(grid)[state].mean(axis=0))
     out = list[Candidate]()
-    left = np.ones(grid.size, dtype=np.bool_)
-    while len(out) < SEARCH.each and left.any():
-        best = int(np.where(left, score, -np.inf).argmax())
-        course = _integrated(times, grid[state[:, best]], signals.duration)
-        out.append(Candidate(float(score[best]), course))
-        left &= np.abs(np.log(mean / mean[best])) > SEARCH.apart
+    for cycles in SEARCH.cycles:
+        length = 2 * round(0.5 * cycles / low * rate)
+        if 8 * length > x.shape[1]:
+            continue
+        levels, hop = _frame_levels(x, length, top / rate)
+        count = round(np.log(2) * 2 * SEARCH.orders * cycles)
+        edge = count // 16
+        step = 1 / (2 * SEARCH.orders * cycles)
+        grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
+        score, state = _courses(_comb_scores(levels, grid * length / rate))
+        times = np.asarray((hop * np.arange(len(state)) + length / 2) / rate, dtype=np.float64)
+        mean = np.exp(np.log(grid)[state].mean(axis=0))
+        left = np.ones(grid.size, dtype=np.bool_)
+        for _ in range(SEARCH.each):
+            best = int(np.where(left, score, -np.inf).argmax())
+            path = grid[state[:, best]]
+            course = _integrated(times, path, signals.duration)
+            out.append(Candidate(_agreement(levels, path * length / rate), course))
+            left &= np.abs(np.log(mean / mean[best])) > SEARCH.apart
+            if not left.any():
+                break
     return out
 
 
@@ -260,6 +272,7 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
         power = y.real**2 + y.imag**2
         power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 200), 2:])
         total += np.log1p(power, out=power).reshape(steps, together, bins).sum(axis=1)
+    total -= median_filter(total.mean(axis=0), size=SEARCH.line, mode="nearest")
     total -= total[:, 2:].mean(axis=1, keepdims=True)
     total /= total[:, 2:].std()
     return np.ascontiguousarray(total.T), together * (length // 2)
@@ -278,6 +291,16 @@ def _comb_scores(levels: Any_, places: Float) -> Any_:
         count[:inside] += 1
     total /= np.sqrt(np.maximum(count, 4.0)).astype(np.float32)[:, None]
     return np.ascontiguousarray(total.T)
+
+
+def _agreement(levels: Any_, places: Float) -> float:
+    """Sum over the harmonics of how far each stands up along `places` (step,), in bins of `levels`
+    (bin, step); what one can add is bounded.
+    """
+    orders = np.arange(1, min(SEARCH.orders, int((len(levels) - 1) / places.max())) + 1)
+    at = np.rint(orders[:, None] * places).astype(np.int64)
+    each = levels[at, np.arange(places.size)].sum(axis=1) / np.sqrt(places.size)
+    return float(np.minimum(each, SEARCH.bound).sum() / np.sqrt(orders.size))
 
 
 def _courses(scores: Any_) -> tuple[Float, Any_]:
