@@ -42,8 +42,6 @@ class MachineSettings:
     ----------
     channels : int
         That are looked at, at most.
-    candidates : int
-        Speeds that are tried, the most likely first.
     most : int
         Machines.
     orders : int
@@ -58,7 +56,6 @@ class MachineSettings:
     """
 
     channels: int = 4
-    candidates: int = 8
     most: int = 4
     orders: int = 256
     line: float = 0.01
@@ -242,14 +239,14 @@ def _searched(data: Any_, at: Int) -> Any_:
 
 def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | None:
     """The most likely candidate for which there is evidence."""
-    for candidate in candidates(signals)[: settings.candidates]:
+    for candidate in candidates(signals):
         course = candidate.course
         blocks = order_blocks(signals, course, _orders(signals, course, SEARCH.orders))
         if blocks is None:
             continue
         error = phase_errors(blocks)
-        chances = _line_chances(blocks, error)
-        if _chance(chances < settings.line, settings.line) > settings.false_alarm:
+        lines = _line_chances(blocks, error) < settings.line
+        if _chance(lines, settings.line) > settings.false_alarm:
             continue
         evidence = _held_out(blocks, course, signals.duration, settings)
         if evidence.chance < settings.false_alarm:

@@ -30,38 +30,32 @@ class SpeedSearch:
     Attributes
     ----------
     lowest : float, Hz
-        Fundamental.
-    fewest : int
-        Harmonics below the Nyquist frequency, at least.
+        Fundamental; the highest has a quarter of the `orders` below the Nyquist frequency.
     orders : int
         Harmonics that are summed, at most.
     cycles : tuple of int
         Revolutions in a frame, at least: short ones for a speed that wanders, long ones for lines
-        that hardly stand out.
-    line : int
-        Bins of a frame to which its mean spectrum is level: what is wider is a mode.
+        that hardly stand out. Over so many bins as the first the mean spectrum is made level.
     steps : int
         Instants of the course, at most.
-    stiffness : float
-        Log-likelihood that a change by one step of the grid costs, in standard deviations.
     bound : float
         Standard deviations that one harmonic adds to the score of a course, at most: modes are few.
-    each : int
-        Candidates of one octave and length of frames.
+    most : int
+        Candidates.
     apart : float
-        Relative distance of two candidates, at least: less is one course.
+        Relative distance of two speeds, at least: less is one.
+    shared : float
+        Share of the time for which two candidates have one speed, at most.
     """
 
     lowest: float = 2.0
-    fewest: int = 6
     orders: int = 24
     cycles: tuple[int, ...] = (16, 64)
-    line: int = 17
     steps: int = 600
-    stiffness: float = 0.25
     bound: float = 5.0
-    each: int = 5
+    most: int = 8
     apart: float = 0.03
+    shared: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +70,18 @@ class PhaseLock:
         Of a record, at most.
     gate : float
         Standard deviations by which the phases of a harmonic must agree for it to count.
+    slip : float
+        Log-likelihood that a jump of the phase must gain: lines of some orders alone are the same
+        after a part of a revolution.
+    farthest : float
+        Revolutions that it jumps by, at most.
     """
 
     revolutions: int = 4
     blocks: int = 2000
     gate: float = 2.5
+    slip: float = 12.0
+    farthest: float = 0.25
 
 
 SEARCH = SpeedSearch()
@@ -200,11 +201,14 @@ class Candidate:
     Attributes
     ----------
     score : float
-        Of its harmonics together, in standard deviations of noise.
+        Of its harmonics together, in standard deviations of noise; what one adds is bounded.
+    strength : float
+        The same without the bound.
     course : Course
     """
 
     score: float
+    strength: float
     course: Course
 
 
@@ -214,16 +218,22 @@ def candidates(signals: SearchedSignals) -> list[Candidate]:
     """
     found = list[Candidate]()
     low = SEARCH.lowest
-    while low * SEARCH.fewest < signals.highest:
+    while low * SEARCH.orders < 4 * signals.highest:
         found += _octave(signals, low)
         low *= 2
-    found.sort(key=lambda candidate: -candidate.score)
+    # of courses that are one for some of the time, the strongest
+    found.sort(key=lambda candidate: -candidate.strength)
+    times = np.linspace(0, signals.duration, SEARCH.steps)
     apart = list[Candidate]()
+    speeds = list[Float]()
     for candidate in found:
-        f = candidate.course.frequency
-        if all(abs(np.log(f / x.course.frequency)) > SEARCH.apart for x in apart):
+        course = candidate.course
+        speed = np.log(np.gradient(course.angle(times), times[1]).clip(min=1e-3))
+        if all((np.abs(speed - x) < SEARCH.apart).mean() < SEARCH.shared for x in speeds):
             apart.append(candidate)
-    return apart
+            speeds.append(speed)
+    apart.sort(key=lambda candidate: -candidate.score)
+    return apart[: SEARCH.most]
 
 
 def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
@@ -236,22 +246,31 @@ def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
         if 8 * length > x.shape[1]:
             continue
         levels, hop = _frame_levels(x, length, top / rate)
-        count = round(np.log(2) * 2 * SEARCH.orders * cycles)
-        edge = count // 16
+        # half a bin at the highest order
         step = 1 / (2 * SEARCH.orders * cycles)
+        count = round(np.log(2) / step)
+        edge = count // 16
         grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
-        score, state = _courses(_comb_scores(levels, grid * length / rate))
-        times = np.asarray((hop * np.arange(len(state)) + length / 2) / rate, dtype=np.float64)
-        mean = np.exp(np.log(grid)[state].mean(axis=0))
-        left = np.ones(grid.size, dtype=np.bool_)
-        for _ in range(SEARCH.each):
-            best = int(np.where(left, score, -np.inf).argmax())
-            path = grid[state[:, best]]
-            course = _integrated(times, path, signals.duration)
-            out.append(Candidate(_agreement(levels, path * length / rate), course))
-            left &= np.abs(np.log(mean / mean[best])) > SEARCH.apart
-            if not left.any():
-                break
+        times = np.asarray((hop * np.arange(levels.shape[1]) + length / 2) / rate)
+        for path in _paths(levels, grid * length / rate):
+            course = _integrated(times, path * rate / length, signals.duration)
+            out.append(Candidate(*_agreement(levels, path), course))
+    return out
+
+
+def _paths(levels: Any_, places: Float) -> list[Float]:
+    """The most likely courses (step,) over the `places` (grid,), in bins of `levels` (bin, step),
+    that are apart in the mean.
+    """
+    score, state = _courses(_comb_scores(levels, places))
+    course = np.log(places)[state]
+    left = np.ones(places.size, dtype=np.bool_)
+    out = list[Float]()
+    while left.any() and len(out) < SEARCH.most:
+        best = int(np.where(left, score, -np.inf).argmax())
+        out.append(places[state[:, best]])
+        near = np.abs(course - course[:, best, None]) < SEARCH.apart
+        left &= near.mean(axis=0) < SEARCH.shared
     return out
 
 
@@ -272,7 +291,7 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
         power = y.real**2 + y.imag**2
         power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 200), 2:])
         total += np.log1p(power, out=power).reshape(steps, together, bins).sum(axis=1)
-    total -= median_filter(total.mean(axis=0), size=SEARCH.line, mode="nearest")
+    total -= median_filter(total.mean(axis=0), size=SEARCH.cycles[0] + 1, mode="nearest")
     total -= total[:, 2:].mean(axis=1, keepdims=True)
     total /= total[:, 2:].std()
     return np.ascontiguousarray(total.T), together * (length // 2)
@@ -293,24 +312,26 @@ def _comb_scores(levels: Any_, places: Float) -> Any_:
     return np.ascontiguousarray(total.T)
 
 
-def _agreement(levels: Any_, places: Float) -> float:
+def _agreement(levels: Any_, places: Float) -> tuple[float, float]:
     """Sum over the harmonics of how far each stands up along `places` (step,), in bins of `levels`
-    (bin, step); what one can add is bounded.
+    (bin, step): what one can add is bounded in the first value.
     """
     orders = np.arange(1, min(SEARCH.orders, int((len(levels) - 1) / places.max())) + 1)
     at = np.rint(orders[:, None] * places).astype(np.int64)
     each = levels[at, np.arange(places.size)].sum(axis=1) / np.sqrt(places.size)
-    return float(np.minimum(each, SEARCH.bound).sum() / np.sqrt(orders.size))
+    each /= np.sqrt(orders.size)
+    return float(np.minimum(each, SEARCH.bound / np.sqrt(orders.size)).sum()), float(each.sum())
 
 
 def _courses(scores: Any_) -> tuple[Float, Any_]:
     """The most likely course to each last place: (grid,) its score, and (step, grid) its places.
 
-    Viterbi (1967); a course moves by at most three places of the grid a step.
+    Viterbi (1967); a course moves by at most three places of the grid a step, with a standard
+    deviation of sqrt(2).
     """
     steps, size = scores.shape
     moves = np.arange(-3, 4)
-    cost = (SEARCH.stiffness * moves**2).astype(np.float32)
+    cost = (moves**2 / 4).astype(np.float32)
     back = np.zeros((steps, size), dtype=np.int64)
     padded = np.full(size + 6, -np.inf, dtype=np.float32)
     shifted = sliding_window_view(padded, size)  # (move, grid)
@@ -419,10 +440,12 @@ def phase_errors(blocks: OrderBlocks, shortest: int = 2) -> Float:
         box = max(1, lag // 2)
         mean = _box_means(unit.turned(error), box)
         products = (mean[:-lag].conj() * mean[lag:]).sum(axis=2)
-        scaled = _score(products, k, box)
+        jumps = _jumps(products, k, box)
+        scaled = _score(products * np.exp(-2j * np.pi * jumps[:, None] * k), k, box)
         if scaled is None:
             return np.asarray(error)
-        slope = _smoothed(lag * scaled[0] / box, lag**2 * scaled[1] / box, _first_differences)
+        score = scaled[0] + scaled[1] * jumps
+        slope = _smoothed(lag * score / box, lag**2 * scaled[1] / box, _first_differences)
         ends = (count - 1 - slope.size) / 2
         each = np.interp(np.arange(count - 1), np.arange(slope.size) + ends, slope)
         error = error + np.concatenate([[0.0], np.cumsum(each)])
@@ -456,20 +479,42 @@ def _around(z: Any_, reach: int) -> Any_:
     return np.asarray(summed / count[:, None, None])
 
 
-def _score(products: Any_, orders: Int, box: int) -> tuple[Float, float] | None:
-    """(block,) gradient of the log-likelihood of a phase, and its mean information, from
-    `products` (block, order) of two amplitudes; None where no harmonic is coherent.
+def _jumps(products: Any_, orders: Int, box: int) -> Float:
+    """(block,) revolutions to the most likely phase of `products` (block, order), 0 where none is
+    clearly more likely.
+    """
+    weight = _weights(products, box)
+    steps = int(4 * LOCK.farthest * orders.max())
+    phases = np.arange(-steps, steps + 1) / (4 * orders.max())
+    turns = weight[:, None] * np.exp(-2j * np.pi * orders[:, None] * phases)
+    mean = _box_means(products[:, :, None], box)[::box, :, 0]
+    likelihood = (mean @ turns.astype(np.complex64)).real
+    best = likelihood.argmax(axis=1)
+    gain = likelihood.max(axis=1) - likelihood[:, steps]
+    nearest = np.minimum(np.arange(len(products)) // box, len(mean) - 1)
+    return np.asarray(np.where(gain > LOCK.slip, phases[best], 0.0)[nearest])
 
-    Each order weighs by its mean real part over its variance; `box` neighbours are of one sample.
+
+def _weights(products: Any_, box: int) -> Float:
+    """(order,) mean real part of the `products` (block, order) over its variance; 0 where it is
+    not clear. `box` neighbours are of one sample.
     """
     real = products.real
     coherent = real.mean(axis=0, dtype=np.float64)
     variance = np.maximum(real.var(axis=0, dtype=np.float64), 1e-12)
     clear = coherent > LOCK.gate * np.sqrt(variance * 2 * box / len(real))
-    if not clear.any():
+    return np.asarray(np.where(clear, coherent / variance, 0.0))
+
+
+def _score(products: Any_, orders: Int, box: int) -> tuple[Float, float] | None:
+    """(block,) gradient of the log-likelihood of a phase, and its mean information, from
+    `products` (block, order) of two amplitudes; None where no harmonic is coherent.
+    """
+    weight = _weights(products, box)
+    if not weight.any():
         return None
-    weight = np.where(clear, coherent / variance, 0.0)
     score = 2 * np.pi * (products.imag @ (orders * weight))
+    coherent = products.real.mean(axis=0, dtype=np.float64)
     information = (2 * np.pi) ** 2 * float((orders**2 * weight * coherent).sum())
     return np.asarray(score, dtype=np.float64), information
 
