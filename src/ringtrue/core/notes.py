@@ -104,6 +104,26 @@ SENTENCES = {
         "loose cable or is dead"
     ),
     "channel strain": "channel {subject}: measures strain, not used",
+    "decay record": "free decays: {decays}, the first from {first:.4g} s on",
+    "decay mode": (
+        "{level:.0f} dB of evidence in {decays} decays; {share:.0f} % of the orders of ERA"
+    ),
+    "decay mode bent": (
+        "{level:.0f} dB of evidence in {decays} decays; {share:.0f} % of the orders of ERA; "
+        "frequency {change:+.2g} % at amplitude {amplitude:.3g} {unit}"
+    ),
+    "decay multiple": (
+        "decay at {subject}, {damping:.3g} %: harmonic, locked to {sum} Hz by nonlinearity or "
+        "clipping"
+    ),
+    "decay remainder": (
+        "decay at {subject} is what the amplitude of the mode beside it leaves: no mode"
+    ),
+    "decay steady": "line at {subject} does not decay: no mode",
+    "decay automatic": (
+        "a record of free decays: power falls by {decades:.1f} decades behind {impacts} impacts; "
+        "the decays were identified"
+    ),
 }
 
 
