@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,10 +17,16 @@ from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
-from ringtrue.core.notes import sentence
+from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
+from ringtrue.identification.ambient.decay_evidence import free_decay_note
+from ringtrue.identification.ambient.free_decays import (
+    DecayResult,
+    DecaySettings,
+    identify_decay,
+)
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
@@ -93,7 +100,7 @@ class TestModes(Displayed):
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
-    result: AmbientResult | HammerResult | SecondOpinion | None = None
+    result: AmbientResult | DecayResult | HammerResult | SecondOpinion | None = None
     frequencies: Float = field(init=False)
     std_frequency: Float = field(init=False)
     damping: Float = field(init=False)
@@ -623,6 +630,7 @@ def identify_ambient(
     fmax: float | None = None,
     method: str = AMBIENT,
     near: Sequence[float] = (),
+    decay: bool | None = None,
     choice: Choice | None = None,
     progress: Progress = quiet,
 ) -> TestModes:
@@ -638,6 +646,9 @@ def identify_ambient(
         `ssi`, or another method of docs/theory/oma_methods.md for a second opinion on one record.
     near : sequence of float, Hz
         Peaks that an FDD method starts from.
+    decay : bool, optional
+        Whether the record holds free decays (step relaxation, ring-down, impacts without measured
+        force); not given, the record decides. `result` then has the backbones and the multiples.
     choice : Choice, optional
         Modes chosen by hand.
 
@@ -675,11 +686,45 @@ def identify_ambient(
     check_band(fmin, fmax)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
     parts = [record] if isinstance(record, TimeHistory) else record
+    if decay and (method != AMBIENT or choice is not None):
+        raise ConfigError(f"decay goes with the method {AMBIENT} and without a choice by hand")
+    if decay is not False and method == AMBIENT and choice is None:
+        coming = iter(parts)
+        first = list(islice(coming, 2))
+        found_decay = _of_decays(first, decay, DecaySettings(fmin=fmin, fmax=fmax), progress)
+        if found_decay is not None:
+            return found_decay
+        parts = chain(first, coming)
     if method != AMBIENT:
         refuse_choice(method, AMBIENT, choice)
         one = next(iter(parts))
         return _of_result(identify_ambient_by(method, one, settings, near=near, progress=progress))
     return _of_result(identify_stretches(iter(parts), settings, choice=choice, progress=progress))
+
+
+def _of_decays(
+    parts: Sequence[TimeHistory], asked: bool | None, settings: DecaySettings, progress: Progress
+) -> TestModes | None:
+    """Modes of the free decays of one record; None where it holds none and none were asked for."""
+    if len(parts) != 1:
+        if asked:
+            raise ConfigError(f"decay: one record, got {len(parts)} or more")
+        return None
+    notes: tuple[Note, ...] = ()
+    if asked is None:
+        seen = free_decay_note(parts[0], settings)
+        if seen is None:
+            return None
+        notes = (seen,)
+    found = identify_decay(parts[0], settings, progress=progress)
+    return TestModes(
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=tuple(map(sentence, (*notes, *found.notes))),
+        diagrams=found.diagrams,
+        result=found,
+    )
 
 
 def ambient_parts(

@@ -176,6 +176,14 @@ def oma(
         list[float] | None,
         typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
     ] = None,
+    decay: Annotated[
+        bool | None,
+        typer.Option(
+            "--decay/--no-decay",
+            help="Free decays: step relaxation, ring-down, impacts without measured force; "
+            "the record decides if not given.",
+        ),
+    ] = None,
     leave_out: LeaveOut = None,
     sensors: Sensors = None,
     choice: ChoiceFile = None,
@@ -187,7 +195,7 @@ def oma(
     """Modes from an ambient record: automatic covariance-driven SSI with standard deviations.
 
     Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with
-    the damping of FSDD.
+    the damping of FSDD. Free decays (--decay) are fitted as such.
 
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
     """
@@ -220,6 +228,7 @@ def oma(
             fmax=fmax,
             method=method,
             near=tuple(near or ()),
+            decay=decay,
             choice=by_hand,
             progress=show,
         )

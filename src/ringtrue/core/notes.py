@@ -109,8 +109,8 @@ SENTENCES = {
         "{level:.0f} dB of evidence in {decays} decays; {share:.0f} % of the orders of ERA"
     ),
     "decay mode bent": (
-        "{level:.0f} dB of evidence in {decays} decays; {share:.0f} % of the orders of ERA; "
-        "frequency {change:+.2g} % at amplitude {amplitude:.3g} {unit}"
+        "{level:.0f} dB of evidence in {decays} decays; nonlinear: frequency {change:+.2g} % at "
+        "amplitude {amplitude:.3g} {unit}"
     ),
     "decay multiple": (
         "decay at {subject}, {damping:.3g} %: harmonic, locked to {sum} Hz by nonlinearity or "

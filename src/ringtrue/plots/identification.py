@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Any_, Bool, Float
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
+from ringtrue.identification.ambient.decay_backbone import Backbone
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.style import (
     FE,
@@ -223,4 +224,27 @@ def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
             name="found",
         )
         fig.data[-1].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
+    return fig
+
+
+def backbone(found: Backbone) -> go.Figure:
+    """Frequency and damping ratio of a mode over its amplitude: measured as marks, fitted as
+    lines.
+    """
+    left = axis("Frequency, Hz", domain=[0.55, 1.0])
+    right = axis("Damping ratio, %", domain=[0.0, 0.42], anchor="x")
+    fig = figure(360, xaxis=axis("Amplitude", type="log", anchor="y2"), yaxis=left, yaxis2=right)
+    fig.update_layout(showlegend=False)
+    for name, points, curve, factor, on in (
+        ("frequency", found.frequency, found.fit_frequency, 1, "y"),
+        ("damping", found.damping, found.fit_damping, 100, "y2"),
+    ):
+        x = f32(found.amplitude)
+        mark = {"size": 5, "color": TEST}
+        fig.add_scatter(
+            x=x, y=f32(factor * points), yaxis=on, mode="markers", marker=mark, name=name
+        )
+        line = {"width": 2, "color": FE}
+        x = f32(found.fit_amplitude)
+        fig.add_scatter(x=x, y=f32(factor * curve), yaxis=on, mode="lines", line=line, name="fit")
     return fig

@@ -9,9 +9,10 @@ from ringtrue.core.display import drawing
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.correlation.table import CorrelationTable
+from ringtrue.identification.ambient.decay_backbone import Backbone
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.correlation import table_matrix
-from ringtrue.plots.identification import stabilisation
+from ringtrue.plots.identification import backbone, stabilisation
 from ringtrue.plots.pages import responses
 from ringtrue.plots.style import figure
 
@@ -30,6 +31,12 @@ def poles(diagram: StableDiagram) -> go.Figure:
     """Poles over frequency and model order, above the spectrum."""
     nothing = np.zeros(0)
     return stabilisation(diagram, ModeSet(nothing, nothing, np.zeros((0, 0)), ()))
+
+
+@drawing(Backbone)
+def backbone_curves(found: Backbone) -> go.Figure:
+    """Frequency and damping ratio over amplitude."""
+    return backbone(found)
 
 
 @drawing(FrfSet)

@@ -240,7 +240,8 @@ def _factors(
         known = np.concatenate([before, smooth[k], after])
         slow = (known[:, None] ** powers - middle**powers) @ terms[1:]
         total = np.cumsum(slow) - 0.5 * slow
-        out.append(np.exp(total - total[0]))
+        total -= total[0]
+        out.append(np.exp(np.clip(total.real, -100, 30) + 1j * total.imag))  # finite, whatever came
     return out
 
 

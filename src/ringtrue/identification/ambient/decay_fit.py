@@ -168,7 +168,7 @@ class DecayFit:
     rate : float, Hz
     start : DecayModel
     tolerance : float
-        Of the sum of squares, noise of variance 1: less than this moves no pole by a hundredth of
+        Of the sum of squares, noise of variance 1: less than 1e-4 moves no pole by a hundredth of
         its standard deviation.
     """
 
@@ -203,8 +203,12 @@ class DecayFit:
         return FitState(sums, 10 * state.factor, np.inf)
 
     def terminate(self, state: FitState) -> Outcome | None:
-        """Converged when a step lowers the squares by nothing that counts."""
-        return Outcome.CONVERGED if state.lowered < self.tolerance else None
+        """Converged when a step lowers the squares by nothing that counts: beside what is left to
+        be explained, where that is more than noise.
+        """
+        samples = sum(y.size for y in self.decays)
+        much = max(state.sums.squares / samples, 1.0)
+        return Outcome.CONVERGED if state.lowered < self.tolerance * much else None
 
     def merit(self, state: FitState) -> float:
         """The sum of squares."""
@@ -217,11 +221,16 @@ def _sizes(normal: Float) -> Float:
     return np.asarray(np.sqrt(np.maximum(diagonal, 1e-12 * max(diagonal.max(initial=0.0), 1e-12))))
 
 
-def fit(decays: Decays, rate: float, start: DecayModel, *, limit: int = 60) -> DecaySums:
-    """The most likely poles from a start."""
+def fit(
+    decays: Decays, rate: float, start: DecayModel, *, rough: bool = False, limit: int = 60
+) -> DecaySums:
+    """The most likely poles from a start; `rough` where more poles are to come."""
     if not start.poles.size:
         return decay_sums(decays, rate, start)
-    return iterate(DecayFit(decays, rate, start), limit=limit).last.sums
+    tolerance = 1e-4
+    if rough:
+        tolerance = 1e-6 * sum(y.size for y in decays)
+    return iterate(DecayFit(decays, rate, start, tolerance), limit=limit).last.sums
 
 
 def left_over(decays: Decays, rate: float, sums: DecaySums, keep: int | None = None) -> Decays:
@@ -370,13 +379,6 @@ def deviations(poles: Complex, covariance_: Float) -> Float:
     z_y = np.diag(x * y / size**3)
     turn = np.block([[by_x, by_y], [z_x, z_y]]) if poles.size else zero
     return np.asarray(turn @ covariance_ @ turn.T)
-
-
-def same_shape(a: Complex, b: Complex) -> float:
-    """MAC of two sets of amplitudes (decay, ch)."""
-    x, y = a.ravel(), b.ravel()
-    size = float(np.vdot(x, x).real * np.vdot(y, y).real)
-    return float(np.abs(np.vdot(x, y)) ** 2 / size) if size else 0.0
 
 
 def is_steady(model: DecayModel, longest: float) -> Bool:

@@ -9,6 +9,7 @@ which poles every model order shows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -37,7 +38,6 @@ from ringtrue.identification.ambient.decay_fit import (
     is_steady,
     left_over,
     noise_floor,
-    same_shape,
     strongest_decay,
 )
 from ringtrue.identification.ambient.era import era
@@ -49,7 +49,8 @@ from ringtrue.signal.decay_bands import BandDecays, decays_of
 from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import EVENT, Events, find_events
 
-FRAMES = 50  # of a record, whose powers are compared
+MOST = 30  # modes of a band
+MOST_DAMPING = 0.2  # what decays faster is the end of an impact
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +63,6 @@ class DecaySettings:
         Band of interest; None: eight cycles in the longest decay, and what the rate allows.
     false_alarm : float
         Probability that noise alone makes a mode in a band.
-    most_modes : int
-        In a band.
     near : float
         Half widths of a mode, within which a much smaller decay of the same shape is what its
         amplitude does to it.
@@ -71,15 +70,17 @@ class DecaySettings:
         Standard deviations, within which a pole is a multiple of another, or a sum of two.
     decades : float
         That the power falls by behind the impacts in a record of free decays.
+    early : float
+        Share of their energy that is in their first halves there.
     """
 
     fmin: float | None = None
     fmax: float | None = None
     false_alarm: float = 1e-3
-    most_modes: int = 40
     near: float = 12.0
     locked: float = 5.0
     decades: float = 1.5
+    early: float = 0.9
 
     def __post_init__(self) -> None:
         low = self.fmin or 0.0
@@ -148,7 +149,7 @@ def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
     seen = part.freqs[part.gain > 1e-3]
     limits = (float(seen[0]), float(seen[-1]))
     found = _state(part, scale, EMPTY, np.inf)
-    for _ in range(settings.most_modes):
+    for _ in range(MOST):
         rest = left_over(found.scaled, part.rate, found.sums)
         peak = strongest_decay(rest, part.rate, found.floor, limits, settings.false_alarm)
         if peak.gain < peak.critical:
@@ -160,9 +161,11 @@ def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
     return _without_weak(found)
 
 
-def _state(part: BandDecays, scale: Float, model: DecayModel, critical: float) -> BandFit:
+def _state(
+    part: BandDecays, scale: Float, model: DecayModel, critical: float, *, rough: bool = True
+) -> BandFit:
     scaled = tuple(y / scale[:, None] for y in part.decays)
-    sums = fit(scaled, part.rate, model)
+    sums = fit(scaled, part.rate, model, rough=rough)
     floor = noise_floor(left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain)
     return BandFit(part, scaled, scale, sums, floor, critical)
 
@@ -178,27 +181,55 @@ def _squares(found: BandFit) -> float:
 def _with_backbone(
     found: BandFit, scale: Float, peak: Peak, settings: DecaySettings
 ) -> BandFit | None:
-    """The fit with the mode beside a peak as its amplitude bends it; None where there is none, or
-    it is not bent.
+    """The fit with the strongest mode beside a peak as its amplitude bends it, in the place of the
+    weaker ones of its shape; None where there is none, or it is not bent.
     """
     model = found.sums.model
     if not model.poles.size:
         return None
-    distance = np.abs(model.poles.imag - peak.pole.imag) / np.maximum(-model.poles.real, 1e-9)
-    k = int(distance.argmin())
-    if distance[k] > settings.near:
+    distance = np.abs(model.poles.imag - peak.pole.imag)
+    near = distance < settings.near * np.maximum(-model.poles.real, -peak.pole.real)
+    if not near.any():
         return None
-    fitted = fit_backbone(found.envelopes(k), model.poles[k], found.part.rate, settings.false_alarm)
-    if fitted is None or not fitted[0].nonlinear:
-        return None
-    backbone, factors = fitted
-    middle = float(np.median(backbone.amplitude))
-    f = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_frequency))
-    zeta = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_damping))
-    poles = model.poles.copy()
-    poles[k] = 2 * np.pi * f * (-zeta + 1j)
-    bent = (*model.factors[:k], tuple(factors), *model.factors[k + 1 :])
-    return _state(found.part, scale, DecayModel(poles, bent), peak.critical)
+    k = int(np.where(near, found.sums.gain, -1.0).argmax())
+    away = np.abs(model.poles.imag - model.poles.imag[k])
+    beside = away < settings.near * np.maximum(-model.poles.real, -model.poles.real[k])
+    gain = found.sums.gain
+    shape = found.shape(k)
+    kept = [
+        j
+        for j in range(gain.size)
+        if j == k or not (beside[j] and gain[j] < gain[k] and _mac(found.shape(j), shape) > 0.9)
+    ]
+    best: BandFit | None = None
+    now = found
+    if len(kept) < gain.size:
+        now = _state(found.part, scale, model.take(kept), peak.critical)
+    k = kept.index(k)
+    for _ in range(4):  # the envelope is the better known the better the mode is
+        model = now.sums.model
+        parts = now.envelopes(k)
+        fitted = fit_backbone(parts, model.poles[k], now.part.rate, settings.false_alarm)
+        if fitted is None or not fitted[0].nonlinear:
+            return best
+        backbone, factors = fitted
+        if backbone.fit_damping.min() <= 0:  # beats of two modes: no mode gains energy
+            return best
+        middle = float(np.median(backbone.amplitude))
+        f = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_frequency))
+        zeta = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_damping))
+        poles = model.poles.copy()
+        poles[k] = 2 * np.pi * f * (-zeta + 1j)
+        bent = (*model.factors[:k], tuple(factors), *model.factors[k + 1 :])
+        now = _state(now.part, scale, DecayModel(poles, bent), peak.critical)
+        if best is not None and now.sums.squares > 0.9 * best.sums.squares:
+            return best if best.sums.squares < now.sums.squares else now
+        best = now
+    return best
+
+
+def _mac(a: Complex, b: Complex) -> float:
+    return float(np.abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
 
 
 def _without_weak(found: BandFit) -> BandFit:
@@ -207,7 +238,7 @@ def _without_weak(found: BandFit) -> BandFit:
         rest = np.delete(np.arange(found.sums.gain.size), found.sums.gain.argmin())
         model = found.sums.model.take(rest)
         found = _state(found.part, found.scale, model, found.critical)
-    return found
+    return _state(found.part, found.scale, found.sums.model, found.critical, rough=False)
 
 
 def decay_bounds(events: Events, history: TimeHistory) -> Int:
@@ -364,17 +395,15 @@ def behind_clipping(history: TimeHistory, bounds: Int) -> Int:
     the largest or smallest one of a channel, several times.
     """
     out = bounds.copy()
-    top = history.data.max(axis=1, keepdims=True)
-    low = history.data.min(axis=1, keepdims=True)
+    cut = np.zeros(history.data.shape[1], dtype=bool)
+    for x in history.data:  # a channel at a time in memory
+        for limit in (x.max(), x.min()):
+            at = x == limit
+            if np.count_nonzero(at) > 3:
+                cut |= at
     for row in out:  # a few decays
-        part = history.data[:, row[0] : row[1]]
-        for limit in (top, low):
-            at = part == limit
-            often = np.count_nonzero(at, axis=1) > 3
-            if often.any():
-                last = int(np.flatnonzero(at[often].any(axis=0))[-1])
-                row[0] = max(row[0], row[0] + last + 1)
-                part = history.data[:, row[0] : row[1]]
+        last = np.flatnonzero(cut[row[0] : row[1]])
+        row[0] += int(last[-1]) + 1 if last.size else 0
     return np.asarray(out[out[:, 1] > out[:, 0] + 64])
 
 
@@ -390,6 +419,7 @@ class Candidate:
     frequency, damping, gain : float
     std : (2,) float64
         Of frequency, Hz, and damping.
+    backbone : Backbone, optional
     """
 
     found: BandFit
@@ -398,6 +428,7 @@ class Candidate:
     damping: float
     gain: float
     std: Float
+    backbone: Backbone | None
 
     @property
     def pole(self) -> complex:
@@ -415,13 +446,23 @@ class Candidate:
         return bool(self.found.sums.model.factors[self.k])
 
     @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest frequency, Hz, over its amplitudes."""
+        if not self.bent or self.backbone is None:
+            return self.frequency, self.frequency
+        first, last = self.backbone.fit_frequency[[0, -1]].tolist()
+        # the square of the amplitude, ahead of the first known one, is 2.6 times as large
+        ends = sorted((first, last + 1.6 * (last - first)))
+        return ends[0], ends[1]
+
+    @property
     def steady(self) -> bool:
         """Whether it does not decay."""
         longest = max(y.shape[1] for y in self.found.scaled) / self.found.part.rate
         return bool(is_steady(self.found.sums.model, longest)[self.k])
 
 
-def candidates(fits: list[BandFit]) -> list[Candidate]:
+def candidates(fits: list[BandFit], settings: DecaySettings) -> list[Candidate]:
     """The poles of all bands, ascending, each from one band."""
     out: list[Candidate] = []
     for i, found in enumerate(fits):
@@ -435,7 +476,11 @@ def candidates(fits: list[BandFit]) -> list[Candidate]:
         slack = 5 * std[0]
         f = model.frequencies
         inside = (f > low - slack) & (f < high + slack) & (f >= band.low) & (f <= band.high)
+        inside &= model.damping < MOST_DAMPING
         for k in np.flatnonzero(inside).tolist():
+            parts = found.envelopes(k)
+            pole = complex(model.poles[k])
+            fitted = fit_backbone(parts, pole, found.part.rate, settings.false_alarm)
             new = Candidate(
                 found,
                 k,
@@ -443,6 +488,7 @@ def candidates(fits: list[BandFit]) -> list[Candidate]:
                 float(model.damping[k]),
                 float(found.sums.gain[k]),
                 std[:, k],
+                fitted[0] if fitted else None,
             )
             if not any(_same_mode(new, other) for other in out if other.found is not found):
                 out.append(new)
@@ -459,8 +505,10 @@ def _is_remainder(c: Candidate, others: list[Candidate], near: float) -> bool:
     for other in others:
         if other is c or other.found is not c.found or not other.bent:
             continue
-        close = abs(other.frequency - c.frequency) < near * other.damping * other.frequency
-        alike = same_shape(c.amplitudes, other.amplitudes) > 0.8
+        low, high = other.span
+        reach = near * max(other.damping * other.frequency, c.damping * c.frequency)
+        close = low - reach < c.frequency < high + reach
+        alike = _mac(c.found.shape(c.k), other.found.shape(other.k)) > 0.8
         if close and c.gain < 0.01 * other.gain and (alike or c.gain < 1e-4 * other.gain):
             return True
     return False
@@ -469,37 +517,61 @@ def _is_remainder(c: Candidate, others: list[Candidate], near: float) -> bool:
 def sum_of(c: Candidate, stronger: list[Candidate], settings: DecaySettings) -> tuple[float, ...]:
     """The frequencies, Hz, of the modes whose multiple or sum a decay is; () if it is none.
 
-    The product of decays has the sum of their poles: twice the frequency and twice the decay rate
-    for a square. The pole must be that sum within the standard deviations of both; that of a
-    multiple of a bent mode need not, but its phase stays locked to that of the mode.
+    The product of decays has the sum of their poles, some of them conjugate: twice the frequency
+    and twice the decay rate for a square. The pole must be that sum within the standard deviations
+    of both. Where the nonlinearity is no power, or the mode is bent, the phase of a multiple stays
+    locked to that of the mode all the same.
     """
-    for n in (2, 3, 4, 5):
-        for a in stronger:
-            if _is_pole(c, [a] * n, settings) or _is_locked(c, a, n):
+    far = [a for a in stronger if c.gain < 0.1 * a.gain]
+    for a in far:
+        for n in (2, 3, 4, 5):
+            if _is_multiple(c, a, n, settings) or _is_locked(c, a, n) or _is_in_span(c, a, n):
                 return (a.frequency,) * n
-    for i, a in enumerate(stronger):
-        for b in stronger[i + 1 :]:
-            if _is_pole(c, [a, b], settings):
-                return (a.frequency, b.frequency)
-            if _is_pole(c, [b, a], settings, turned=True):
-                return (b.frequency, -a.frequency)
+    signed = [(a, sign) for a in far for sign in (1, -1)]
+    for order in (2, 3):
+        for parts in combinations_with_replacement(signed, order):
+            if _is_sum(c, parts, settings):
+                ordered = sorted(parts, key=lambda part: -part[1])
+                return tuple(sign * a.frequency for a, sign in ordered)
     return ()
 
 
-def _is_pole(
-    c: Candidate, parts: list[Candidate], settings: DecaySettings, *, turned: bool = False
+def _is_sum(
+    c: Candidate, parts: tuple[tuple[Candidate, int], ...], settings: DecaySettings
 ) -> bool:
-    poles = [p.pole for p in parts]
-    if turned:
-        poles[-1] = poles[-1].conjugate()
-    away = c.pole - sum(poles)
+    """Whether the pole of a weak decay is the sum of those of `parts`, conjugate for a sign of -1.
+
+    A pole that is not known to 0.3 % of the largest part is near some sum, whatever it is.
+    """
+    total = sum(complex(a.pole.real, sign * a.pole.imag) for a, sign in parts)
     # standard deviation of the real and the imaginary part of a pole, rad/s: both of 2π σ_f
-    alone = {id(p): parts.count(p) for p in parts}
-    each = [alone[id(p)] * 2 * np.pi * p.std[0] for p in {id(p): p for p in parts}.values()]
-    reach = settings.locked * float(np.sqrt(np.sum(np.square([2 * np.pi * c.std[0], *each]))))
-    weaker = all(c.gain < 0.1 * p.gain for p in parts)
-    known = reach < 1e-3 * abs(c.pole)  # else any pole is near some sum
-    return weaker and known and abs(away.real) < reach and abs(away.imag) < reach
+    turns = {id(a): sum(x is a for x, _ in parts) for a, _ in parts}
+    each = {id(a): turns[id(a)] * float(a.std[0]) for a, _ in parts}
+    std = 2 * np.pi * float(np.sqrt(c.std[0] ** 2 + sum(x**2 for x in each.values())))
+    away = c.pole - total
+    reach = settings.locked * std
+    known = reach < 3e-3 * max(abs(a.pole) for a, _ in parts)
+    weak = c.gain < 1e-3 * max(a.gain for a, _ in parts)
+    return known and weak and abs(away.real) < reach and abs(away.imag) < reach
+
+
+def _is_multiple(c: Candidate, a: Candidate, n: int, settings: DecaySettings) -> bool:
+    """Whether a weak decay is at n times the frequency of a mode, and decays about n times as
+    fast.
+    """
+    reach = settings.locked * float(np.hypot(c.std[0], n * a.std[0]))
+    near = abs(c.pole.imag - n * a.pole.imag) / (2 * np.pi) < reach < 0.01 * c.frequency
+    return near and c.pole.real < 0.7 * n * a.pole.real
+
+
+def _is_in_span(c: Candidate, a: Candidate, n: int) -> bool:
+    """Whether a decay, far weaker than a bent mode, is at n times a frequency that this runs
+    through.
+    """
+    low, high = a.span
+    width = 2 * c.damping * c.frequency + 3 * float(c.std[0])
+    inside = n * low - width < c.frequency < n * high + width
+    return a.bent and c.gain < 1e-3 * a.gain and inside
 
 
 def _is_locked(c: Candidate, a: Candidate, n: int) -> bool:
@@ -561,7 +633,7 @@ def era_diagram(found: BandFit) -> tuple[StableDiagram, Float]:
 
 def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySettings) -> DecayResult:
     """The candidates of all bands as natural modes, multiples of these and notes."""
-    every = candidates(fits)
+    every = candidates(fits, settings)
     notes = []
     decaying = []
     for c in every:
@@ -584,7 +656,7 @@ def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySetting
     natural.sort(key=lambda c: c.frequency)
     multiples.sort(key=lambda m: m.frequency)
     diagrams = {id(found): era_diagram(found) for found in fits}
-    rows = [_mode(c, diagrams[id(c.found)][1][c.k], history, settings) for c in natural]
+    rows = [_mode(c, float(diagrams[id(c.found)][1][c.k]), history) for c in natural]
     ch = len(history.channels)
     modes = ModeSet(
         frequencies=np.array([r.frequency for r in rows]),
@@ -620,10 +692,9 @@ class _Row:
     note: Note
 
 
-def _mode(c: Candidate, share: float, history: TimeHistory, settings: DecaySettings) -> _Row:
+def _mode(c: Candidate, share: float, history: TimeHistory) -> _Row:
     found = c.found
-    fitted = fit_backbone(found.envelopes(c.k), c.pole, found.part.rate, settings.false_alarm)
-    backbone = None if fitted is None else fitted[0]
+    backbone = c.backbone
     frequency, damping, std = c.frequency, c.damping, c.std
     values: dict[str, float | int | str] = {
         "level": float(10 * np.log10(c.gain)),
@@ -660,7 +731,7 @@ def _mode(c: Candidate, share: float, history: TimeHistory, settings: DecaySetti
         std=np.asarray(std),
         shape=shape,
         std_shape=np.sqrt(variance * relative),
-        confidence=likely * 0.5 * (1 + share),
+        confidence=likely if code == "decay mode bent" else likely * 0.5 * (1 + share),
         backbone=backbone,
         note=Note(code, "information", f"{frequency:.5g} Hz", values),
     )
@@ -687,70 +758,3 @@ def _uncertainty(natural: list[Candidate], rows: list[_Row], ch: int) -> Uncerta
     factor = np.sqrt(np.maximum(value, 0))[:, None] * vector.T * scale
     shapes = np.array([r.std_shape for r in rows]).reshape(m, ch).T
     return Uncertainty(std[:, 0], std[:, 1], shapes, factor)
-
-
-@dataclass(frozen=True, slots=True)
-class DecayEvidence:
-    """Whether a record is one of free decays.
-
-    Attributes
-    ----------
-    decades : float
-        That the power falls by behind the impacts: the least of the bands that hold all but a
-        hundredth of the energy, the median of the decays.
-    early : float
-        Share of the energy of the decays in their first halves.
-    impacts : int
-    """
-
-    decades: float = 0.0
-    early: float = 0.0
-    impacts: int = 0
-
-
-def decay_evidence(history: TimeHistory, settings: DecaySettings) -> DecayEvidence:
-    """How far the energy of a record falls behind its impacts, band by band.
-
-    A stationary record ends at the first look: its frames are of one power within a decade.
-    """
-    if history.data.shape[1] < 16 * FRAMES or not np.isfinite(history.data).all():
-        return DecayEvidence()
-    size = history.data.shape[1] // FRAMES
-    frames = history.data[:, : size * FRAMES].reshape(len(history.data), FRAMES, size)
-    power = frames.var(axis=2, dtype=np.float64)
-    range_ = power.max(axis=1) / np.maximum(np.quantile(power, 0.1, axis=1), 1e-300)
-    if np.median(np.log10(np.maximum(range_, 1.0))) < settings.decades:
-        return DecayEvidence()
-    bounds = decay_bounds(find_events(history.data, history.rate), history)
-    parts = band_decays(history, bounds, settings)
-    energy = np.array([sum(float(np.square(y).sum()) for y in p.decays) for p in parts])
-    if not parts or not energy.sum() > 0:
-        return DecayEvidence(impacts=len(bounds))
-    chosen = [p for p, e in zip(parts, energy, strict=True) if e > 0.01 * energy.sum()]
-    falls = []
-    early = []
-    for part in chosen:
-        each = [_fall(y) for y in part.decays]
-        falls.append(float(np.median([e[0] for e in each])))
-        early.append(float(np.median([e[1] for e in each])))
-    # an impact that leaves nothing to ring is not one of a test of free decays
-    heard = min(len(p.decays) for p in chosen) / len(bounds)
-    return DecayEvidence(min(falls) if heard > 0.5 else 0.0, min(early), len(bounds))
-
-
-def _fall(y: Float) -> tuple[float, float]:
-    """Decades of the power from the first to the last tenth of a decay (ch, sample), and the share
-    of its energy in the first half.
-    """
-    tenth = max(y.shape[1] // 10, 1)
-    square = np.square(y).sum(axis=0)
-    last = max(float(square[-tenth:].mean()), 1e-300)
-    decades = float(np.log10(max(float(square[:tenth].mean()), 1e-300) / last))
-    return decades, float(square[: square.size // 2].sum() / max(float(square.sum()), 1e-300))
-
-
-def is_free_decay(history: TimeHistory, settings: DecaySettings | None = None) -> bool:
-    """Whether a record holds free decays and next to nothing else."""
-    settings = settings or DecaySettings()
-    found = decay_evidence(history, settings)
-    return found.decades > settings.decades and found.early > 0.9
