@@ -104,7 +104,7 @@ SENTENCES = {
         "loose cable or is dead"
     ),
     "channel strain": "channel {subject}: measures strain, not used",
-    "decay record": "free decays: {decays}, the first from {first:.4g} s on",
+    "decay record": "decays behind {decays} impacts, the first from {first:.4g} s on",
     "decay mode": (
         "{level:.0f} dB of evidence in {decays} decays; {share:.0f} % of the orders of ERA"
     ),
@@ -117,7 +117,7 @@ SENTENCES = {
         "clipping"
     ),
     "decay remainder": (
-        "decay at {subject} is what the amplitude of the mode beside it leaves: no mode"
+        "decay at {subject} is what the amplitude of its neighbour leaves: no mode"
     ),
     "decay steady": "line at {subject} does not decay: no mode",
     "decay automatic": (

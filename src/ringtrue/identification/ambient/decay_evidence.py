@@ -9,7 +9,8 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import TimeHistory
-from ringtrue.identification.ambient.free_decays import DecaySettings, band_decays, decay_bounds
+from ringtrue.identification.ambient.decay_band_fit import DecaySettings
+from ringtrue.identification.ambient.free_decays import band_decays, decay_bounds
 from ringtrue.signal.transients import find_events
 
 FRAMES = 50  # of a record, whose powers are compared

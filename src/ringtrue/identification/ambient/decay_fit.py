@@ -149,7 +149,7 @@ def decay_sums(decays: Decays, rate: float, model: DecayModel) -> DecaySums:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FitState:
+class DecayFitState:
     """A state of the fit: its sums, the factor of Levenberg and Marquardt, and the last gain."""
 
     sums: DecaySums
@@ -177,11 +177,11 @@ class DecayFit:
     start: DecayModel
     tolerance: float = 1e-4
 
-    def init(self) -> FitState:
+    def init(self) -> DecayFitState:
         """The start."""
-        return FitState(decay_sums(self.decays, self.rate, self.start), 1e-4, np.inf)
+        return DecayFitState(decay_sums(self.decays, self.rate, self.start), 1e-4, np.inf)
 
-    def step(self, state: FitState) -> FitState:
+    def step(self, state: DecayFitState) -> DecayFitState:
         """The next poles; the old ones with a larger factor where the step does not help."""
         sums = state.sums
         m = sums.model.poles.size
@@ -197,12 +197,12 @@ class DecayFit:
         tried = decay_sums(self.decays, self.rate, replace(sums.model, poles=poles))
         lowered = sums.squares - tried.squares
         if lowered >= 0:
-            return FitState(tried, max(state.factor / 10, 1e-12), lowered)
+            return DecayFitState(tried, max(state.factor / 10, 1e-12), lowered)
         if state.factor > 1e6:
-            return FitState(sums, state.factor, 0.0)
-        return FitState(sums, 10 * state.factor, np.inf)
+            return DecayFitState(sums, state.factor, 0.0)
+        return DecayFitState(sums, 10 * state.factor, np.inf)
 
-    def terminate(self, state: FitState) -> Outcome | None:
+    def terminate(self, state: DecayFitState) -> Outcome | None:
         """Converged when a step lowers the squares by nothing that counts: beside what is left to
         be explained, where that is more than noise.
         """
@@ -210,7 +210,7 @@ class DecayFit:
         much = max(state.sums.squares / samples, 1.0)
         return Outcome.CONVERGED if state.lowered < self.tolerance * much else None
 
-    def merit(self, state: FitState) -> float:
+    def merit(self, state: DecayFitState) -> float:
         """The sum of squares."""
         return state.sums.squares
 
@@ -245,7 +245,7 @@ def left_over(decays: Decays, rate: float, sums: DecaySums, keep: int | None = N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NoiseFloor:
+class DecayFloor:
     """Variance of the noise of channels over frequency, as white noise of that density has it.
 
     Attributes
@@ -262,7 +262,7 @@ class NoiseFloor:
         return np.array([np.interp(frequencies, self.freqs, v) for v in self.variance])
 
 
-def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> NoiseFloor:
+def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> DecayFloor:
     """The floor below what stands out of a rest (ch, sample), which is white but for a filter.
 
     The median over frequency: decays not yet found are few lines of it.
@@ -291,7 +291,7 @@ def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> NoiseFl
     centres = 0.5 * (edges[1:] + edges[:-1])
     white = np.array([np.interp(freqs, centres, v) for v in level])
     white = np.maximum(white, np.finfo(np.float64).tiny)
-    return NoiseFloor(freqs, white * np.maximum(gain, 0.2) ** 2)
+    return DecayFloor(freqs, white * np.maximum(gain, 0.2) ** 2)
 
 
 def _taper(n: int) -> Float:
@@ -300,7 +300,7 @@ def _taper(n: int) -> Float:
 
 
 @dataclass(frozen=True, slots=True)
-class Peak:
+class DecayPeak:
     """Where one more decay lowers the squares most: its pole (rad/s), by how much, and by how much
     noise alone would do so rarely.
     """
@@ -311,14 +311,14 @@ class Peak:
 
 
 def strongest_decay(
-    rest: Decays, rate: float, floor: NoiseFloor, limits: tuple[float, float], false_alarm: float
-) -> Peak:
+    rest: Decays, rate: float, floor: DecayFloor, limits: tuple[float, float], false_alarm: float
+) -> DecayPeak:
     """The decay that a rest holds most likely: the generalised likelihood ratio over a grid.
 
     Parameters
     ----------
     rest : tuple of (ch, sample) float64
-    floor : NoiseFloor
+    floor : DecayFloor
     limits : (low, high), Hz
     false_alarm : float
         Probability that noise alone exceeds the critical gain anywhere.
@@ -328,7 +328,7 @@ def strongest_decay(
     largest = 0.2 * 2 * np.pi * limits[1]  # damping ratio 0.2
     count = max(int(np.log(max(largest * longest, 2.0)) / np.log(2.0)), 2)
     grid = np.geomspace(1 / longest, largest, count)
-    best = Peak(0j, 0.0, np.inf)
+    best = DecayPeak(0j, 0.0, np.inf)
     for sigma in grid.tolist():  # a transform each, the shorter the faster it decays
         reach = int(np.clip(8 * rate / sigma, 32, samples))
         n = int(next_fast_len(2 * reach, real=True))
@@ -346,13 +346,13 @@ def strongest_decay(
         total[(f < limits[0]) | (f > limits[1]) | (sigma > 0.2 * 2 * np.pi * f)] = 0
         at = int(total.argmax())
         if total[at] > best.gain:
-            best = Peak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)
+            best = DecayPeak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)
     freedom = 2 * len(rest[0]) * len(rest)
     critical = float(chi2.isf(false_alarm / (count * samples), freedom))
     return replace(best, critical=critical)
 
 
-def covariance(sums: DecaySums, floor: NoiseFloor) -> Float:
+def covariance(sums: DecaySums, floor: DecayFloor) -> Float:
     """(2 m, 2 m) covariance of the real parts of the poles, then the imaginary ones.
 
     The inverse of the Fisher information where the noise is white; else what least squares make of

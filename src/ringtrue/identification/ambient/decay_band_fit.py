@@ -1,0 +1,220 @@
+"""All modes of the decays of one band, one after the other, the bent ones as their amplitude bends
+them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ringtrue.core.arrays import Complex, Float
+from ringtrue.errors import ConfigError
+from ringtrue.identification.ambient.decay_backbone import (
+    Envelope,
+    envelope,
+    fit_backbone,
+)
+from ringtrue.identification.ambient.decay_fit import (
+    EMPTY,
+    DecayFloor,
+    DecayModel,
+    DecayPeak,
+    Decays,
+    DecaySums,
+    fit,
+    left_over,
+    noise_floor,
+    strongest_decay,
+)
+from ringtrue.identification.common.stabilisation import unit
+from ringtrue.signal.decay_bands import BandDecays
+
+MOST = 30  # modes of a band
+
+
+@dataclass(frozen=True, slots=True)
+class DecaySettings:
+    """Settings; the defaults need no tuning.
+
+    Attributes
+    ----------
+    fmin, fmax : float, Hz
+        Band of interest; None: eight cycles in the longest decay, and what the rate allows.
+    false_alarm : float
+        Probability that noise alone makes a mode in a band.
+    near : float
+        Half widths of a mode, within which a much smaller decay of the same shape is what its
+        amplitude does to it.
+    locked : float
+        Standard deviations, within which a pole is a multiple of another, or a sum of two.
+    decades : float
+        That the power falls by behind the impacts in a record of free decays.
+    early : float
+        Share of their energy that is in their first halves there.
+    """
+
+    fmin: float | None = None
+    fmax: float | None = None
+    false_alarm: float = 1e-3
+    near: float = 12.0
+    locked: float = 5.0
+    decades: float = 1.5
+    early: float = 0.9
+
+    def __post_init__(self) -> None:
+        low = self.fmin or 0.0
+        high = self.fmax or np.inf
+        if low < 0 or not low < high:
+            raise ConfigError(f"band {self.fmin} .. {self.fmax} Hz: must be 0 <= fmin < fmax")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandFit:
+    """The modes of one band and what they leave.
+
+    Attributes
+    ----------
+    part : BandDecays
+    scaled : tuple of (ch, sample) float64
+        The decays in units of the noise.
+    scale : (ch,) float64
+    sums : DecaySums
+    floor : DecayFloor
+    critical : float
+        Gain that noise alone rarely reaches.
+    """
+
+    part: BandDecays
+    scaled: Decays
+    scale: Float
+    sums: DecaySums
+    floor: DecayFloor
+    critical: float
+
+    def shape(self, k: int) -> Complex:
+        """(ch,) shape of a mode from all decays, largest component 1, in the units of the
+        channels.
+        """
+        each = self.sums.amplitudes[:, :, k].T * self.scale[:, None]
+        left = np.linalg.svd(each, full_matrices=False)[0]
+        return np.asarray(unit(left[:, :1])[:, 0])
+
+    def envelopes(self, k: int) -> list[Envelope]:
+        """The envelope of a mode in each decay, in the unit of its largest channel."""
+        pole = self.sums.model.poles[k]
+        hertz = pole.imag / (2 * np.pi)
+        half = max(float(-pole.real) / (2 * np.pi), 0.3 * self.part.rate / len(self.scaled[0][0]))
+        width = min(8 * half, 0.2 * hertz) / self.part.rate
+        gain = self.part.gain_at(np.array([hertz]))[0]  # of the time that its frequency is of
+        shape = self.shape(k) / self.scale * gain
+        variance = self.floor.at(np.array([hertz]))[:, 0]
+        own = left_over(self.scaled, self.part.rate, self.sums, keep=k)
+        alone = self.sums.model.take([k])
+        out = []
+        for i, y in enumerate(own):
+            basis = alone.basis(i, y.shape[1], self.part.rate)[0]
+            one = envelope(y, shape, variance, basis, width)
+            carrier = np.exp(-1j * pole.imag / self.part.rate * np.arange(y.shape[1]))
+            out.append(replace(one, signal=one.signal * carrier))
+        return out
+
+
+def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
+    """All modes of the decays of a band, one after the other."""
+    longest = max(part.decays, key=lambda y: y.shape[1])
+    quarter = longest.shape[1] // 4
+    scale = longest[:, -quarter:].std(axis=1)
+    scale = np.maximum(scale, 1e-12 * scale.max(initial=1e-300))
+    seen = part.freqs[part.gain > 1e-3]
+    limits = (float(seen[0]), float(seen[-1]))
+    found = _state(part, scale, EMPTY, np.inf)
+    for _ in range(MOST):
+        rest = left_over(found.scaled, part.rate, found.sums)
+        peak = strongest_decay(rest, part.rate, found.floor, limits, settings.false_alarm)
+        if peak.gain < peak.critical:
+            return _without_weak(replace(found, critical=peak.critical))
+        scale = found.scale * np.sqrt(np.median(found.floor.variance[:, part.gain > 0.7], axis=1))
+        more = _state(part, scale, found.sums.model.plus(peak.pole), peak.critical)
+        bent = _with_backbone(found, scale, peak, settings)
+        found = more if bent is None or _squares(more) <= _squares(bent) else bent
+    return _without_weak(found)
+
+
+def _state(
+    part: BandDecays, scale: Float, model: DecayModel, critical: float, *, rough: bool = True
+) -> BandFit:
+    scaled = tuple(y / scale[:, None] for y in part.decays)
+    sums = fit(scaled, part.rate, model, rough=rough)
+    floor = noise_floor(left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain)
+    return BandFit(part, scaled, scale, sums, floor, critical)
+
+
+def _squares(found: BandFit) -> float:
+    """Sum of squares with the price of the parameters (Schwarz 1978)."""
+    samples = sum(y.size for y in found.scaled)
+    size = found.sums.amplitudes
+    parameters = 2 * size.size + 2 * size.shape[2]
+    return float(found.sums.squares + parameters * np.log(samples))
+
+
+def _with_backbone(
+    found: BandFit, scale: Float, peak: DecayPeak, settings: DecaySettings
+) -> BandFit | None:
+    """The fit with the strongest mode beside a peak as its amplitude bends it, in the place of the
+    weaker ones of its shape; None where there is none, or it is not bent.
+    """
+    model = found.sums.model
+    if not model.poles.size:
+        return None
+    distance = np.abs(model.poles.imag - peak.pole.imag)
+    near = distance < settings.near * np.maximum(-model.poles.real, -peak.pole.real)
+    if not near.any():
+        return None
+    k = int(np.where(near, found.sums.gain, -1.0).argmax())
+    away = np.abs(model.poles.imag - model.poles.imag[k])
+    beside = away < settings.near * np.maximum(-model.poles.real, -model.poles.real[k])
+    gain = found.sums.gain
+    shape = found.shape(k)
+    alike = np.array([shape_mac(found.shape(j), shape) > 0.9 for j in range(gain.size)])
+    replaced = beside & alike & (gain < gain[k])
+    kept = np.flatnonzero(~replaced).tolist()
+    best: BandFit | None = None
+    now = found
+    if len(kept) < gain.size:
+        now = _state(found.part, scale, model.take(kept), peak.critical)
+    k = kept.index(k)
+    for _ in range(4):  # the envelope is the better known the better the mode is
+        model = now.sums.model
+        parts = now.envelopes(k)
+        fitted = fit_backbone(parts, model.poles[k], now.part.rate, settings.false_alarm)
+        if fitted is None or not fitted[0].nonlinear:
+            return best
+        backbone, factors = fitted
+        if backbone.fit_damping.min() <= 0:  # beats of two modes: no mode gains energy
+            return best
+        middle = float(np.median(backbone.amplitude))
+        f = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_frequency))
+        zeta = float(np.interp(middle, backbone.fit_amplitude, backbone.fit_damping))
+        poles = model.poles.copy()
+        poles[k] = 2 * np.pi * f * (-zeta + 1j)
+        bent = (*model.factors[:k], tuple(factors), *model.factors[k + 1 :])
+        now = _state(now.part, scale, DecayModel(poles, bent), peak.critical)
+        if best is not None and now.sums.squares > 0.9 * best.sums.squares:
+            return best if best.sums.squares < now.sums.squares else now
+        best = now
+    return best
+
+
+def shape_mac(a: Complex, b: Complex) -> float:
+    """MAC of two shapes (ch,)."""
+    return float(np.abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
+
+
+def _without_weak(found: BandFit) -> BandFit:
+    """The fit without the modes that the others explain as well."""
+    while found.sums.gain.size and found.sums.gain.min() < found.critical:
+        rest = np.delete(np.arange(found.sums.gain.size), found.sums.gain.argmin())
+        model = found.sums.model.take(rest)
+        found = _state(found.part, found.scale, model, found.critical)
+    return _state(found.part, found.scale, found.sums.model, found.critical, rough=False)
