@@ -329,6 +329,7 @@ def strongest_decay(
     count = max(int(np.log(max(largest * longest, 2.0)) / np.log(2.0)), 2)
     grid = np.geomspace(1 / longest, largest, count)
     best = DecayPeak(0j, 0.0, np.inf)
+    single = [y.astype(np.float32) for y in rest]  # the scan is most of the work
     for sigma in grid.tolist():  # a transform each, the shorter the faster it decays
         reach = int(np.clip(8 * rate / sigma, 32, samples))
         n = int(next_fast_len(2 * reach, real=True))
@@ -337,9 +338,9 @@ def strongest_decay(
         # a cell is as wide as its decay is fast: it holds the mean of the floor over that width
         lag = np.minimum(np.arange(n), n - np.arange(n)) / rate
         variance = rfft(irfft(floor.at(f), n, axis=1) * np.exp(-sigma * lag), axis=1).real
-        for y in rest:
+        for y in single:
             part = y[:, :reach]
-            weight = np.exp(-sigma * np.arange(part.shape[1]) / rate)
+            weight = np.exp(-sigma * np.arange(part.shape[1]) / rate).astype(np.float32)
             energy = float(weight @ weight)
             spectrum = rfft(part * weight, n, axis=1)
             total += (2 * np.abs(spectrum) ** 2 / (variance * energy)).sum(axis=0)
