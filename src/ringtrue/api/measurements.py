@@ -131,7 +131,7 @@ class TestModes(Displayed):
     @property
     def others(self) -> OtherCandidates:
         """Doubtful modes and harmonics, which are not among the modes."""
-        if isinstance(self.result, AmbientResult):
+        if isinstance(self.result, AmbientResult | DecayResult):
             return self.result.others
         return OtherCandidates.none(self.channels)
 

@@ -113,12 +113,14 @@ def mode_lines(found: TestModes) -> list[str]:
 def _lines(modes: ModeSet, std: Uncertainty) -> list[str]:
     """The numbers of each mode: frequency and damping with deviations, MPC, confidence."""
     collinear = mpc(np.nan_to_num(modes.shapes.astype(np.complex128)))
+    collinear[np.isnan(modes.shapes).all(axis=0)] = np.nan
     out = []
     for i, (f, z) in enumerate(zip(modes.frequencies, modes.damping, strict=True)):
         spread = _known(std.frequency[i], ".1e")
         damping = f"{100 * z:8.3f}  {_known(100 * std.damping[i], '.2g'):>7}"
         out.append(
-            f"{f:9.5g} {spread:>8}  {damping}   {collinear[i]:.2f}  {modes.confidence[i]:5.2f}"
+            f"{f:9.5g} {spread:>8}  {damping}   "
+            f"{_known(collinear[i], '.2f'):>4}  {modes.confidence[i]:5.2f}"
         )
     return out
 

@@ -128,6 +128,7 @@ SENTENCES = {
 
 
 SUMMARIES = {
+    "decay multiple": "multiple of a mode",
     "mode pair": "pair, shapes not separated",
     "mode wanders": "frequency wanders along the record",
     "mode sharp": "very little damping: a machine?",

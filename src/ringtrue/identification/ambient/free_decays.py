@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
@@ -99,6 +99,24 @@ class DecayResult:
     notes: tuple[Note, ...]
     diagrams: tuple[StableDiagram, ...]
     starts: Float
+
+    @property
+    def others(self) -> OtherCandidates:
+        """The multiples as harmonics; their shapes are not known."""
+        of = self.multiples
+        shapes = np.full((len(self.modes.channels), len(of)), np.nan)
+        modes = ModeSet(
+            frequencies=np.array([m.frequency for m in of]),
+            damping=np.array([m.damping for m in of]),
+            shapes=shapes,
+            labels=self.modes.labels,
+            confidence=np.ones(len(of)),
+        )
+        std = Uncertainty.independent(
+            np.array([m.std_frequency for m in of]), np.array([m.std_damping for m in of]), shapes
+        )
+        classes: list[ModeClass] = ["harmonic" for _ in of]
+        return OtherCandidates(modes, std, tuple(classes), tuple(m.note for m in of))
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -246,7 +264,7 @@ def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySetting
         evidence=tuple(r.note for r in rows),
         backbones=tuple(r.backbone for r in rows),
         multiples=tuple(multiples),
-        notes=(*notes, *(m.note for m in multiples)),
+        notes=tuple(notes),
         diagrams=tuple(diagrams[id(found)][0] for found in fits),
         starts=np.zeros(0),
     )
