@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.identification.ambient.confidence import all_clear, confidence, weakest
+from ringtrue.identification.ambient.confidence import all_clear, confidence, evidence, weakest
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.ambient.ssi_cov import (
@@ -248,8 +248,8 @@ def test_the_confidence_falls_with_each_kind_of_evidence():
 
 
 def test_the_weakest_evidence_is_named():
-    assert weakest(candidate(4, 1.1), 1000.0) == ("candidate orders",)
-    assert weakest(candidate(38, 8.0), 1000.0) == ("candidate scatter",)
+    assert weakest(evidence(candidate(4, 1.1), 1000.0)) == ("candidate orders",)
+    assert weakest(evidence(candidate(38, 8.0), 1000.0)) == ("candidate scatter",)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,14 @@ SENTENCES = {
     ),
     "candidate complex": "its shape is complex (MPC {mpc:.2f}): a mixture, or noise",
     "candidate peak": "the spectrum along its shape is not much higher than on both sides",
+    "machine": (
+        "machine of {speed:.5g} Hz ({rpm:.0f} rpm), its speed wanders by {wander:.2g} %: {count} "
+        "harmonics up to the {last}th are taken out"
+    ),
+    "candidate harmonic": (
+        "on harmonic {order} of the machine of {speed:.5g} Hz, no wider than its speed wanders; it "
+        "may hide a mode"
+    ),
     "mode pair": (
         "one of a pair closer than this record can separate: any turn of the two shapes in their "
         "plane fits as well"
@@ -138,6 +146,7 @@ SUMMARIES = {
     "candidate peak": "no clear peak in the spectrum",
     "candidate forced": "shape is a sum of others",
     "candidate line": "line of a machine",
+    "candidate harmonic": "harmonic of a machine",
     "candidate undamped": "almost no damping",
     "candidate impacts": "line of regular impacts",
     "candidate remainder": "remainder of a machine's line",

@@ -50,6 +50,8 @@ class MachineSettings:
         Chance that an order shows a line where there is none.
     false_alarm : float
         Chance that as many orders do, of each candidate.
+    steady : float, revolutions
+        RMS of the angle about that of a constant speed, below which it is scatter of the estimate.
     damping : float
         Least of a structure. Orders below those where its half-power bandwidth is as wide as what
         a line is compared with are no evidence.
@@ -60,6 +62,7 @@ class MachineSettings:
     orders: int = 256
     line: float = 0.01
     false_alarm: float = 1e-6
+    steady: float = 0.01
     damping: float = 1e-3
 
 
@@ -181,9 +184,19 @@ def find_machines(
         machine = _clearest(signals, settings)
         if machine is None:
             break
+        machine = _steadied(machine, settings)
         found.append(machine)
         _take_out(data, history.rate, machine)
     return tuple(found)
+
+
+def _steadied(machine: Machine, settings: MachineSettings) -> Machine:
+    """The machine, of a constant speed where its own is constant but for scatter."""
+    line = np.polynomial.Polynomial.fit(machine.knots, machine.revolutions, 1)
+    straight = line(machine.knots)
+    if np.std(machine.revolutions - straight) > settings.steady:
+        return machine
+    return replace(machine, revolutions=straight)
 
 
 def remove_machines(history: TimeHistory, machines: Sequence[Machine]) -> TimeHistory:

@@ -19,6 +19,7 @@ from ringtrue.identification.ambient.confidence import (
     all_clear,
     confidence,
     crowded,
+    evidence,
     select,
 )
 from ringtrue.identification.ambient.record_bands import BandSums
@@ -100,6 +101,7 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
         shape=shape,
         shape_std=std,
         confidence=confidence(table, facts.duration),
+        evidence=evidence(table, facts.duration),
         diagram=StableDiagram(poles, table.stable, table.label, *level),
         picked=search.picked,
         inseparable=tuple(i for both in search.pairs for i in both),

@@ -98,6 +98,8 @@ class BandModes:
     shape : (ch, m) complex128
     shape_std : (ch, m) float64
     confidence : (m,) float64
+    evidence : (4, m) float64
+        The log-odds behind it.
     diagram : StableDiagram
     picked : (m,) int64
         The pick by hand behind each candidate, -1 for none.
@@ -111,6 +113,7 @@ class BandModes:
     shape: Complex
     shape_std: Float
     confidence: Float
+    evidence: Float
     diagram: StableDiagram
     picked: Int
     inseparable: tuple[int, ...]
@@ -180,10 +183,11 @@ def collinearity_among(c: CandidateModes) -> Float:
     return out
 
 
-def weakest(c: CandidateModes, duration: float) -> tuple[str, ...]:
-    """For each candidate the code of the note on what speaks most against it."""
+def weakest(value: Float) -> tuple[str, ...]:
+    """For each candidate the code of the note on which evidence, of `value` (4, m), speaks most
+    against it.
+    """
     codes = ("candidate orders", "candidate scatter", "candidate complex", "candidate peak")
-    value = evidence(c, duration)
     clear = (0.0, 0.0, WEIGHTS.complexity * np.log(0.02), WEIGHTS.peak * np.arcsinh(20.0))
     return tuple(codes[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
 
@@ -298,7 +302,7 @@ def remarks(found: BandModes, i: int) -> tuple[Note, ...]:
     return tuple(out)
 
 
-def doubts(found: BandModes, i: int, duration: float) -> Note:
+def doubts(found: BandModes, i: int) -> Note:
     """What speaks most against a candidate."""
     c = found.table
     _, std = c.stds()
@@ -308,14 +312,14 @@ def doubts(found: BandModes, i: int, duration: float) -> Note:
         "scatter": float(100 * std[i] / c.damping[i]),
         "mpc": float(c.mpc[i]),
     }
-    return Note(weakest(c, duration)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values)
+    return Note(weakest(found.evidence)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values)
 
 
-def in_short(found: BandModes, i: int, duration: float) -> str:
+def in_short(found: BandModes, i: int) -> str:
     """The remark of a mode in six words; empty for one beyond doubt."""
     own = remarks(found, i)
     if not own and found.confidence[i] < LIMITS.certain:
-        own = (doubts(found, i, duration),)
+        own = (doubts(found, i),)
     return summary(own[0]) if own else ""
 
 

@@ -67,11 +67,14 @@ from ringtrue.signal.band_correlations import map_in_threads
 from ringtrue.signal.channel_checks import bridge_gaps, unclipped_channels, usable
 from ringtrue.signal.channel_quantities import with_learned_quantities
 from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
+from ringtrue.signal.machines import Machine, near_harmonics
 from ringtrue.signal.spectra import Band, remove_drift, scaled, unit_factor
 from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines
+from ringtrue.signal.transients import Events
 
 CLASSES: dict[str, ModeClass] = {  # of candidates by their notes; of other notes: doubtful
     "candidate line": "harmonic",
+    "candidate harmonic": "harmonic",
     "candidate impacts": "harmonic",
     "candidate remainder": "harmonic",
     "candidate steady": "harmonic",
@@ -127,6 +130,8 @@ class AmbientResult:
         What is particular of each mode, in six words; empty for one beyond doubt.
     harmonics : tuple of Harmonic
         Lines of machines.
+    machines : tuple of Machine
+        With their speed and harmonics, which were taken out.
     others : OtherCandidates
         Doubtful modes and harmonics.
     unexplained : tuple of SpectrumPeak
@@ -147,6 +152,7 @@ class AmbientResult:
     record_notes: tuple[str, ...]
     channel_notes: tuple[Note, ...] = ()
     unexplained: tuple[SpectrumPeak, ...] = ()
+    machines: tuple[Machine, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -246,6 +252,57 @@ def identify_stretches(
     """
     settings = settings or AmbientSettings()
     report = progress or quiet
+    weighed = weighed_candidates(stretches, settings, choice, report)
+    record = weighed.record
+    facts = weighed.facts
+    result = _assembled(record, weighed.found, facts, settings)
+    if not facts.driven:  # events have lines of their own
+        result = replace(result, unexplained=_unexplained(record, weighed.sums, result))
+    report(1.0, f"{len(result.modes)} modes")
+    noisy = noisy_channels(result.modes, result.uncertainty.shape)
+    notes = record.notes + event_notes(weighed.events) + result.record_notes
+    if facts.motion:
+        kinds = f"channels of different kinds: shapes are those of {facts.motion.kind} in all"
+        notes = (kinds, *notes)
+    return replace(
+        result,
+        harmonics=(*record.sines, *result.harmonics),
+        machines=record.machines,
+        record_notes=notes,
+        channel_notes=record.channel_notes + noisy,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedRecord:
+    """A record and the candidates of its bands.
+
+    Attributes
+    ----------
+    record : FirstStretch
+    sums : list of BandSums
+        One a band, from the highest.
+    events : list of Events
+        One a stretch.
+    facts : RecordFacts
+    found : list of BandModes
+        One a band.
+    """
+
+    record: FirstStretch
+    sums: list[BandSums]
+    events: list[Events]
+    facts: RecordFacts
+    found: list[BandModes]
+
+
+def weighed_candidates(
+    stretches: Iterable[TimeHistory],
+    settings: AmbientSettings,
+    choice: Choice | None,
+    report: Progress,
+) -> WeighedRecord:
+    """The candidates of all bands with their confidence, as `identify_stretches` weighs them."""
     coming = iter(stretches)
     first = next(coming, None)
     if first is None:
@@ -264,21 +321,7 @@ def identify_stretches(
     duration = record.good.duration * len(events)
     facts = RecordFacts(response_slope(record.good), choice, strongest, motion, duration)
     found = _modes_of_bands(record, sums, facts, settings, report)
-    result = _assembled(record, found, facts, settings)
-    if not facts.driven:  # events have lines of their own
-        result = replace(result, unexplained=_unexplained(record, sums, result))
-    report(1.0, f"{len(result.modes)} modes")
-    noisy = noisy_channels(result.modes, result.uncertainty.shape)
-    notes = record.notes + event_notes(events) + result.record_notes
-    if motion:
-        kinds = f"channels of different kinds: shapes are those of {motion.kind} in all"
-        notes = (kinds, *notes)
-    return replace(
-        result,
-        harmonics=(*record.sines, *result.harmonics),
-        record_notes=notes,
-        channel_notes=record.channel_notes + noisy,
-    )
+    return WeighedRecord(record, sums, events, facts, found)
 
 
 def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: bool) -> FirstStretch:
@@ -318,6 +361,7 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
         references=references,
         bands=bands,
         sines=sines,
+        machines=quiet.machines,
         steady=not impacts.driven,
         notes=notes,
         channel_notes=gaps.notes + learned + states + late,
@@ -373,7 +417,7 @@ def _assembled(
     against = dict(zip(candidates, notes, strict=True))
     for row in candidates:
         if against[row] is None and found[row[0]].confidence[row[1]] < settings.confidence_min:
-            against[row] = doubts(found[row[0]], row[1], facts.duration)
+            against[row] = doubts(found[row[0]], row[1])
     rows = [row for row in candidates if against[row] is None]
     against |= _forced(found, rows)
     rows = [row for row in rows if against[row] is None]
@@ -391,7 +435,7 @@ def _assembled(
         evidence = reason(found[row[0]], row[1])
         said = by_hand.said.get(row)
         reasons.append(f"{said}; {evidence}" if said else evidence)
-        remarks.append(said or in_short(found[row[0]], row[1], facts.duration))
+        remarks.append(said or in_short(found[row[0]], row[1]))
     noted = [note for row in others if (note := against[row]) is not None]
     return AmbientResult(
         modes=_mode_set(record, reported),
@@ -472,6 +516,9 @@ def _against(
         unsteady = tuple(own or other for own, other in both)
     edges = filter_edges(good, f, damping)
     remainders = line_remainders(f, damping, np.array(record.places), good.duration)
+    orders = near_harmonics(record.machines, f)
+    # after their removal a pole that a machine leaves is as wide as its speed wanders
+    left = np.maximum(orders.distance, damping) < orders.wander
     out: list[Note | None] = []
     for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
         line = on_line[k]
@@ -479,6 +526,9 @@ def _against(
         found: tuple[str, dict[str, float | str]] | None = None
         if line:
             found = "candidate line", {"why": line.why}
+        elif left[k]:
+            speed = record.machines[orders.machine[k]].frequency
+            found = "candidate harmonic", {"order": int(orders.order[k]), "speed": speed}
         elif facts.interval and facts.impacts.lines_near(x) and decays_by < 0.3:
             found = "candidate impacts", {}
         elif remainders[k]:

@@ -24,6 +24,7 @@ from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
 from ringtrue.signal.band_correlations import Signals, map_in_threads
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
+from ringtrue.signal.machines import Machine, find_machines, remove_machines
 from ringtrue.signal.spectra import Band, Fir, decimator, high_passer, remove_drift
 from ringtrue.signal.tonal_lines import (
     Harmonic,
@@ -253,6 +254,8 @@ class FirstStretch:
     bands : tuple of Band
     sines : tuple of Harmonic
         Lines of steady machines that were taken out.
+    machines : tuple of Machine
+        Whose harmonics were taken out.
     steady : bool
         Whether no impacts drive it: a steady amplitude then means a machine.
     notes : tuple of str
@@ -266,6 +269,7 @@ class FirstStretch:
     references: Int | None
     bands: tuple[Band, ...]
     sines: tuple[Harmonic, ...]
+    machines: tuple[Machine, ...]
     steady: bool
     notes: tuple[str, ...]
     channel_notes: tuple[Note, ...]
@@ -278,26 +282,28 @@ class FirstStretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithoutMachines:
-    """A record without regular impacts and run-ups.
+    """A record without regular impacts, run-ups and harmonics of machines.
 
     Attributes
     ----------
     good : TimeHistory
     unclipped : TimeHistory, optional
         Some channels of `good`.
+    machines : tuple of Machine
     notes : tuple of str
         What was taken out.
     """
 
     good: TimeHistory
     unclipped: TimeHistory | None
+    machines: tuple[Machine, ...]
     notes: tuple[str, ...]
 
 
 def without_machines(
     good: TimeHistory, unclipped: TimeHistory | None, impacts: Events, longest_lag: float
 ) -> WithoutMachines:
-    """The record without the regular impacts and run-ups of machines.
+    """The record without the regular impacts, run-ups and harmonics of machines.
 
     Where decays after `impacts` are most of the motion, modes are found in them: they stay, if the
     next impact comes after twice the `longest_lag`, s, of the highest band.
@@ -322,11 +328,22 @@ def without_machines(
             f"{low:.3g} and {high:.3g} Hz (run-ups of machines): taken out where and when they "
             "stood",
         )
+    machines = () if impacts.driven else find_machines(clean)
+    clean = remove_machines(clean, machines)
+    for machine in machines:
+        values: dict[str, float | int] = {
+            "speed": machine.frequency,
+            "rpm": 60 * machine.frequency,
+            "wander": 100 * machine.wander,
+            "count": machine.harmonics.size,
+            "last": int(machine.harmonics.max(initial=0)),
+        }
+        notes += (sentence(Note("machine", "information", good.source, values)),)
     if unclipped is good:
         unclipped = clean
     elif unclipped and clean is not good:
         unclipped = clean.pick([c.id for c in unclipped.channels])
-    return WithoutMachines(clean, unclipped, notes)
+    return WithoutMachines(clean, unclipped, machines, notes)
 
 
 def steady_sines(
