@@ -156,11 +156,7 @@ class Locks:
 NO_LOCKS = Locks()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Followed:
     """Pairs that the user decides where modes of B change places: each is known by its shape in a
     first model.
@@ -204,11 +200,7 @@ class Followed:
         return Locks(forced, forbidden)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ComparedModes:
     """Two sets of modes at the same channels.
 
@@ -235,11 +227,7 @@ class ComparedModes:
         return ComparedModes(self.fa[rows], self.a[:, rows], self.fb[columns], self.b[:, columns])
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Scores:
     """All that the assignment rests on.
 

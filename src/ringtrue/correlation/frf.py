@@ -92,11 +92,7 @@ def amplitude_correlation(a: Complex, b: Complex) -> Float:
     )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Levels(FrozenArrays):
     """Mean response levels in bands.
 
@@ -164,11 +160,7 @@ class OutputSummary:
     deviation: float
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class FrfComparison(FrozenArrays):
     """Two sets of FRFs on their common outputs, inputs and lines.
 

@@ -61,11 +61,7 @@ class CloseSubspace:
     angles: tuple[float, ...]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelMeasures(FrozenArrays):
     """How far each channel agrees over all pairs.
 
@@ -83,11 +79,7 @@ class ChannelMeasures(FrozenArrays):
     elimination: Elimination
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ShapeComplexity(FrozenArrays):
     """How far the shapes of a set are from real ones.
 
@@ -104,11 +96,7 @@ class ShapeComplexity(FrozenArrays):
     mcf: Float
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class CompleteCorrelation(FrozenArrays):
     """What can be said of two paired sets of modes in addition to deviation and MAC.
 

@@ -55,11 +55,7 @@ class FrequencyOnlySettings:
 FREQUENCY_ONLY = FrequencyOnlySettings()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ByFrequency(FrozenArrays):
     """The likeliest assignment.
 
@@ -126,11 +122,7 @@ def _offsets(errors: Float) -> list[float]:
     return list(map(float, np.linspace(*ends, FREQUENCY_ONLY.offsets)))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Assigned:
     """Cost, partner (ma,) of each mode of A, -1 for none, and deviations of the free pairs from
     their common offset.
@@ -190,11 +182,7 @@ class LikeShapesSettings:
 LIKE_SHAPES = LikeShapesSettings()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Extended:
     """Pairs within the frequency gate and beyond it.
 

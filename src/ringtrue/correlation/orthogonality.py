@@ -146,11 +146,7 @@ CheckKind = Literal["model", "self", "cross"]
 READ = 0.02  # error of a reading over the RMS of its mode, as of ordinary tests
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class OrthogonalityCheck(FrozenArrays):
     """An orthogonality matrix and what the gate says of it.
 
@@ -173,11 +169,7 @@ class OrthogonalityCheck(FrozenArrays):
     mass: str
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class PairedSets:
     """Two mode sets and their pairs.
 
@@ -219,11 +211,7 @@ class PairedSets:
         )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class OrthogonalityTest:
     """How the orthogonality of shapes is judged.
 

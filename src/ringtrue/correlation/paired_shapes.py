@@ -175,11 +175,7 @@ def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
     )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Elimination(FrozenArrays):
     """Channels left out one after the other, each the one whose loss raises the mean MAC most.
 

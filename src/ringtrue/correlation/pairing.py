@@ -31,11 +31,7 @@ from ringtrue.errors import InputError
 from ringtrue.shapes import above_rounding, mac
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Tracks(FrozenArrays):
     """Modes along a path.
 
@@ -104,11 +100,7 @@ def track(
 __all__ = ["Locks", "Pairing", "PairingSettings", "pair_modes"]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
     """A one-to-one assignment between modes of set A (test) and set B (model or second test).
 
@@ -319,11 +311,7 @@ def _hidden(b: ModeSet, settings: PairingSettings) -> list[str]:
     return out
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Side:
     """One of the two sets.
 
@@ -348,11 +336,7 @@ class _Side:
         return f"{self.name} {i + 1 + self.first}"
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Reasons:
     """Why modes are unpaired, in words."""
 

@@ -57,11 +57,7 @@ TURNS = np.deg2rad([8.0, -8.0, 20.0, -20.0])
 _Motion = tuple[Float, Float]  # rotation and shift
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Alignment(FrozenArrays):
     """x_target = scale · R x_source + shift.
 
@@ -478,11 +474,7 @@ def _by_number(
     return np.where((ids[own] == points) & near, own, nearest[:, 0])[:, None]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Distances:
     """The nodes, and of each channel which is nearest and how far."""
 

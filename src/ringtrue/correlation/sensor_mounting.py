@@ -60,11 +60,7 @@ AXES = ("X", "Y", "Z")
 Reading = tuple[str, str]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Readings:
     """A test and a model, with what the model does along all axes of the sheet at each sensor.
 
@@ -259,11 +255,7 @@ def find_mendings(
     return tuple(found)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _MountingFit:
     """MAC (k,) of the chosen test modes with their best partners, 0 without one, and these, -1 for
     none.
@@ -274,11 +266,7 @@ class _MountingFit:
     seen: Any_
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _MountingChange:
     """Shapes and axes after a change; `cost` is the logarithm of the number of changes of its
     kind.
@@ -292,11 +280,7 @@ class _MountingChange:
     faults: tuple[ChannelFault, ...] = ()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _MountingSearch:
     given: Readings
     settings: PairingSettings

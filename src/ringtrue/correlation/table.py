@@ -38,11 +38,7 @@ class CorrelationRow:
     significance: float
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class CorrelationTable(FrozenArrays):
     """Paired modes side by side.
 
@@ -201,11 +197,7 @@ def correlation_table(
     )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Significance(FrozenArrays):
     """Deviations against their combined standard deviation.
 

@@ -110,11 +110,7 @@ def painted(
     return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": entries})
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Shown:
     """One selectable shape: a model shape over the skin, a test shape over the wireframe, or
     both.

@@ -73,6 +73,18 @@ class DenseModel:
             d_mass=f,
             observation=f,
         )
+        n = self.stiffness.shape[0]
+        p = len(self.parameters)
+        shapes = self.d_stiffness.shape, self.d_mass.shape
+        if shapes != ((p, n, n),) * 2 or self.observation.shape[1] != n:
+            raise InputError(
+                f"{p} parameters and {n} DOFs: got d_stiffness {shapes[0]}, "
+                f"d_mass {shapes[1]}, observation {self.observation.shape}"
+            )
+        if n > 3000:
+            raise InputError(
+                f"{n} DOFs: dense matrices are for 3000 and less; reduce the model first"
+            )
 
     @classmethod
     def springs(
@@ -152,7 +164,8 @@ class DenseModel:
 
 
 def matrices_at(model: object, x: Float) -> MatricesAtPoint:
-    """Small matrices of a model at x (p,): of a `DenseModel`, or of a `ReducedModel` in its basis.
+    """Small matrices of a model at x (p,): of a `ReducedModel` in its basis, or those it gives
+    itself by `matrices`.
 
     Raises
     ------
@@ -161,11 +174,12 @@ def matrices_at(model: object, x: Float) -> MatricesAtPoint:
     """
     if isinstance(model, ReducedModel):
         return _reduced(model, x)
-    if isinstance(model, DenseModel):
-        return model.matrices(x)
-    raise InputError(
-        f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
-    )
+    give = getattr(model, "matrices", None)
+    if give is None:
+        raise InputError(
+            f"{type(model).__name__} has no small matrices; reduce the model (reduce.parametric)"
+        )
+    return give(x)  # type: ignore[no-any-return]
 
 
 def _reduced(model: ReducedModel, x: Float) -> MatricesAtPoint:

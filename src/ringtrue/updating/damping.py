@@ -25,11 +25,7 @@ EDGE = 1e-2  # standard deviations: nearer to a bound is at it
 FAINT = 1e-12
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Mechanism:
     """One source of damping with an unknown coefficient.
 
@@ -64,11 +60,7 @@ class Mechanism:
             )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class DampingFit(FrozenArrays):
     """Identified damping.
 

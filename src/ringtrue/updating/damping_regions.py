@@ -291,11 +291,7 @@ def _held(model: Model, region: DampingRegion) -> list[FieldChange]:
     return out
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Dampers:
     """The regions that take part, their mechanisms, and the damping of the deck that is not theirs.
 

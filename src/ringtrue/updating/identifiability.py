@@ -86,11 +86,7 @@ FLAGS = FlagLimits()
 Kind = Literal["bound", "prior", "silent", "form"]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Identifiability(FrozenArrays):
     """Standard deviations of x in units of the prior's.
 

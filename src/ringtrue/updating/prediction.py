@@ -21,11 +21,7 @@ MASSLESS = 1e-14  # of the largest 1/λ
 PLANE = {"X": (1, 2), "Y": (2, 0), "Z": (0, 1)}  # right-handed about the axis
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Damping:
     """Damping ratio over frequency, as a table, with its uncertainty.
 
@@ -60,11 +56,7 @@ class Damping:
         return lambda lam, y: factor * self.at(np.sqrt(lam) / (2 * np.pi))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class RegionDamping(FrozenArrays):
     """Loss factors and dashpots of regions in the basis of a model's small matrices.
 
@@ -110,11 +102,7 @@ class RegionDamping(FrozenArrays):
         return ratios
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """What is looked at, in the basis of the model's small matrices; it may change with the
     parameters.
@@ -137,11 +125,7 @@ class Rows:
         return out
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class HarmonicLoad:
     """Loads that turn with e^{+iωt}.
 
@@ -209,11 +193,7 @@ def _every(model: ObservedModel, x: Float) -> Float:
     return model.system.parameters.factors(everything)  # type: ignore[attr-defined,no-any-return]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Bands(FrozenArrays):
     """Quantiles over draws.
 
@@ -294,11 +274,7 @@ def plane(axis: str) -> tuple[int, int]:
     return PLANE[axis]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Output:
     """A quantity of a run-up: amplitudes of complex rows made one number a line.
 
@@ -322,11 +298,7 @@ class Output:
         return np.asarray(np.sqrt((parts**2).sum(axis=2)).max(axis=1))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class RunUp(FrozenArrays):
     """A run-up with bands.
 
@@ -360,11 +332,7 @@ class RunUp(FrozenArrays):
         return (self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1])
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class KnownModel:
     """A model as well as it is known.
 

@@ -88,11 +88,7 @@ def squares(value: Float, datum: Int) -> Float:
     return np.asarray(np.bincount(datum, value**2, minlength=int(datum.max(initial=-1)) + 1))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Configuration:
     """A deck and its test.
 
@@ -153,11 +149,7 @@ class WithAllModes(Protocol):
         ...
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
     """The objective at one point of the unknowns y.
 
@@ -197,11 +189,7 @@ class Evaluated:
         return self.data + self.prior + self.lost
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """What is minimised, over which unknowns, within which limits.
 
@@ -478,11 +466,7 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
     return linalg.solve_triangular(r, e - free) * size
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Residual:
     """Weighted residuals and their sensitivities at one point, pairs fixed.
 
@@ -544,11 +528,7 @@ def residual_at(problem: Problem, x: Float, *, slopes: bool = True) -> Residual:
     )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class KnownPoint:
     """An `ObservedModel` of which one point is known: its modes and sensitivities there."""
 

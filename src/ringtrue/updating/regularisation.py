@@ -52,11 +52,7 @@ class DiscrepancySearch:
 DISCREPANCY = DiscrepancySearch()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Standard:
     """A linear problem in standard form, min ‖b − Σ u s v‖² + γ ‖·‖².
 
@@ -168,11 +164,7 @@ RULES: dict[str, Callable[[Standard], float]] = {
 }
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Regularised:
     """An updating whose W_p was scaled by a rule.
 

@@ -72,11 +72,7 @@ class Method:
             )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class DescentState:
     """A point, and what the next step needs.
 
@@ -102,11 +98,7 @@ class DescentState:
     secant: Float
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Solution(FrozenArrays):
     """Where the updating ended.
 
@@ -154,11 +146,7 @@ class Solution(FrozenArrays):
         return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Descent:
     """A method on a problem, run by `core.iterate`."""
 
@@ -494,11 +482,7 @@ def secant(
     return sized + update - float(miss @ s) / along**2 * np.outer(change, change)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class MultiStart(FrozenArrays):
     """Where many starts have ended.
 

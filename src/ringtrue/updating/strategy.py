@@ -53,11 +53,7 @@ class Course:
     discrepancy: Literal["found", "assumed", "evidence"] = "assumed"
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Settled:
     """The end of an updating.
 
@@ -252,11 +248,7 @@ class Enriched(Protocol):
     def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[Self, Linearisation]: ...
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Verified:
     """A solution and its proof.
 

@@ -67,11 +67,7 @@ class AssignmentSearch:
 ASSIGNMENTS = AssignmentSearch()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Assignment(FrozenArrays):
     """One pairing of all test modes, tuned.
 
@@ -103,11 +99,7 @@ class Assignment(FrozenArrays):
     mac: Float
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Suspended:
     """A tuned suspension.
 
@@ -167,11 +159,7 @@ class Suspended:
         return tuple(sentences)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _At:
     """A point with the model modes under their labels (l,), residuals and slopes at fixed pairs of
     labels.
@@ -311,11 +299,7 @@ def _evaluate(
     return v, s, float(v @ v + (x / std) @ (x / std))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Refinement:
     """Levenberg-Marquardt in the bounds with the pairs fixed, run by `core.iterate`.
 

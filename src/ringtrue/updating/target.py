@@ -70,11 +70,7 @@ class Weights:
         return 1 + self.independent if self.shape > 0 else 1.0
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """What the model is updated to.
 
@@ -311,11 +307,7 @@ def _costs(target: Target, s: Scores) -> Float:
     return (root[:, None] * ((1 + s.error) ** 2 - 1)) ** 2 + shape
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Span:
     """The mean of projectors on sets of modes, each of which holds the one before.
 

@@ -52,11 +52,7 @@ class ChainSettings:
 CHAIN = ChainSettings()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Posterior(FrozenArrays):
     """A normal (or Student) posterior of the unknowns y, x = link y.
 
@@ -372,11 +368,7 @@ def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
     return 1 / (of_form + (1 - of_form) / n)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Chains(FrozenArrays):
     """A sampled posterior.
 

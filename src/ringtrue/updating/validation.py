@@ -29,11 +29,7 @@ from ringtrue.updating.uncertainty import laplace
 LEAST = 1e-4  # model discrepancy, relative
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Held(FrozenArrays):
     """Left-out modes against their predictions; the test modes in order.
 

@@ -24,11 +24,7 @@ FLOOR = 1e-3
 RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Frf(Deviations):
     """Frequency response functions at chosen lines, by superposition of the model's modes.
 
@@ -109,11 +105,7 @@ class Frf(Deviations):
         )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class AntiResonances(Deviations):
     """1 − f/f_test of the zeros of one FRF, paired by frequency.
 

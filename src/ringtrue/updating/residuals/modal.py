@@ -21,11 +21,7 @@ from ringtrue.updating.target import Span, Target, match, span_residual
 NO_MODE = -1
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Point:
     """A model at x with its modes and their partners.
 
@@ -56,11 +52,7 @@ class Point:
     whole: Linearisation
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlock(FrozenArrays):
     """Weighted residuals of one kind.
 
@@ -148,11 +140,7 @@ class Deviations(Term):
         return replace(self, std=by * self.std)  # type: ignore[attr-defined,type-var]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Whole:
     """All modes and channels of a model, and those that the test's modes are compared with.
 
@@ -217,11 +205,7 @@ def default_terms(target: Target) -> tuple[Term, ...]:
     return frequencies, Shapes(w.mac, w.shape * w.independent)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Weighted(Term):
     """A kind of residuals times a factor on its squares."""
 

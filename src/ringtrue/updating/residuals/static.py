@@ -13,11 +13,7 @@ from ringtrue.reduction.matrix_model import matrices_at
 from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class StaticDeflections(Deviations):
     """Deflections at channels under static loads at channels, by load case.
 
@@ -54,11 +50,7 @@ class StaticDeflections(Deviations):
         return rows_block(value[seen], slope[seen], np.full(int(seen.sum()), NO_MODE))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class MassPropertyDeviations(Deviations):
     """Mass, centre of gravity and inertia of the model against a weighing.
 
@@ -92,11 +84,7 @@ class MassPropertyDeviations(Deviations):
         )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class RigidMass:
     """The rigid-body mass matrix about the origin as it depends on the parameters.
 

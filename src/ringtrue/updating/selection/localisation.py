@@ -33,11 +33,7 @@ EXPANSION_MISFIT = 0.02  # relative error of a measured shape that its expansion
 SCARCE = 1e-4  # share of strain energy below which a concentration says nothing
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ElementErrors(FrozenArrays):
     """Local error indicators; each is a share, so that its column sums to 1 over the elements.
 
@@ -227,11 +223,7 @@ def _by_element(touch: sparse.csr_array, nodal: Float) -> Float:
     return np.asarray(touch @ (nodal / np.asarray(count)[:, None]))
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Variation(FrozenArrays):
     """What each candidate explains by itself, at the minimum of J over it alone (linearised, inside
     its bounds).

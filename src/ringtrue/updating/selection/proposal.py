@@ -126,11 +126,7 @@ class Proposed:
         return (self.name, *self.collinear, *self.rivals)
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Proposal(FrozenArrays):
     """What to update, in the order of worth.
 
@@ -372,11 +368,7 @@ def _at_minimum(search: Search, here: Here, members: Sequence[int]) -> Float:
     return np.clip(x, *search.problem.parameters.bounds())
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _ReasonsLeftOut:
     """Why a parameter is proposed.
 

@@ -105,11 +105,7 @@ def effects(
     return dk / lam[:, None], dm
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class SeenModes:
     """Modes of a model, of unit modal mass, on all its degrees of freedom and at the channels.
 
@@ -154,11 +150,7 @@ def misfits(
     return kinds[0].made(*found[0]), kinds[1].made(*found[1])
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Kind:
     """A kind of misfit before the candidates are asked.
 
@@ -291,11 +283,7 @@ class OtherData(Protocol):
         """Modes and data of a model that is searched with."""
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class ScreenedDeck:
     """A deck as its candidates are screened.
 

@@ -50,11 +50,7 @@ class Candidates(Protocol):
     def with_parameters(self, active: Sequence[int], base: Float | None = None) -> Self: ...
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class FittedSet:
     """A subset, and where a short updating took it.
 

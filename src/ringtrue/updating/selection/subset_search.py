@@ -75,11 +75,7 @@ class SearchSettings:
 DEFAULT_SEARCH = SearchSettings()
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Here:
     """The residuals linearised about a point x (p,), with the residual (r,) there when some members
     are put back to 0.
@@ -99,11 +95,7 @@ class Here:
 Ranked = list[tuple[float, list[int]]]
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Search:
     """The candidates, what they are fitted to, and which of them may enter.
 
@@ -352,11 +344,7 @@ def _compact(r: Residual) -> Residual:
     )
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Subsets:
     """The sets that were found.
 
