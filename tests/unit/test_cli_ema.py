@@ -324,7 +324,8 @@ def test_groups_of_two_rates_are_chosen_by_name(tmp_path: Path) -> None:
         ]
         file.write_segment([*fast, ChannelObject("slow", "T", y[0, :40], {"wf_increment": 0.1})])
     with pytest.raises(
-        DataError, match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose one with group"
+        DataError,
+        match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose a group of one rate",
     ):
         read_record(tmp_path / "r.tdms")
     got = read_record(tmp_path / "r.tdms", group="fast")

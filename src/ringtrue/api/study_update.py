@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -113,9 +113,21 @@ class FittedStudy:
 
 
 def update_study(
-    study: Path, test: Path, asked: UpdateRequest, *, progress: Progress = quiet
+    study: Path,
+    test: Path,
+    asked: UpdateRequest,
+    *,
+    on_deck: Callable[[Model], None] | None = None,
+    progress: Progress = quiet,
 ) -> FittedStudy:
     """Fit the candidates of a study to a file of test modes.
+
+    Parameters
+    ----------
+    study, test : Path
+    asked : UpdateRequest
+    on_deck : callable (model), optional
+        Is given the deck as soon as it is read.
 
     Raises
     ------
@@ -131,6 +143,8 @@ def update_study(
         )
     base = study.parent
     model = read_deck(base / config.model.deck, units=config.model.units)
+    if on_deck is not None:
+        on_deck(model)
     if wrong := [r for r in config.residual if r.configuration]:
         raise ConfigError(
             f"[[residual]] of configuration {wrong[0].configuration!r}: run the whole study"

@@ -147,8 +147,13 @@ def update(
     )
     with progress("updating") as show:
         show(0.0, "reading")
-        found = update_study(study, test, asked, progress=show)
-    warn_of_units(found.model, found.model.units)
+        found = update_study(
+            study,
+            test,
+            asked,
+            on_deck=lambda deck: warn_of_units(deck, deck.units),
+            progress=show,
+        )
     summary = update_json(found)
     if json:
         write_json(summary, json)

@@ -298,19 +298,21 @@ def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _
     r = (share @ flat).view(np.complex64).reshape(3, channels, -1).astype(np.complex128)
     out = np.eye(channels) - q @ q.conj().T
     left = np.einsum("ca,pab,bc->pc", out, r, out).real
-    floor = 1e-6 * np.trace(r, axis1=1, axis2=2).real[:, None] / channels
+    level = np.trace(r, axis1=1, axis2=2).real[:, None]
+    peak = np.trace(b.cross[at], axis1=1, axis2=2).real.max()
+    floor = np.maximum(1e-6 * level, 1e-12 * peak) / channels  # of a sine nothing lies around it
     noise = np.maximum(left / np.maximum(np.diag(out).real, 0.1), floor)
-    peak = np.empty(mode.others.size)
+    peaks = np.empty(mode.others.size)
     for row, k in enumerate(mode.others):
         there = b.cross[np.abs(b.freqs - f[k]).argmin()]
-        peak[row] = np.trace(there).real / np.vdot(psi[:, k], psi[:, k]).real
-    nulls = LIMITS.null * (shapes[:, 1:] * (peak * mode.near)) @ shapes[:, 1:].conj().T
+        peaks[row] = np.trace(there).real / np.vdot(psi[:, k], psi[:, k]).real
+    nulls = LIMITS.null * (shapes[:, 1:] * (peaks * mode.near)) @ shapes[:, 1:].conj().T
     x = np.linalg.solve(np.diag(noise.mean(0)) + nulls, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
     ends = np.full(2, np.nan)
     if q.shape[1] < channels:
         ends = noise[[0, 2]] @ np.abs(w) ** 2
-    return _Filter(w, ends, np.abs(w.conj() @ shapes[:, 1:]) ** 2 * peak)
+    return _Filter(w, ends, np.abs(w.conj() @ shapes[:, 1:]) ** 2 * peaks)
 
 
 def refine_by_likelihood(

@@ -299,6 +299,8 @@ class RecordSpectrum:
         inside = np.average(bins.cross[peak], axis=0, weights=bins.count[peak])
         outside = np.average(bins.cross[sides], axis=0, weights=bins.count[sides])
         floor = 1e-3 * np.trace(outside).real / psi.size
+        if not floor > 0:
+            return 0.0
         solved = np.linalg.solve(outside + floor * np.eye(psi.size), psi)
         ratio = float((solved.conj() @ inside @ solved).real / (psi.conj() @ solved).real)
         twice = 2 * bins.count[peak].sum() * (ratio - 1 - np.log(ratio))
