@@ -10,8 +10,7 @@ import pytest
 import ringtrue as rt
 from ringtrue.core.arrays import Float
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.identification.ambient.decay_evidence import free_decay_note
-from ringtrue.identification.ambient.free_decays import identify_decay
+from ringtrue.identification.ambient.free_decays import free_decay_note, identify_decay
 
 RATE = 2048.0
 FREQUENCIES = np.array([12.0, 31.0, 31.4, 96.0, 240.0, 610.0])

@@ -22,8 +22,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.identification.ambient.decay_band_fit import DecaySettings
-from ringtrue.identification.ambient.decay_evidence import free_decay_note
-from ringtrue.identification.ambient.free_decays import DecayResult, identify_decay
+from ringtrue.identification.ambient.free_decays import DecayResult, free_decay_note, identify_decay
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,

@@ -2,7 +2,7 @@
 
 Harmonic k of a machine has the phase kθ(t), where θ(t) is the angle of its shaft: over this angle
 it is a line of the whole record, however much the speed wanders, and a mode is none. So a machine
-is told from structures whose modes are evenly spaced. The evidence is counted on harmonics that
+differs from structures whose modes are evenly spaced. The evidence is counted on harmonics that
 the angle was not taken from: θ is found from one half of the orders, and the lines are counted in
 the other half. The chance of as many without a machine is that of a binomial distribution. A line
 is one where Hotelling's T² of its amplitudes in some channels against those of its neighbours
@@ -24,9 +24,9 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.shaft_tracking import (
     SEARCH,
-    Course,
     OrderBlocks,
     SearchedSignals,
+    ShaftCourse,
     candidates,
     corrected,
     order_blocks,
@@ -120,9 +120,9 @@ class Machine:
         freeze_fields(self, knots=np.float64, revolutions=np.float64, harmonics=np.int64)
 
     @property
-    def course(self) -> Course:
+    def course(self) -> ShaftCourse:
         """The angle over time."""
-        return Course(self.knots, self.revolutions)
+        return ShaftCourse(self.knots, self.revolutions)
 
     @property
     def frequency(self) -> float:
@@ -268,7 +268,7 @@ def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | 
     return None
 
 
-def _orders(signals: SearchedSignals, course: Course, most: int) -> int:
+def _orders(signals: SearchedSignals, course: ShaftCourse, most: int) -> int:
     """Harmonics that the record holds."""
     return max(1, min(most, int(signals.highest / course.frequency)))
 
@@ -287,9 +287,9 @@ def _line_chances(blocks: OrderBlocks, error: Float) -> Float:
     1)/(n p) T² has an F distribution with 2p and 2(n - p + 1) degrees of freedom.
     """
     lines = fft(blocks.turned(error), axis=0)
-    beside = lines[NEIGHBOURS]
-    count, _, channels = beside.shape
-    cov = np.einsum("lkc,lkd->kcd", beside, beside.conj()) / count
+    around = lines[NEIGHBOURS]
+    count, _, channels = around.shape
+    cov = np.einsum("lkc,lkd->kcd", around, around.conj()) / count
     scale = np.einsum("kcc->k", cov).real
     cov += (1e-6 * scale + np.finfo(np.float32).tiny)[:, None, None] * np.eye(channels)
     whitened = np.linalg.solve(cov, lines[0][:, :, None])[:, :, 0]
@@ -299,7 +299,7 @@ def _line_chances(blocks: OrderBlocks, error: Float) -> Float:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class LineEvidence:
     """Lines among the orders that the angle was not taken from.
 
     Attributes
@@ -315,9 +315,9 @@ class Evidence:
 
 
 def _held_out(
-    blocks: OrderBlocks, course: Course, duration: float, settings: MachineSettings
-) -> Evidence:
-    """Evidence of each half of the orders over the angle from the other one.
+    blocks: OrderBlocks, course: ShaftCourse, duration: float, settings: MachineSettings
+) -> LineEvidence:
+    """LineEvidence of each half of the orders over the angle from the other one.
 
     The halves are those of Thue and Morse: each holds as many of the multiples of any number.
     """
@@ -330,10 +330,12 @@ def _held_out(
         chances = _line_chances(blocks, phase_errors(blocks.taken(used)))
         lines.append(chances[~used & wide] < settings.line)
     both = np.concatenate(lines)
-    return Evidence(int(both.sum()), both.size, _chance(both, settings.line))
+    return LineEvidence(int(both.sum()), both.size, _chance(both, settings.line))
 
 
-def _fundamental(signals: SearchedSignals, course: Course, settings: MachineSettings) -> Course:
+def _fundamental(
+    signals: SearchedSignals, course: ShaftCourse, settings: MachineSettings
+) -> ShaftCourse:
     """The angle of the shaft whose multiples the lines are: orders between those of the course make
     it slower, a common factor of all orders faster.
     """
@@ -367,7 +369,7 @@ def _between(lines: Bool, factor: int) -> Bool:
 
 
 def _whole(
-    signals: SearchedSignals, course: Course, evidence: Evidence, settings: MachineSettings
+    signals: SearchedSignals, course: ShaftCourse, evidence: LineEvidence, settings: MachineSettings
 ) -> Machine:
     """The machine with all its harmonics, and its angle from all of them."""
     harmonics = np.ones(1, dtype=np.int64)
@@ -380,10 +382,10 @@ def _whole(
     return Machine(
         course.knots,
         course.revolutions,
-        harmonics,
-        evidence.seen,
-        evidence.tried,
-        evidence.chance,
+        harmonics=harmonics,
+        seen=evidence.seen,
+        tried=evidence.tried,
+        chance=evidence.chance,
     )
 
 

@@ -35,14 +35,14 @@ class SpeedSearch:
         Harmonics that are summed, at most.
     cycles : tuple of int
         Revolutions in a frame, at least: short ones for a speed that wanders, long ones for lines
-        that hardly stand out. Over so many bins as the first the mean spectrum is made level.
+        that stand out little. Over so many bins as the first the mean spectrum is made level.
     steps : int
         Instants of the course, at most.
     bound : float
         Standard deviations that one harmonic adds to the score of a course, at most: modes are few.
     most : int
         Candidates.
-    apart : float
+    distance : float
         Relative distance of two speeds, at least: less is one.
     shared : float
         Share of the time for which two candidates have one speed, at most.
@@ -54,7 +54,7 @@ class SpeedSearch:
     steps: int = 600
     bound: float = 5.0
     most: int = 8
-    apart: float = 0.03
+    distance: float = 0.03
     shared: float = 0.3
 
 
@@ -154,7 +154,7 @@ def _level(spectrum: Any_, group: int) -> Any_:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class ShaftCourse:
     """The angle of a shaft over time.
 
     Attributes
@@ -178,9 +178,9 @@ class Course:
         """Whether the shaft never turns back."""
         return bool((np.diff(self.revolutions) > 0).all())
 
-    def geared(self, ratio: float) -> Course:
+    def geared(self, ratio: float) -> ShaftCourse:
         """Of a shaft that turns `ratio` times as fast."""
-        return Course(self.knots, ratio * self.revolutions)
+        return ShaftCourse(self.knots, ratio * self.revolutions)
 
     def angle(self, times: Float) -> Float:
         """Revolutions at `times` (i,), s."""
@@ -195,7 +195,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class CourseCandidate:
     """A course of the frequency of a comb.
 
     Attributes
@@ -204,19 +204,19 @@ class Candidate:
         Of its harmonics together, in standard deviations of noise; what one adds is bounded.
     strength : float
         The same without the bound.
-    course : Course
+    course : ShaftCourse
     """
 
     score: float
     strength: float
-    course: Course
+    course: ShaftCourse
 
 
-def candidates(signals: SearchedSignals) -> list[Candidate]:
+def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
     """Courses that combs might have, the most likely first; multiples and parts of one speed are
     all among them.
     """
-    found = list[Candidate]()
+    found = list[CourseCandidate]()
     low = SEARCH.lowest
     while low * SEARCH.orders < 4 * signals.highest:
         found += _octave(signals, low)
@@ -224,23 +224,23 @@ def candidates(signals: SearchedSignals) -> list[Candidate]:
     # of courses that are one for some of the time, the strongest
     found.sort(key=lambda candidate: -candidate.strength)
     times = np.linspace(0, signals.duration, SEARCH.steps)
-    apart = list[Candidate]()
+    distinct = list[CourseCandidate]()
     speeds = list[Float]()
     for candidate in found:
         course = candidate.course
         speed = np.log(np.gradient(course.angle(times), times[1]).clip(min=1e-3))
-        if all((np.abs(speed - x) < SEARCH.apart).mean() < SEARCH.shared for x in speeds):
-            apart.append(candidate)
+        if all((np.abs(speed - x) < SEARCH.distance).mean() < SEARCH.shared for x in speeds):
+            distinct.append(candidate)
             speeds.append(speed)
-    apart.sort(key=lambda candidate: -candidate.score)
-    return apart[: SEARCH.most]
+    distinct.sort(key=lambda candidate: -candidate.score)
+    return distinct[: SEARCH.most]
 
 
-def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
+def _octave(signals: SearchedSignals, low: float) -> list[CourseCandidate]:
     """Courses between `low` Hz and twice as much."""
     top = min(signals.highest, 2.1 * low * SEARCH.orders)
     x, rate = signals.whitened(top, 4 * low, 2.0)
-    out = list[Candidate]()
+    out = list[CourseCandidate]()
     for cycles in SEARCH.cycles:
         length = 2 * round(0.5 * cycles / low * rate)
         if 8 * length > x.shape[1]:
@@ -254,13 +254,13 @@ def _octave(signals: SearchedSignals, low: float) -> list[Candidate]:
         times = np.asarray((hop * np.arange(levels.shape[1]) + length / 2) / rate)
         for path in _paths(levels, grid * length / rate):
             course = _integrated(times, path * rate / length, signals.duration)
-            out.append(Candidate(*_agreement(levels, path), course))
+            out.append(CourseCandidate(*_agreement(levels, path), course))
     return out
 
 
 def _paths(levels: Any_, places: Float) -> list[Float]:
     """The most likely courses (step,) over the `places` (grid,), in bins of `levels` (bin, step),
-    that are apart in the mean.
+    that are distinct in the mean.
     """
     score, state = _courses(_comb_scores(levels, places))
     course = np.log(places)[state]
@@ -269,7 +269,7 @@ def _paths(levels: Any_, places: Float) -> list[Float]:
     while left.any() and len(out) < SEARCH.most:
         best = int(np.where(left, score, -np.inf).argmax())
         out.append(places[state[:, best]])
-        near = np.abs(course - course[:, best, None]) < SEARCH.apart
+        near = np.abs(course - course[:, best, None]) < SEARCH.distance
         left &= near.mean(axis=0) < SEARCH.shared
     return out
 
@@ -349,7 +349,7 @@ def _courses(scores: Any_) -> tuple[Float, Any_]:
     return np.asarray((total - np.median(total)) / np.sqrt(steps), dtype=np.float64), state
 
 
-def _integrated(times: Float, frequency: Float, duration: float) -> Course:
+def _integrated(times: Float, frequency: Float, duration: float) -> ShaftCourse:
     """The angle of a `frequency` (i,), Hz, at `times` (i,), s, of which steps of the grid are
     smoothed out.
     """
@@ -358,7 +358,7 @@ def _integrated(times: Float, frequency: Float, duration: float) -> Course:
     t = np.concatenate([[0.0], times, [duration]])
     f = np.concatenate([smooth[:1], smooth, smooth[-1:]])
     turned = np.cumsum(np.diff(t) * (f[1:] + f[:-1]) / 2)
-    return Course(t, np.concatenate([[0.0], turned]))
+    return ShaftCourse(t, np.concatenate([[0.0], turned]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,7 +389,7 @@ class OrderBlocks:
         return np.asarray(self.values * turn[:, :, None])
 
 
-def order_blocks(signals: SearchedSignals, course: Course, orders: int) -> OrderBlocks | None:
+def order_blocks(signals: SearchedSignals, course: ShaftCourse, orders: int) -> OrderBlocks | None:
     """The first `orders` harmonics over the record; None if it has too few revolutions.
 
     The blocks overlap by half under a Hann window, in which one harmonic hides all others.
@@ -564,7 +564,7 @@ def _smoothed(score: Float, information: float, differences: Callable[[int], Flo
     return out
 
 
-def corrected(course: Course, blocks: OrderBlocks, error: Float) -> Course:
+def corrected(course: ShaftCourse, blocks: OrderBlocks, error: Float) -> ShaftCourse:
     """The course with a phase `error` (block,), revolutions, of its blocks."""
     at = course.instants(blocks.centres)
     before = blocks.centres[0] - course.revolutions[0]
@@ -575,4 +575,4 @@ def corrected(course: Course, blocks: OrderBlocks, error: Float) -> Course:
     revolutions = np.concatenate(
         [[course.revolutions[0] + first], blocks.centres + error, [course.revolutions[-1] + last]]
     )
-    return Course(np.concatenate([course.knots[:1], at, course.knots[-1:]]), revolutions)
+    return ShaftCourse(np.concatenate([course.knots[:1], at, course.knots[-1:]]), revolutions)

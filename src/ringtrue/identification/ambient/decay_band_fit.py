@@ -147,7 +147,7 @@ def _state(
     scaled = tuple(y / scale[:, None] for y in part.decays)
     sums = fit(scaled, part.rate, model, rough=rough)
     floor = noise_floor(left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain)
-    return BandFit(part, scaled, scale, sums, floor, critical)
+    return BandFit(part, scaled, scale, sums, floor=floor, critical=critical)
 
 
 def _squares(found: BandFit) -> float:
@@ -161,7 +161,7 @@ def _squares(found: BandFit) -> float:
 def _with_backbone(
     found: BandFit, scale: Float, peak: DecayPeak, settings: DecaySettings
 ) -> BandFit | None:
-    """The fit with the strongest mode beside a peak as its amplitude bends it, in the place of the
+    """The fit with the strongest mode near a peak as its amplitude bends it, in the place of the
     weaker ones of its shape; None where there is none, or it is not bent.
     """
     model = found.sums.model
@@ -173,11 +173,11 @@ def _with_backbone(
         return None
     k = int(np.where(near, found.sums.gain, -1.0).argmax())
     away = np.abs(model.poles.imag - model.poles.imag[k])
-    beside = away < settings.near * np.maximum(-model.poles.real, -model.poles.real[k])
+    close = away < settings.near * np.maximum(-model.poles.real, -model.poles.real[k])
     gain = found.sums.gain
     shape = found.shape(k)
-    alike = np.array([shape_mac(found.shape(j), shape) > 0.9 for j in range(gain.size)])
-    replaced = beside & alike & (gain < gain[k])
+    like = np.array([shape_mac(found.shape(j), shape) > 0.9 for j in range(gain.size)])
+    replaced = close & like & (gain < gain[k])
     kept = np.flatnonzero(~replaced).tolist()
     best: BandFit | None = None
     now = found

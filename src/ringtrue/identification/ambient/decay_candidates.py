@@ -131,11 +131,11 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
             new = DecayCandidate(
                 found,
                 k,
-                float(f[k]),
-                float(model.damping[k]),
-                float(found.sums.gain[k]),
-                std[:, k],
-                fitted[0] if fitted else None,
+                frequency=float(f[k]),
+                damping=float(model.damping[k]),
+                gain=float(found.sums.gain[k]),
+                std=std[:, k],
+                backbone=fitted[0] if fitted else None,
             )
             if not any(_same_mode(new, other) for other in out if other.found is not found):
                 out.append(new)
@@ -148,15 +148,15 @@ def _same_mode(a: DecayCandidate, b: DecayCandidate) -> bool:
 
 
 def is_remainder(c: DecayCandidate, others: list[DecayCandidate], near: float) -> bool:
-    """Whether a decay is what the fit of a bent mode beside it leaves: small, of its shape."""
+    """Whether a decay is what the fit of a bent mode near it leaves: small, of its shape."""
     for other in others:
         if other is c or other.found is not c.found or not other.bent:
             continue
         low, high = other.span
         reach = near * max(other.damping * other.frequency, c.damping * c.frequency)
         close = low - reach < c.frequency < high + reach
-        alike = shape_mac(c.found.shape(c.k), other.found.shape(other.k)) > 0.8
-        if close and c.gain < 0.01 * other.gain and (alike or c.gain < 1e-4 * other.gain):
+        like = shape_mac(c.found.shape(c.k), other.found.shape(other.k)) > 0.8
+        if close and c.gain < 0.01 * other.gain and (like or c.gain < 1e-4 * other.gain):
             return True
     return False
 

@@ -203,8 +203,8 @@ class DecayFit:
         return DecayFitState(sums, 10 * state.factor, np.inf)
 
     def terminate(self, state: DecayFitState) -> Outcome | None:
-        """Converged when a step lowers the squares by nothing that counts: beside what is left to
-        be explained, where that is more than noise.
+        """Converged when a step lowers the squares by nothing that counts: compared with what is
+        left to be explained, where that is more than noise.
         """
         samples = sum(y.size for y in self.decays)
         much = max(state.sums.squares / samples, 1.0)

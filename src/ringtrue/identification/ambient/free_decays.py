@@ -4,6 +4,8 @@ Band by band, the decays behind all impacts are fitted together by maximum likel
 is looked for in what is left until noise alone explains it. The standard deviations are those of
 the Fisher information (Kay 1993, ch. 3 and 13). ERA (Juang and Pappa 1985) on the same decays says
 which poles every model order shows.
+
+Whether a record holds free decays: its power falls by decades behind the impacts.
 """
 
 from __future__ import annotations
@@ -41,6 +43,8 @@ from ringtrue.signal.channel_checks import bridge_gaps, usable
 from ringtrue.signal.decay_bands import BandDecays, decays_of
 from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import EVENT, Events, find_events
+
+FRAMES = 50  # of a record, whose powers are compared
 
 
 def decay_bounds(events: Events, history: TimeHistory) -> Int:
@@ -350,3 +354,73 @@ def _uncertainty(natural: list[DecayCandidate], rows: list[_Row], ch: int) -> Un
     factor = np.sqrt(np.maximum(value, 0))[:, None] * vector.T * scale
     shapes = np.array([r.std_shape for r in rows]).reshape(m, ch).T
     return Uncertainty(std[:, 0], std[:, 1], shapes, factor)
+
+
+@dataclass(frozen=True, slots=True)
+class DecayEvidence:
+    """Whether a record is one of free decays.
+
+    Attributes
+    ----------
+    decades : float
+        That the power falls by behind the impacts: the least of the bands that hold all but a
+        hundredth of the energy, the median of the decays.
+    early : float
+        Share of the energy of the decays in their first halves.
+    impacts : int
+    """
+
+    decades: float = 0.0
+    early: float = 0.0
+    impacts: int = 0
+
+
+def decay_evidence(history: TimeHistory, settings: DecaySettings) -> DecayEvidence:
+    """How far the energy of a record falls behind its impacts, band by band.
+
+    A stationary record ends at the first look: its frames are of one power within a decade.
+    """
+    if history.data.shape[1] < 16 * FRAMES or not np.isfinite(history.data).all():
+        return DecayEvidence()
+    size = history.data.shape[1] // FRAMES
+    frames = history.data[:, : size * FRAMES].reshape(len(history.data), FRAMES, size)
+    power = frames.var(axis=2, dtype=np.float64)
+    range_ = power.max(axis=1) / np.maximum(np.quantile(power, 0.1, axis=1), 1e-300)
+    if np.median(np.log10(np.maximum(range_, 1.0))) < settings.decades:
+        return DecayEvidence()
+    bounds = decay_bounds(find_events(history.data, history.rate), history)
+    parts = band_decays(history, bounds, settings)
+    energy = np.array([sum(float(np.square(y).sum()) for y in p.decays) for p in parts])
+    if not parts or not energy.sum() > 0:
+        return DecayEvidence(impacts=len(bounds))
+    chosen = [p for p, e in zip(parts, energy, strict=True) if e > 0.01 * energy.sum()]
+    falls = []
+    early = []
+    for part in chosen:
+        each = [_fall(y) for y in part.decays]
+        falls.append(float(np.median([e[0] for e in each])))
+        early.append(float(np.median([e[1] for e in each])))
+    # an impact that leaves nothing to ring is not one of a test of free decays
+    heard = min(len(p.decays) for p in chosen) / len(bounds)
+    return DecayEvidence(min(falls) if heard > 0.5 else 0.0, min(early), len(bounds))
+
+
+def _fall(y: Float) -> tuple[float, float]:
+    """Decades of the power from the first to the last tenth of a decay (ch, sample), and the share
+    of its energy in the first half.
+    """
+    tenth = max(y.shape[1] // 10, 1)
+    square = np.square(y).sum(axis=0)
+    last = max(float(square[-tenth:].mean()), 1e-300)
+    decades = float(np.log10(max(float(square[:tenth].mean()), 1e-300) / last))
+    return decades, float(square[: square.size // 2].sum() / max(float(square.sum()), 1e-300))
+
+
+def free_decay_note(history: TimeHistory, settings: DecaySettings | None = None) -> Note | None:
+    """The note that a record holds free decays and next to nothing else; None for another one."""
+    settings = settings or DecaySettings()
+    found = decay_evidence(history, settings)
+    if found.decades <= settings.decades or found.early <= settings.early:
+        return None
+    values = {"decades": found.decades, "impacts": found.impacts}
+    return Note("decay automatic", "information", history.source or "record", values)

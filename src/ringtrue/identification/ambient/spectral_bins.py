@@ -23,6 +23,8 @@ from ringtrue.identification.common.stabilisation import cluster_poles, unit
 from ringtrue.shapes import mpc
 from ringtrue.signal.band_correlations import Signals
 
+ROUNDING = 1e-14  # of the highest level of a spectrum: no recorder has more
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateModes:
@@ -282,10 +284,14 @@ class RecordSpectrum:
         The spectrum along the shape of a mode, by the filter that passes least of what lies on both
         sides of it (Capon 1969), has lines that are exponentially distributed. Their mean at the
         mode is r times that on both sides, and 2n (r - 1 - ln r) is twice the logarithm of the
-        likelihood ratio of n lines. The sign is that of the peak.
+        likelihood ratio of n lines. The sign is that of the peak. What lies 140 dB below the
+        highest level is rounding.
         """
         gain = [self._gain(*x) for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)]
-        return replace(c, gain=np.array(gain, dtype=np.float64))
+        level = np.trace(self.bins.cross, axis1=1, axis2=2).real
+        here = np.interp(c.frequencies, self.bins.freqs, level)
+        rounding = here < ROUNDING * level.max(initial=0.0)
+        return replace(c, gain=np.where(rounding, -np.inf, np.array(gain, dtype=np.float64)))
 
     def _gain(self, frequency: float, damping: float, shape: Complex) -> float:
         bins = self.bins
