@@ -1,4 +1,4 @@
-"""The confidence of ambient modes: how its weights were fitted, and whether it is what it states.
+"""The confidence of ambient modes: whether it is what it states, and its weights fitted anew.
 
     python bench/confidence.py [--quick | --full]
 
@@ -6,8 +6,8 @@ Candidates of random records (chains, close pairs, random shapes; noise at 5 to 
 with humps, records of noise alone; half of them short and of little damping) are weighed as
 `identify_ambient` does. A candidate is a mode where the record has one within four standard
 deviations of the least scatter, or a quarter of its half bandwidth, of the same shape (MAC 0.8). The
-weights are fitted to one half of the records by logistic regression; on the other half, modes stated
-at 0.9 and more must be real in nine of ten cases. Not covered: machines and peaks of the force,
+weights are fitted anew to one half of the records by logistic regression, for comparison; on the
+other half, modes stated at 0.9 and more must be real in nine of ten cases. Not covered: machines and peaks of the force,
 which other evidence names.
 """
 

@@ -33,8 +33,8 @@ Row = tuple[int, int]  # a band, and a row of its table
 class EvidenceWeights:
     """Weights of the evidence in the log-odds that a candidate is a mode of the structure.
 
-    Fitted by logistic regression to the candidates of simulated records whose modes are known
-    (`bench/confidence.py`).
+    Of a logistic regression on the candidates of simulated records whose modes are known;
+    `bench/confidence.py` shows on others how often modes of a stated confidence are real.
 
     Attributes
     ----------
