@@ -11,7 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import ambient_families
 import concrete_frame
+import confidence
 import correlation
 import deck_reading
 import derivatives
@@ -47,6 +49,20 @@ from outcome import (
 BENCH = Path(__file__).parents[2] / "bench"
 SHARED = {"outcome.py", "write_docs.py", "identification_system.py", "concrete_frame.py"}
 SCRIPTS = sorted(p for p in BENCH.glob("*.py") if p.name not in SHARED)
+
+
+RECORD = ambient_families.Outcome(
+    found=5,
+    of=5,
+    extra=0,
+    doubtful=0,
+    first=True,
+    frequency=np.array([1.0, -1.0]),
+    damping=np.array([-1.0, 1.0]),
+    speed=1e-5,
+    seconds=1.0,
+)
+STATED = np.linspace(0.0, 1.0, 500)
 
 
 def right(checks: Check | Sequence[Check]) -> bool:
@@ -416,6 +432,29 @@ JUDGED: list[
         ],
     ),
     ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    (
+        "ambient_families",
+        ambient_families.checks,
+        ("machine", [RECORD] * 40),
+        [
+            ("machine", [replace(RECORD, found=4)] * 40),
+            ("machine", [replace(RECORD, extra=1)] * 40),
+            ("machine", [replace(RECORD, speed=0.01)] * 40),
+            ("machine", [replace(RECORD, frequency=3 * RECORD.frequency)] * 40),
+            ("machine", [replace(RECORD, damping=3 * RECORD.damping)] * 40),
+            ("short", [replace(RECORD, first=False)] * 40),
+        ],
+    ),
+    (
+        "confidence",
+        confidence.checks,
+        (STATED, STATED, STATED > 0.6),
+        [
+            (STATED, STATED, STATED > 0.97),
+            (STATED, STATED, STATED > 0.3),
+            (STATED, STATED, STATED < 0.6),
+        ],
+    ),
     (
         "kernels",
         kernels.compared,
