@@ -42,6 +42,7 @@ from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import explain_clipping, find_spikes, remove_overlap
 from ringtrue.signal.frf_sets import join_by_setup, join_frfs, of_one_kind
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
+from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import (
     Forced,
     ForceRecordFormat,
@@ -609,14 +610,6 @@ def refuse_choice(method: str, first: str, choice: Choice | None) -> None:
             f"a choice goes with the method {first}, got {method}; the others have no diagram of "
             "judged poles"
         )
-
-
-def check_band(fmin: float | None, fmax: float | None) -> None:
-    """Refuse a band that is empty."""
-    low = 0.0 if fmin is None else fmin
-    high = float("inf") if fmax is None else fmax
-    if not 0 <= low < high:
-        raise ConfigError(f"fmin {fmin}, fmax {fmax}: must be 0 <= fmin < fmax")
 
 
 def identify_ambient(

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from ringtrue.api.measurements import (
-    check_band,
     estimate_frfs,
     identify_frfs,
     read_sensors,
@@ -34,6 +33,7 @@ from ringtrue.errors import about
 from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.frfs import write_frfs
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
+from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import ForceRecordFormat
 
 

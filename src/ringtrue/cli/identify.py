@@ -17,7 +17,6 @@ import typer
 from ringtrue.api.measurements import (
     TestModes,
     ambient_parts,
-    check_band,
     identify_ambient,
     read_sensors,
     record_with_notes,
@@ -42,6 +41,7 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json
 from ringtrue.plots.pages import picker_page
 from ringtrue.shapes import mpc
+from ringtrue.signal.spectra import check_band
 
 Fmin = Annotated[
     float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")
@@ -286,12 +286,12 @@ def print_result(
 
 
 def _machines(found: TestModes) -> list[str]:
-    """The lines of machines that no pole stood on; the others are among the notes."""
+    """The lines of machines on which no pole is; the others are candidates."""
     if not isinstance(found.result, AmbientResult):
         return []
-    listed = " ".join(found.notes)
+    listed = {note.values.get("line") for note in found.others.notes}
     return [
         f"line at {h.frequency:.4g} Hz: {h.why}"
         for h in found.result.harmonics
-        if h.why not in listed
+        if h.frequency not in listed
     ]

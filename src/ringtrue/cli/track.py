@@ -13,7 +13,6 @@ import numpy as np
 import typer
 
 from ringtrue.api.comparison import RecordParts, track_records
-from ringtrue.api.measurements import check_band
 from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate
 from ringtrue.cli.show import Json, file_to, progress, rows, tell, write_json
 from ringtrue.core.arrays import Float
@@ -21,6 +20,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.identification.common.tracking import ModeTrack, Tracked
 from ringtrue.io.files import atomic_write
 from ringtrue.plots.correlation import tracking_page
+from ringtrue.signal.spectra import check_band
 from ringtrue.study.summary import finite
 
 HEADS = (

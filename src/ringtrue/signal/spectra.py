@@ -281,6 +281,19 @@ class Band:
     rate: float
 
 
+def check_band(fmin: float | None, fmax: float | None) -> None:
+    """Refuse a band of interest, Hz, that is empty; None is no limit.
+
+    Raises
+    ------
+    ConfigError
+    """
+    low = 0.0 if fmin is None else fmin
+    high = np.inf if fmax is None else fmax
+    if not 0 <= low < high:
+        raise ConfigError(f"fmin {fmin}, fmax {fmax}: must be 0 <= fmin < fmax")
+
+
 def detrend(data: Any_) -> Float:
     """`data` (ch, sample) as float64 less mean and straight line of each channel."""
     y = np.array(data, dtype=np.float64)

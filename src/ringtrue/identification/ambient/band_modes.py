@@ -17,7 +17,6 @@ from ringtrue.identification.ambient.close_modes import loosened, refined, with_
 from ringtrue.identification.ambient.confidence import (
     BandModes,
     all_clear,
-    confidence,
     crowded,
     evidence,
     select,
@@ -100,7 +99,6 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
         table=table,
         shape=shape,
         shape_std=std,
-        confidence=confidence(table, facts.duration),
         evidence=evidence(table, facts.duration),
         diagram=StableDiagram(poles, table.stable, table.label, *level),
         picked=search.picked,

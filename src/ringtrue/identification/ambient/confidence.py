@@ -97,9 +97,8 @@ class BandModes:
     table : CandidateModes
     shape : (ch, m) complex128
     shape_std : (ch, m) float64
-    confidence : (m,) float64
     evidence : (4, m) float64
-        The log-odds behind it.
+        Log-odds by the orders, the scatter, the complexity and the peak of each candidate.
     diagram : StableDiagram
     picked : (m,) int64
         The pick by hand behind each candidate, -1 for none.
@@ -112,12 +111,16 @@ class BandModes:
     table: CandidateModes
     shape: Complex
     shape_std: Float
-    confidence: Float
     evidence: Float
     diagram: StableDiagram
     picked: Int
     inseparable: tuple[int, ...]
     wander: Float
+
+    @property
+    def confidence(self) -> Float:
+        """(m,) probability that each candidate is a mode of the structure."""
+        return probability(self.evidence)
 
     def automatic(self, least: float) -> Int:
         """Rows of `least` confidence that no pick stands behind."""
@@ -136,7 +139,12 @@ def confidence(c: CandidateModes, duration: float) -> Float:
     duration : float, s
         Of the record.
     """
-    return np.asarray(expit(WEIGHTS.constant + evidence(c, duration).sum(axis=0)))
+    return probability(evidence(c, duration))
+
+
+def probability(value: Float) -> Float:
+    """(m,) probabilities of the evidence `value` (4, m)."""
+    return np.asarray(expit(WEIGHTS.constant + value.sum(axis=0)))
 
 
 def evidence(c: CandidateModes, duration: float) -> Float:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.errors import ConfigError
 from ringtrue.identification.ambient.decay_backbone import (
     Envelope,
     envelope,
@@ -29,6 +28,7 @@ from ringtrue.identification.ambient.decay_fit import (
 )
 from ringtrue.identification.common.stabilisation import unit
 from ringtrue.signal.decay_bands import BandDecays
+from ringtrue.signal.spectra import check_band
 
 MOST = 30  # modes of a band
 
@@ -63,10 +63,7 @@ class DecaySettings:
     early: float = 0.9
 
     def __post_init__(self) -> None:
-        low = self.fmin or 0.0
-        high = self.fmax or np.inf
-        if low < 0 or not low < high:
-            raise ConfigError(f"band {self.fmin} .. {self.fmax} Hz: must be 0 <= fmin < fmax")
+        check_band(self.fmin, self.fmax)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -149,7 +149,7 @@ def identify_decay(
         If the band of interest is empty.
     """
     settings = settings or DecaySettings()
-    whole, _ = bridge_gaps(history)
+    whole, gaps = bridge_gaps(history)
     good, states = usable(whole)
     progress(0.0, "impacts")
     bounds = behind_clipping(good, decay_bounds(find_events(good.data, good.rate), good))
@@ -170,7 +170,7 @@ def identify_decay(
         good.source or "record",
         {"decays": len(bounds), "first": float(bounds[0, 0] / good.rate)},
     )
-    of_channels = (*states, of_record)
+    of_channels = (*gaps.notes, *states, of_record)
     progress(1.0, f"{len(found.modes)} modes")
     return replace(found, notes=(*of_channels, *found.notes), starts=bounds[:, 0] / good.rate)
 

@@ -14,6 +14,7 @@ from itertools import chain
 
 import numpy as np
 
+from ringtrue.core.arrays import Bool
 from ringtrue.core.channels import SHOWN
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, quiet
@@ -68,7 +69,7 @@ from ringtrue.signal.channel_checks import bridge_gaps, unclipped_channels, usab
 from ringtrue.signal.channel_quantities import with_learned_quantities
 from ringtrue.signal.harmonic_evidence import amplitude_evidence, phase_evidence
 from ringtrue.signal.machines import Machine, near_harmonics
-from ringtrue.signal.spectra import Band, remove_drift, scaled, unit_factor
+from ringtrue.signal.spectra import Band, check_band, remove_drift, scaled, unit_factor
 from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines
 from ringtrue.signal.transients import Events
 
@@ -107,10 +108,7 @@ class AmbientSettings:
     confidence_min: float = 0.5
 
     def __post_init__(self) -> None:
-        low = self.fmin or 0.0
-        high = self.fmax or np.inf
-        if low < 0 or not low < high:
-            raise ConfigError(f"band {self.fmin} .. {self.fmax} Hz: must be 0 <= fmin < fmax")
+        check_band(self.fmin, self.fmax)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -424,8 +422,8 @@ def _assembled(
     by_hand = chosen(found, rows, facts.choice, good.source)
     rows = by_hand.rows
     reported = listed(found, rows)
-    picked = [row for row in candidates if _among(found, row, reported)]
-    others = [row for row in candidates if against[row] is not None and row not in picked]
+    taken = _among(listed(found, candidates), reported)
+    others = [row for row, own in zip(candidates, taken, strict=True) if against[row] and not own]
     of_record = by_hand.notes
     if not rows:
         of_record = (*of_record, nothing_found(good, record.bands))
@@ -436,7 +434,7 @@ def _assembled(
         said = by_hand.said.get(row)
         reasons.append(f"{said}; {evidence}" if said else evidence)
         remarks.append(said or in_short(found[row[0]], row[1]))
-    noted = [note for row in others if (note := against[row]) is not None]
+    noted = [note for row in others if (note := against[row])]
     return AmbientResult(
         modes=_mode_set(record, reported),
         uncertainty=uncertainty(found, rows, len(good.channels)),
@@ -465,11 +463,11 @@ def _mode_set(record: FirstStretch, of: ListedCandidates) -> ModeSet:
     )
 
 
-def _among(found: list[BandModes], row: Row, reported: ListedCandidates) -> bool:
-    """Whether a candidate is one of the modes that are reported, as after a pick by hand."""
-    own = listed(found, [row])
-    near = np.abs(reported.frequency - own.frequency) < own.damping * own.frequency
-    return bool((near & (mac(own.shape, reported.shape)[0] > 0.8)).any())
+def _among(of: ListedCandidates, reported: ListedCandidates) -> Bool:
+    """(m,) whether candidates are modes that are reported, as after a pick by hand."""
+    half = (of.damping * of.frequency)[:, None]
+    near = np.abs(of.frequency[:, None] - reported.frequency) < half
+    return np.asarray((near & (mac(of.shape, reported.shape) > 0.8)).any(axis=1))
 
 
 def _doubt(code: str, frequency: float, values: Mapping[str, float | int | str]) -> Note:
@@ -525,7 +523,7 @@ def _against(
         decays_by = 2 * np.pi * z * x * facts.interval  # from one impact to the next
         found: tuple[str, dict[str, float | str]] | None = None
         if line:
-            found = "candidate line", {"why": line.why}
+            found = "candidate line", {"why": line.why, "line": line.frequency}
         elif left[k]:
             speed = record.machines[orders.machine[k]].frequency
             found = "candidate harmonic", {"order": int(orders.order[k]), "speed": speed}
