@@ -25,7 +25,12 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.channels import DERIVATIVE
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Quantity, TimeHistory
-from ringtrue.signal.clock_alignment import in_one_motion, segment_lines, summed_power
+from ringtrue.signal.clock_alignment import (
+    in_one_motion,
+    segment_lines,
+    segments_of,
+    summed_power,
+)
 
 MOTION_OF = {order: motion for motion, order in DERIVATIVE.items()}
 
@@ -96,11 +101,10 @@ def with_learned_quantities(
     """
     limits = settings or QuantitySettings()
     unknown = np.array([c.quantity == "unknown" for c in history.channels])
-    samples = history.data.shape[1]
-    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // limits.segments, 1024, 4096))))
-    if len(unknown) < 3 or not unknown.any() or samples < 16 * length:
+    length, starts = segments_of(history.data.shape[1], limits.segments)
+    if len(unknown) < 3 or not unknown.any() or not starts.size:
         return history, ()
-    phases = _phase_agreement(history.data, length, limits)
+    phases = _phase_agreement(segment_lines(history.data, length, starts), limits)
     np.fill_diagonal(phases.weight, 0.0)
     total = phases.weight.sum(axis=1)
     seen = total > limits.lines
@@ -135,9 +139,8 @@ def with_learned_quantities(
     return (replace(history, channels=channels) if notes else history), tuple(notes)
 
 
-def _phase_agreement(data: Any_, length: int, limits: QuantitySettings) -> _PhaseAgreement:
-    starts = np.linspace(0, data.shape[1] - length, limits.segments).astype(np.int64)
-    lines = segment_lines(data, length, starts)
+def _phase_agreement(lines: Any_, limits: QuantitySettings) -> _PhaseAgreement:
+    """Of the transforms (freq, segment, ch) of segments of the record."""
     channels = lines.shape[2]
     agreement = np.empty((channels, channels))
     weight = np.empty((channels, channels))

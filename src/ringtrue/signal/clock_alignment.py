@@ -140,11 +140,10 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     samples = history.data.shape[1]
     near = 0.3  # samples: gains of channels of one recorder
     nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_))
-    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // DELAY.segments, 1024, 4096))))
-    if m < 2 or samples < 16 * length:
+    length, starts = segments_of(samples, DELAY.segments)
+    if m < 2 or not starts.size:
         return nothing
     order = np.asarray(derivatives)
-    starts = np.linspace(0, samples - length, DELAY.segments).astype(np.int64)
     lines = segment_lines(history.data, length, starts)
     root, turned, coherence = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
@@ -176,6 +175,14 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     gain[seen] -= _usual(gain[seen], near)
     odd = (agree < DELAY.odd) & sound
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
+
+
+def segments_of(samples: int, segments: int) -> tuple[int, Int]:
+    """Length of the segments of a record, and their first samples; none of one too short."""
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // segments, 1024, 4096))))
+    if samples < 16 * length:
+        return length, np.empty(0, dtype=np.int64)
+    return length, np.linspace(0, samples - length, segments).astype(np.int64)
 
 
 def segment_lines(data: Any_, length: int, starts: Int) -> Any_:
