@@ -27,10 +27,7 @@ from eigen_shell import shell
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter
-from ringtrue.eigen.derivatives import (
-    MatrixDerivatives,
-    eigenvector_derivatives,
-)
+from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivatives
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Pencil

@@ -37,13 +37,7 @@ if TYPE_CHECKING:
         read_sensors,
         write_modes,
     )
-    from ringtrue.api.models import (
-        frf,
-        read_deck,
-        solve_modes,
-        static,
-        write_deck,
-    )
+    from ringtrue.api.models import frf, read_deck, solve_modes, static, write_deck
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory

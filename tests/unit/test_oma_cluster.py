@@ -14,12 +14,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.identification.ambient.confidence import all_clear, confidence, evidence, weakest
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
-from ringtrue.identification.ambient.ssi_cov import (
-    SsiCov,
-    decompose,
-    hankel_gram,
-    squared_hankel,
-)
+from ringtrue.identification.ambient.ssi_cov import SsiCov, decompose, hankel_gram, squared_hankel
 from ringtrue.identification.common.merging import merge_modes
 from ringtrue.identification.common.stabilisation import cluster_poles, least_deviations
 from ringtrue.identification.common.uncertainty import frequency_damping, hankel, perturb

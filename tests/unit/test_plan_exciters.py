@@ -13,10 +13,7 @@ from scipy.sparse import csgraph
 
 from ringtrue.errors import InputError
 from ringtrue.planning import exciters, geometry
-from ringtrue.planning.exciters import (
-    rank_sets,
-    reciprocity_pairs,
-)
+from ringtrue.planning.exciters import rank_sets, reciprocity_pairs
 from ringtrue.planning.geometry import drawn_mac, mesh_edges, relative_neighbours, wireframe
 from ringtrue.planning.plan_files import loaded_frequencies, quiet, suspension_points
 

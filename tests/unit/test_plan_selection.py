@@ -14,18 +14,8 @@ import pytest
 from scipy import linalg
 
 from ringtrue.errors import InputError
-from ringtrue.planning.geometry import (
-    along,
-    in_boxes,
-    select_candidates,
-    surface_normals,
-)
-from ringtrue.planning.sensors import (
-    Spacing,
-    add_redundancy,
-    select_points,
-    worst_sensor_loss,
-)
+from ringtrue.planning.geometry import along, in_boxes, select_candidates, surface_normals
+from ringtrue.planning.sensors import Spacing, add_redundancy, select_points, worst_sensor_loss
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 
 Array = npt.NDArray[np.float64]

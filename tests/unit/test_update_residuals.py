@@ -20,14 +20,7 @@ from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import DenseModel, matrices_at
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.updating.residuals.frf import AntiResonances, Frf, zeros
-from ringtrue.updating.residuals.modal import (
-    Eigenvalues,
-    Frequencies,
-    Mac,
-    Shapes,
-    Term,
-    point,
-)
+from ringtrue.updating.residuals.modal import Eigenvalues, Frequencies, Mac, Shapes, Term, point
 from ringtrue.updating.residuals.static import (
     MassPropertyDeviations,
     RigidMass,

@@ -15,12 +15,7 @@ from scipy.signal import lfilter, welch
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.machines import (
-    Machine,
-    find_machines,
-    near_harmonics,
-    remove_machines,
-)
+from ringtrue.signal.machines import Machine, find_machines, near_harmonics, remove_machines
 
 RATE, SECONDS = 300.0, 300.0
 SAMPLES = int(RATE * SECONDS)

@@ -20,12 +20,7 @@ from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_mode
 from ringtrue.updating.selection import screening
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
 from ringtrue.updating.selection.generation import generate
-from ringtrue.updating.selection.screening import (
-    ScreenedDeck,
-    close,
-    screened,
-    tractable,
-)
+from ringtrue.updating.selection.screening import ScreenedDeck, close, screened, tractable
 from ringtrue.updating.selection.subset_search import SearchSettings
 
 

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ringtrue.checks import Finding, at_rows
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.fem.element_cards import SOLIDS
 from ringtrue.model.cards import HEXAHEDRON, QUADRILATERAL, TETRAHEDRON, TRIANGLE, WEDGE
 from ringtrue.model.frames import diagonal, positions
@@ -276,7 +276,7 @@ CORNERS = {card: count for card, count in _SURFACES.items() if card != "CSHEAR"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShellEdges:
+class ShellEdges(FrozenArrays):
     """Edges between corner nodes of shell elements.
 
     Attributes
@@ -295,9 +295,6 @@ class ShellEdges:
     free: Int
     part: Int
     flipped: Int
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, free=np.int64, part=np.int64, flipped=np.int64)
 
 
 def shell_edges(model: Model) -> ShellEdges:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.checks import Finding, Severity, at_rows
-from ringtrue.core.arrays import Bool, Float, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.errors import InputError, NumericalError, did_you_mean
@@ -28,7 +28,7 @@ from ringtrue.model.model import Model, Table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MassProperties:
+class MassProperties(FrozenArrays):
     """Rigid-body mass of a model, in its units (PARAM,WTMASS applied).
 
     Attributes
@@ -48,9 +48,6 @@ class MassProperties:
     directional: Float
     cg: Float
     inertia: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, directional=np.float64, cg=np.float64, inertia=np.float64)
 
     @property
     def even(self) -> bool:
@@ -167,7 +164,7 @@ LIMIT = 1e-9  # relative energy that is round-off or the sixth digit of coordina
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundCheck:
+class GroundCheck(FrozenArrays):
     """Strain energy of the unit rigid-body motions of an unconstrained model.
 
     Attributes
@@ -185,9 +182,6 @@ class GroundCheck:
     energy: Float
     relative: Float
     worst: tuple[tuple[str, ...], ...]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, energy=np.float64, relative=np.float64)
 
     @property
     def ok(self) -> bool:

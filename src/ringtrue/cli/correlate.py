@@ -28,16 +28,12 @@ from ringtrue.cli.show import (
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import CompleteCorrelation, complete_json
 from ringtrue.correlation.sensor_mapping import Method
-from ringtrue.correlation.sensor_mounting import (
-    mendings_json,
-)
+from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes import READ
 from ringtrue.model.model import Model
 from ringtrue.study.config_sections import CorrelateSection
-from ringtrue.study.placing import (
-    seats_json,
-)
+from ringtrue.study.placing import seats_json
 from ringtrue.study.summary import correlation_json
 
 ON_SHEET = "of the places of a sheet on a deck; give --sensors"

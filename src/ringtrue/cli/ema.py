@@ -8,11 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.api.measurements import (
-    estimate_frfs,
-    identify_frfs,
-    read_sensors,
-)
+from ringtrue.api.measurements import estimate_frfs, identify_frfs, read_sensors
 from ringtrue.cli.identify import (
     ChoiceFile,
     Diagram,

@@ -27,15 +27,9 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import summary
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, about, did_you_mean
-from ringtrue.identification.ambient.pipeline import (
-    AmbientResult,
-)
+from ringtrue.identification.ambient.pipeline import AmbientResult
 from ringtrue.identification.common.manual_selection import as_choice
-from ringtrue.identification.methods import (
-    AMBIENT_METHODS,
-    AUTOMATIC_AMBIENT,
-    PeakMethod,
-)
+from ringtrue.identification.methods import AMBIENT_METHODS, AUTOMATIC_AMBIENT, PeakMethod
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json

@@ -8,23 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.api.study_update import (
-    SIDES,
-    UpdateRequest,
-    update_json,
-    update_study,
-)
+from ringtrue.api.study_update import SIDES, UpdateRequest, update_json, update_study
 from ringtrue.cli.model import TimeLimit
-from ringtrue.cli.show import (
-    Json,
-    err,
-    out,
-    progress,
-    rows,
-    tell,
-    warn_of_units,
-    write_json,
-)
+from ringtrue.cli.show import Json, err, out, progress, rows, tell, warn_of_units, write_json
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
 

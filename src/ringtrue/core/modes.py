@@ -12,7 +12,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, FrozenArrays, Int, freeze_fields
 from ringtrue.core.channels import POWER
 from ringtrue.core.display import Displayed
 from ringtrue.core.dofs import DofSet
@@ -149,7 +149,7 @@ class ModeSet(Displayed):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Uncertainty:
+class Uncertainty(FrozenArrays):
     """Standard deviations of identified modes.
 
     Attributes
@@ -166,11 +166,6 @@ class Uncertainty:
     damping: Float
     shape: Float
     factor: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(
-            self, frequency=np.float64, damping=np.float64, shape=np.float64, factor=np.float64
-        )
 
     @classmethod
     def independent(cls, frequency: Float, damping: Float, shape: Float) -> Uncertainty:
@@ -230,7 +225,7 @@ class OtherCandidates:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModalModel:
+class ModalModel(FrozenArrays):
     """Poles and residues, receptance form H(s) = Σ_k ψ_k l_kᵀ/(s − s_k) + conj + L/s² + U.
 
     Attributes
@@ -255,17 +250,6 @@ class ModalModel:
     inputs: tuple[Channel, ...]
     kind: FrfKind = "accelerance"
     norm: Norm = Norm.UNSCALED
-
-    def __post_init__(self) -> None:
-        c = np.complex128
-        freeze_fields(
-            self,
-            poles=c,
-            shapes=c,
-            participation=c,
-            lower=c,
-            upper=c,
-        )
 
     @property
     def frequencies(self) -> Float:

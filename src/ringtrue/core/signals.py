@@ -12,13 +12,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Complex, Float, FrozenArrays, Int, freeze_arrays
 from ringtrue.core.display import Displayed
 from ringtrue.errors import DataError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Impacts:
+class Impacts(FrozenArrays):
     """Impacts, each with those of its record that came before it.
 
     An earlier impact of impulse a rings on as a e^{λτ}, in the shape of a mode and decaying with
@@ -42,17 +42,6 @@ class Impacts:
     weight: Float
     freqs: Float
     noise: Float
-
-    def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            delay=f,
-            ratio=f,
-            weight=f,
-            freqs=f,
-            noise=f,
-        )
 
     def each(self, poles: Complex) -> Complex:
         """(impact, m) factors of the residues, impact by impact; poles (m,) in rad/s."""
@@ -181,7 +170,7 @@ class TimeHistory(Displayed):
         data = np.asarray(self.data)
         if data.strides[-1:] != (data.itemsize,):  # all work goes along the channels
             object.__setattr__(self, "data", np.ascontiguousarray(data))
-        freeze_fields(self, data=None)
+        freeze_arrays(self)
         object.__setattr__(self, "channels", tuple(self.channels))
         if self.data.ndim != 2 or self.data.shape[0] != len(self.channels):
             raise DataError(
@@ -271,9 +260,7 @@ class FrfSet(Displayed):
             put(self, "coherence", np.full(np.shape(self.data), np.nan))
         if not np.size(self.averages):
             put(self, "averages", np.full(len(self.inputs), np.nan))
-        freeze_fields(
-            self, data=np.complex128, freqs=np.float64, coherence=np.float64, averages=np.float64
-        )
+        freeze_arrays(self)
         want = (self.freqs.size, len(self.outputs), len(self.inputs))
         if self.data.shape != want or self.coherence.shape != want:
             raise DataError(

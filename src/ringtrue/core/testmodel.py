@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, Int, freeze_arrays, freeze_fields
 from ringtrue.core.channels import SHOWN, match_channels, split_label
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import DataError, InputError
@@ -214,7 +214,7 @@ class Observation:
     distance: Float
 
     def __post_init__(self) -> None:
-        freeze_fields(self, distance=np.float64)
+        freeze_arrays(self)
         if self.matrix.shape != (len(self.channels), len(self.dofs)):
             raise InputError(
                 f"observation {self.matrix.shape} for {len(self.channels)} channels and "

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
-from ringtrue.core.arrays import Any_, Complex, Float, freeze_fields
+from ringtrue.core.arrays import Any_, Complex, Float, FrozenArrays
 from ringtrue.eigen.engines import Engine, Pattern, choose, factorise
 from ringtrue.errors import InputError, NotConverged, SingularModel
 
@@ -161,7 +161,7 @@ STILL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComplexModes:
+class ComplexModes(FrozenArrays):
     """Poles with Im > 0, ascending modulus.
 
     Attributes
@@ -173,9 +173,6 @@ class ComplexModes:
 
     poles: Complex
     shapes: Complex
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, poles=np.complex128, shapes=np.complex128)
 
     @property
     def frequencies(self) -> Float:
@@ -189,7 +186,7 @@ class ComplexModes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FullModes:
+class FullModes(FrozenArrays):
     """Complex modes of the full problem.
 
     Attributes
@@ -208,9 +205,6 @@ class FullModes:
     residuals: Float
     shift: complex
     radius: float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, residuals=np.float64)
 
 
 def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) -> FullModes:

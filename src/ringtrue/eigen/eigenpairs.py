@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays
 from ringtrue.eigen.pencil import Pencil
 
 
@@ -40,7 +40,7 @@ ROWS = 16384
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EigenModes:
+class EigenModes(FrozenArrays):
     """Lowest solutions of K φ = λ M φ, ascending.
 
     Attributes
@@ -66,9 +66,6 @@ class EigenModes:
     complete: bool
     proof: str
     shift: float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, values=np.float64, vectors=np.float64, residuals=np.float64)
 
     @property
     def frequencies(self) -> Float:

@@ -25,13 +25,7 @@ from ringtrue.io.labview import (
     read_tdms_pieces,
     read_tdms_runs,
 )
-from ringtrue.io.record_arrays import (
-    check_stored,
-    read_h5_table,
-    read_mat,
-    read_npy,
-    read_wav,
-)
+from ringtrue.io.record_arrays import check_stored, read_h5_table, read_mat, read_npy, read_wav
 from ringtrue.io.record_table import (
     FORMAT,
     TABLE,

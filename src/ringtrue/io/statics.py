@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.files import existing, read_text, refuse_large, refuse_twice
 from ringtrue.io.foreign.door import door
@@ -18,7 +18,7 @@ COLUMNS = ("case", "channel", "load", "deflection")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StaticTests:
+class StaticTests(FrozenArrays):
     """Static tests.
 
     Attributes
@@ -34,9 +34,6 @@ class StaticTests:
     channels: tuple[str, ...]
     loads: Float
     deflections: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, loads=np.float64, deflections=np.float64)
 
 
 def read_statics(path: str | Path) -> StaticTests:

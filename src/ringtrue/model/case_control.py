@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.errors import UnsupportedError
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
@@ -162,7 +162,7 @@ def asked_modes(model: Model) -> AskedModes | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModalDamping:
+class ModalDamping(FrozenArrays):
     """Damping ratios of modes by their frequencies.
 
     Attributes
@@ -179,9 +179,6 @@ class ModalDamping:
     ratios: Float
     flat: bool = False
     structural: bool = False
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, frequencies=np.float64, ratios=np.float64)
 
     def at(self, frequencies: Float) -> Float:
         """Ratios (m,) of modes of these frequencies (m,), Hz."""

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class Targets(FrozenArrays):
     """Target modes with their reasons.
 
     Attributes
@@ -32,9 +32,6 @@ class Targets:
 
     modes: Int
     reasons: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, modes=np.int64)
 
     def among(self, readable: Bool) -> tuple[Targets, tuple[str, ...]]:
         """The targets among the modes (m,) that can be read, and those that are none in words.
@@ -287,7 +284,7 @@ _ENTRIES = 4_000_000  # of the FRFs of all trial sets that are looked at at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExciterSet:
+class ExciterSet(FrozenArrays):
     """Points struck or shaken, and what they reach.
 
     Attributes
@@ -303,9 +300,6 @@ class ExciterSet:
     rows: Int
     reach: Float
     missed: Int
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, rows=np.int64, reach=np.float64, missed=np.int64)
 
     @property
     def worst(self) -> float:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.files import atomic_write
@@ -29,7 +29,7 @@ SEEN = 1.0  # rms of a mode at the references, over that at all points, which is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Suspension:
+class Suspension(FrozenArrays):
     """Points to hang from.
 
     Attributes
@@ -45,9 +45,6 @@ class Suspension:
     points: Int
     motion: float
     steady: bool
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, points=np.int64)
 
 
 def quiet(shapes: Float) -> Float:
@@ -174,7 +171,7 @@ def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float) -> Float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setups:
+class Setups(FrozenArrays):
     """Which sensor is where in which setup.
 
     Attributes
@@ -191,9 +188,6 @@ class Setups:
     setup: Int
     seen: Float
     shift: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, setup=np.int64, seen=np.float64, shift=np.float64)
 
     @property
     def count(self) -> int:

@@ -13,7 +13,7 @@ from math import comb
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.errors import InputError
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 
@@ -212,7 +212,7 @@ def _best_addition(gram: Float, shapes: Float) -> int:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loss:
+class Loss(FrozenArrays):
     """The worst loss of k sensors.
 
     Attributes
@@ -232,9 +232,6 @@ class Loss:
     left: float
     combination: Float
     exact: bool
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, points=np.int64, combination=np.float64)
 
 
 def worst_sensor_loss(shapes: Float, k: int) -> Loss:

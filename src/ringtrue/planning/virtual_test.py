@@ -14,7 +14,7 @@ import numpy as np
 from scipy import fft
 from scipy.special import betaincinv
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays, freeze_fields
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -95,7 +95,7 @@ class Planned:
     fmax: float
 
     def __post_init__(self) -> None:
-        freeze_fields(self, frequencies=np.float64, outputs=np.float64, inputs=np.float64)
+        freeze_arrays(self)
         m = self.frequencies.size
         o = len(self.channels)
         i = len(self.references)

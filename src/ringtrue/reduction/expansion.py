@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, sparse
 
-from ringtrue.core.arrays import Any_, Float, freeze_fields
+from ringtrue.core.arrays import Any_, Float, FrozenArrays
 from ringtrue.eigen.pencil import Labels
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.reduction.static import StaticShapes
@@ -20,7 +20,7 @@ from ringtrue.shapes import pseudo_inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expanded:
+class Expanded(FrozenArrays):
     """Test shapes on all degrees of freedom.
 
     Attributes
@@ -38,9 +38,6 @@ class Expanded:
     shapes: Any_
     misfit: Float
     weight: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, shapes=None, misfit=np.float64, weight=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

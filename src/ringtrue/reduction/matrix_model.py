@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.arrays import Float, freeze_arrays
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import InputError
@@ -64,15 +64,7 @@ class DenseModel:
     count: int
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self,
-            stiffness=f,
-            mass=f,
-            d_stiffness=f,
-            d_mass=f,
-            observation=f,
-        )
+        freeze_arrays(self)
         n = self.stiffness.shape[0]
         p = len(self.parameters)
         shapes = self.d_stiffness.shape, self.d_mass.shape

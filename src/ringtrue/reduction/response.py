@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import elastic
 from ringtrue.eigen.eigenpairs import frequencies
@@ -114,7 +114,7 @@ def _solved(factor: Factor, load: Float) -> Float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ResponseBasis:
+class ResponseBasis(FrozenArrays):
     """Vectors and what is left.
 
     Attributes
@@ -131,9 +131,6 @@ class ResponseBasis:
     vectors: Float
     residual: Float
     lines: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, vectors=np.float64, residual=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from scipy import linalg, sparse
 
-from ringtrue.core.arrays import Any_, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Float, FrozenArrays, Int, freeze_fields
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Factor, Labels, Pencil
 from ringtrue.errors import ConfigError, InputError
@@ -131,7 +131,7 @@ def _constraint_modes(pencil: Pencil, K_ib: sparse.csr_array) -> Float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TestAnalysisModel:
+class TestAnalysisModel(FrozenArrays):
     """A model reduced to the channels of a test.
 
     Attributes
@@ -148,9 +148,6 @@ class TestAnalysisModel:
     transform: Float
 
     __test__ = False  # not a pytest class
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, mass=np.float64, stiffness=np.float64, transform=np.float64)
 
     @property
     def frequencies(self) -> Float:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.fft import fft
 from scipy.special import bdtrc, fdtrc
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.signal.shaft_tracking import (
     SEARCH,
@@ -92,7 +92,7 @@ NEIGHBOURS = np.concatenate([np.arange(-9, -1), np.arange(2, 10)])  # lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Machine:
+class Machine(FrozenArrays):
     """A shaft and what it excites.
 
     Attributes
@@ -116,9 +116,6 @@ class Machine:
     tried: int
     chance: float
 
-    def __post_init__(self) -> None:
-        freeze_fields(self, knots=np.float64, revolutions=np.float64, harmonics=np.int64)
-
     @property
     def course(self) -> ShaftCourse:
         """The angle over time."""
@@ -141,7 +138,7 @@ class Machine:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearHarmonics:
+class NearHarmonics(FrozenArrays):
     """The harmonic next to each of some frequencies.
 
     Attributes
@@ -158,11 +155,6 @@ class NearHarmonics:
     order: Int
     distance: Float
     wander: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(
-            self, machine=np.int64, order=np.int64, distance=np.float64, wander=np.float64
-        )
 
 
 def find_machines(

@@ -19,12 +19,7 @@ from ringtrue.correlation.pairing import Pairing, Tracks, track
 from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduction.expansion import (
-    Expanded,
-    ShapeReadings,
-    expand_hybrid,
-    expand_serep,
-)
+from ringtrue.reduction.expansion import Expanded, ShapeReadings, expand_hybrid, expand_serep
 from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config import StudyConfig

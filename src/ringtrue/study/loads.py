@@ -10,14 +10,7 @@ import numpy as np
 from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.decks.nastran.loads import (
-    LINE_KINDS,
-    LineLoad,
-    Load,
-    LoadCase,
-    Moved,
-    Pressure,
-)
+from ringtrue.decks.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.constraints import supports

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.checks.materials import unconstrained
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.channels import POWER, match_channels
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
@@ -47,7 +47,7 @@ WEIGHED_UNITS = ("kg", *("m",) * 3, *("kg m²",) * 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Data:
+class Data(FrozenArrays):
     """A kind of residuals besides those of the modes, and what is shown of it.
 
     Attributes
@@ -76,9 +76,6 @@ class Data:
     measured: Float
     scale: Float
     lines: int = 0
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, measured=np.float64, scale=np.float64)
 
     def shown(self, block: ResidualBlock) -> Float:
         """Values (n,) of the model at a point."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_arrays
 from ringtrue.errors import InputError
 from ringtrue.virtual.sensors import coloured, lines
 
@@ -196,14 +196,7 @@ class Pulses:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "flat", np.broadcast_to(self.flat, np.shape(self.start)))
-        freeze_fields(
-            self,
-            start=np.float64,
-            duration=np.float64,
-            impulse=np.float64,
-            at=np.int64,
-            flat=np.bool_,
-        )
+        freeze_arrays(self)
 
     @property
     def peak(self) -> Float:

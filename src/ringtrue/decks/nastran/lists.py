@@ -12,15 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.decks.nastran.lexer import (
-    Card,
-    Files,
-    Reader,
-    Row,
-    integers,
-    reals,
-    table_of_rows,
-)
+from ringtrue.decks.nastran.lexer import Card, Files, Reader, Row, integers, reals, table_of_rows
 from ringtrue.model.cards import columns
 from ringtrue.model.model import Ragged, Table
 

@@ -18,15 +18,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements.elasticity import plane_stress, solid
-from ringtrue.fem.mesh import (
-    CardRows,
-    check_ratio,
-    congruent,
-    isotropic,
-    matrix,
-    merged,
-    scaled,
-)
+from ringtrue.fem.mesh import CardRows, check_ratio, congruent, isotropic, matrix, merged, scaled
 from ringtrue.fem.negative_stiffness import elasticity
 
 # no transverse shear modulus given: G12 times this, which bends as if rigid in shear

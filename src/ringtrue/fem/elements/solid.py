@@ -51,13 +51,7 @@ from ringtrue.fem.mesh import (
     scaled,
     taken,
 )
-from ringtrue.model.cards import (
-    HEXAHEDRON,
-    QUADRILATERAL,
-    TETRAHEDRON,
-    TRIANGLE,
-    WEDGE,
-)
+from ringtrue.model.cards import HEXAHEDRON, QUADRILATERAL, TETRAHEDRON, TRIANGLE, WEDGE
 from ringtrue.model.model import Model, Table
 
 # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core

@@ -32,12 +32,7 @@ from ringtrue.fem.parametrisation.element_derivatives import (
 )
 from ringtrue.fem.parametrisation.interpolation import SEARCH, interpolated, learn
 from ringtrue.fem.parametrisation.parameter_groups import Pair, few, groups_of, regions
-from ringtrue.fem.parametrisation.polynomials import (
-    SAMPLE,
-    AffineTerm,
-    PolynomialTerms,
-    own_powers,
-)
+from ringtrue.fem.parametrisation.polynomials import SAMPLE, AffineTerm, PolynomialTerms, own_powers
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 

@@ -29,11 +29,7 @@ from ringtrue.identification.ambient.spectral_bins import (
     candidates,
     steady,
 )
-from ringtrue.identification.ambient.ssi_cov import (
-    BandPoles,
-    block_power,
-    identify_band,
-)
+from ringtrue.identification.ambient.ssi_cov import BandPoles, block_power, identify_band
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.manual_selection import with_picks
 from ringtrue.identification.common.stabilisation import StableDiagram, unit

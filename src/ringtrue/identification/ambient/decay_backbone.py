@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import fft, ifft, next_fast_len
 from scipy.stats import chi2
 
-from ringtrue.core.arrays import Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Complex, Float, Int, freeze_arrays
 from ringtrue.core.display import Displayed
 
 DEGREE = 3  # of the polynomials, at most
@@ -60,12 +60,7 @@ class Backbone(Displayed):
     impact: Int
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(
-            self, amplitude=f, frequency=f, damping=f, fit_amplitude=f, fit_frequency=f,
-            fit_damping=f, frequency_terms=f, damping_terms=f, std_frequency_terms=f,
-            std_damping_terms=f, impact=np.int64,
-        )  # fmt: skip
+        freeze_arrays(self)
 
     @property
     def nonlinear(self) -> bool:

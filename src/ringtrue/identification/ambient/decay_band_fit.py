@@ -9,11 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
-from ringtrue.identification.ambient.decay_backbone import (
-    Envelope,
-    envelope,
-    fit_backbone,
-)
+from ringtrue.identification.ambient.decay_backbone import Envelope, envelope, fit_backbone
 from ringtrue.identification.ambient.decay_fit import (
     EMPTY,
     DecayFloor,

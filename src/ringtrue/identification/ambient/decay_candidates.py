@@ -9,16 +9,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.notes import Note
-from ringtrue.identification.ambient.decay_backbone import (
-    Backbone,
-    fit_backbone,
-)
+from ringtrue.identification.ambient.decay_backbone import Backbone, fit_backbone
 from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, shape_mac
-from ringtrue.identification.ambient.decay_fit import (
-    covariance,
-    deviations,
-    is_steady,
-)
+from ringtrue.identification.ambient.decay_fit import covariance, deviations, is_steady
 
 MOST_DAMPING = 0.2  # what decays faster is the end of an impact
 

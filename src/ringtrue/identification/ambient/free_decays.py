@@ -20,9 +20,7 @@ from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.decay_backbone import (
-    Backbone,
-)
+from ringtrue.identification.ambient.decay_backbone import Backbone
 from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, fit_band
 from ringtrue.identification.ambient.decay_candidates import (
     DecayCandidate,
@@ -31,10 +29,7 @@ from ringtrue.identification.ambient.decay_candidates import (
     is_remainder,
     sum_of,
 )
-from ringtrue.identification.ambient.decay_fit import (
-    covariance,
-    deviations,
-)
+from ringtrue.identification.ambient.decay_fit import covariance, deviations
 from ringtrue.identification.ambient.era import era
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.ssi_cov import SsiCov

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_arrays
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.shapes import mac, mpc
@@ -56,9 +56,7 @@ class PoleSet:
     std_damping: Float
 
     def __post_init__(self) -> None:
-        c = np.complex128
-        f = np.float64
-        freeze_fields(self, order=np.int64, pole=c, shape=c, std_frequency=f, std_damping=f)
+        freeze_arrays(self)
         k = self.pole.size
         if self.order.size != k or self.shape.ndim != 2 or self.shape.shape[1] != k:
             raise InputError(
@@ -126,8 +124,7 @@ class StableDiagram:
     level: Float
 
     def __post_init__(self) -> None:
-        f = np.float64
-        freeze_fields(self, stable=np.bool_, cluster=np.int64, freqs=f, level=f)
+        freeze_arrays(self)
         if self.stable.size != len(self.poles) or self.cluster.size != len(self.poles):
             raise InputError(
                 f"stable {self.stable.shape}, cluster {self.cluster.shape}: must be "

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, FrozenArrays, Int, freeze_fields
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import DataError, InputError
 from ringtrue.shapes import mac
@@ -102,7 +102,7 @@ class ModeTrack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
+class Tracked(FrozenArrays):
     """Modes of a long record through time.
 
     Attributes
@@ -120,9 +120,6 @@ class Tracked:
     channels: tuple[str, ...]
     tracks: tuple[ModeTrack, ...]
     rare: tuple[ModeTrack, ...]
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, times=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Complex, Float, FrozenArrays, Int
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
@@ -58,7 +58,7 @@ LIMITS = LocalFitLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LocalFit:
+class LocalFit(FrozenArrays):
     """Modes of several batches.
 
     Attributes
@@ -78,9 +78,6 @@ class LocalFit:
     uncertainty: Uncertainty
     frequency: Float
     chance: Float
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, frequency=np.float64, chance=np.float64)
 
 
 def identify_batches(

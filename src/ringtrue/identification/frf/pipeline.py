@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, freeze_fields
+from ringtrue.core.arrays import Float, FrozenArrays
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Outcome, Progress, quiet
 from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
@@ -120,7 +120,7 @@ class HammerModes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HammerResult:
+class HammerResult(FrozenArrays):
     """What `identify_hammer` found.
 
     Attributes
@@ -164,9 +164,6 @@ class HammerResult:
     notes: tuple[str, ...] = ()
     split_note: str = ""
     channel_notes: tuple[Note, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, freqs=np.float64, cmif=np.float64, synthesis_error=np.float64)
 
 
 def identify_hammer(

@@ -28,13 +28,7 @@ import numpy as np
 from ringtrue.core.arrays import Any_
 from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.files import existing, read_text
-from ringtrue.io.foreign.door import (
-    EXPORT_AGAIN,
-    MEGABYTE,
-    door,
-    need_not_try,
-    tried_apart,
-)
+from ringtrue.io.foreign.door import EXPORT_AGAIN, MEGABYTE, door, need_not_try, tried_apart
 
 if TYPE_CHECKING:
     from nptdms import TdmsFile

@@ -14,15 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.channels import (
-    ANGULAR,
-    FORCES,
-    FRF_KIND,
-    LINEAR,
-    SI_UNIT,
-    UNIT,
-    as_motion,
-)
+from ringtrue.core.channels import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion
 from ringtrue.core.dofs import NAMES
 from ringtrue.core.signals import FrfSet, Quantity, shared_lines
 from ringtrue.core.testmodel import TestModel

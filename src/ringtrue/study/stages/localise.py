@@ -28,13 +28,7 @@ from ringtrue.reduction.parametric import ReducedModel, condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels, expanded
 from ringtrue.study.measured_data import flexible
-from ringtrue.study.objective import (
-    data_of,
-    on_parameters,
-    problem_of,
-    target,
-    terms_of,
-)
+from ringtrue.study.objective import data_of, on_parameters, problem_of, target, terms_of
 from ringtrue.study.opened import AtChannels, lump_places
 from ringtrue.study.results import (
     CandidateEffects,

@@ -36,13 +36,7 @@ from ringtrue.planning.sensors import (
 )
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config_sections import PlanSection
-from ringtrue.study.planned_test import (
-    PlanProblem,
-    arranged,
-    node_rows,
-    ranked,
-    virtual_tests,
-)
+from ringtrue.study.planned_test import PlanProblem, arranged, node_rows, ranked, virtual_tests
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import (
     AcquisitionPlan,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError
@@ -46,15 +46,7 @@ class RecordedModes:
     frames: Int
 
     def __post_init__(self) -> None:
-        freeze_fields(
-            self,
-            eigenvalues=np.float64,
-            modal_mass=np.float64,
-            nodes=np.int64,
-            scalar=np.bool_,
-            motion=np.float64,
-            frames=np.int64,
-        )
+        freeze_arrays(self)
         n = self.nodes.size
         m = self.eigenvalues.size
         if not m or not n:

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Float, Int, freeze_arrays
 from ringtrue.decks.nastran.results.op2 import Op2Table, matrix, read_tables
 from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io.files import existing, read_text, refuse_large
@@ -50,15 +50,7 @@ class Sensitivities:
     values: Float
 
     def __post_init__(self) -> None:
-        i = np.int64
-        freeze_fields(
-            self,
-            response=i,
-            grid=i,
-            component=i,
-            variable=i,
-            values=np.float64,
-        )
+        freeze_arrays(self)
         r = self.response.size
         v = self.variable.size
         if not r or not v:
