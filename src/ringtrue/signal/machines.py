@@ -46,6 +46,9 @@ class MachineSettings:
         Machines.
     orders : int
         Highest harmonic that is taken out.
+    score : float
+        Standard deviations by which a comb stands out of the spectrum, at least: below, no evidence
+        is looked for.
     line : float
         Chance that an order shows a line where there is none.
     false_alarm : float
@@ -60,6 +63,7 @@ class MachineSettings:
     channels: int = 4
     most: int = 4
     orders: int = 256
+    score: float = 8.0
     line: float = 0.01
     false_alarm: float = 1e-6
     steady: float = 0.01
@@ -244,7 +248,10 @@ def _searched(data: Any_, at: Int) -> Any_:
 
 def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | None:
     """The most likely candidate for which there is evidence."""
-    for candidate in candidates(signals):
+    half = replace(signals, spectrum=signals.spectrum[::2])  # the search takes longer than all else
+    for candidate in candidates(half):
+        if candidate.score < settings.score:  # they descend
+            break
         course = candidate.course
         blocks = order_blocks(signals, course, _orders(signals, course, SEARCH.orders))
         if blocks is None:
