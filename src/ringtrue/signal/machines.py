@@ -248,8 +248,7 @@ def _searched(data: Any_, at: Int) -> Any_:
 
 def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | None:
     """The most likely candidate for which there is evidence."""
-    half = replace(signals, spectrum=signals.spectrum[::2])  # the search takes longer than all else
-    for candidate in candidates(half):
+    for candidate in candidates(signals):
         if candidate.score < settings.score:  # they descend
             break
         course = candidate.course
