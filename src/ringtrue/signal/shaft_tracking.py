@@ -137,7 +137,6 @@ class SearchedSignals:
             y[:lines] = own[:lines] / _level(own[:lines], max(1, int(width / 16 / step)))
         white[:, 0] = 0
         signals = irfft(white, size, axis=1)[:, : int(self.samples * size / self.length)]
-        signals /= np.maximum(signals.std(axis=1, keepdims=True), np.finfo(np.float32).tiny)
         return signals, step * size
 
 
@@ -217,9 +216,12 @@ def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
     all among them.
     """
     found = list[CourseCandidate]()
+    band = SearchedBand.of(signals, SEARCH.lowest)
     low = SEARCH.lowest
     while low * SEARCH.orders < 4 * signals.highest:
-        found += _octave(signals, low)
+        if band.top < min(signals.highest, _top(low)):
+            band = SearchedBand.of(signals, low)
+        found += _octave(band, low)
         low *= 2
     # of courses that are one for some of the time, the strongest
     found.sort(key=lambda candidate: -candidate.strength)
@@ -236,24 +238,60 @@ def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
     return distinct[: SEARCH.most]
 
 
-def _octave(signals: SearchedSignals, low: float) -> list[CourseCandidate]:
+def _top(low: float) -> float:
+    """Hz: the highest order of the octave above `low` Hz."""
+    return 2.1 * low * SEARCH.orders
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchedBand:
+    """The signals of a band, and the levels of their frames: octaves of one band share them.
+
+    Attributes
+    ----------
+    white : (ch, sample) float32
+    rate, top : float, Hz
+    duration : float, s
+    levels : dict of int to (bin, step) float32 and float
+        By the length of a frame in samples, with the distance of steps.
+    """
+
+    white: Any_
+    rate: float
+    top: float
+    duration: float
+    levels: dict[int, tuple[Any_, float]]
+
+    @classmethod
+    def of(cls, signals: SearchedSignals, low: float) -> SearchedBand:
+        """For the octave above `low` Hz."""
+        top = min(signals.highest, _top(low))
+        white, rate = signals.whitened(top, 4 * low, 2.0)
+        return cls(white, rate, top, signals.duration, {})
+
+    def frame_levels(self, length: int) -> tuple[Any_, float]:
+        """Levels of frames of `length` samples, and the distance of steps in samples."""
+        if length not in self.levels:
+            self.levels[length] = _frame_levels(self.white, length, self.top / self.rate)
+        return self.levels[length]
+
+
+def _octave(band: SearchedBand, low: float) -> list[CourseCandidate]:
     """Courses between `low` Hz and twice as much."""
-    top = min(signals.highest, 2.1 * low * SEARCH.orders)
-    x, rate = signals.whitened(top, 4 * low, 2.0)
     out = list[CourseCandidate]()
     for cycles in SEARCH.cycles:
-        length = 2 * round(0.5 * cycles / low * rate)
-        if 8 * length > x.shape[1]:
+        length = 2 * round(0.5 * cycles / low * band.rate)
+        if 8 * length > band.white.shape[1]:
             continue
-        levels, hop = _frame_levels(x, length, top / rate)
+        levels, hop = band.frame_levels(length)
         # half a bin at the highest order
         step = 1 / (2 * SEARCH.orders * cycles)
         count = round(np.log(2) / step)
         edge = count // 16
         grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
-        times = np.asarray((hop * np.arange(levels.shape[1]) + length / 2) / rate)
-        for path in _paths(levels, grid * length / rate):
-            course = _integrated(times, path * rate / length, signals.duration)
+        times = np.asarray((hop * np.arange(levels.shape[1]) + length / 2) / band.rate)
+        for path in _paths(levels, grid * length / band.rate):
+            course = _integrated(times, path * band.rate / length, band.duration)
             out.append(CourseCandidate(*_agreement(levels, path), course))
     return out
 
@@ -280,8 +318,8 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
 
     The logarithm of one plus the power bounds what a mode adds to a sum over many harmonics.
     """
-    frames = sliding_window_view(x, length, axis=1)[:, :: length // 2]
-    win = np.hanning(length + 1)[:-1].astype(np.float32)
+    frames = x[:, : x.shape[1] // length * length].reshape(len(x), -1, length)
+    win = np.sin(np.pi * (np.arange(length) + 0.5) / length).astype(np.float32)
     bins = int(top * length)
     together = -(-frames.shape[1] // SEARCH.steps)
     steps = frames.shape[1] // together
@@ -294,7 +332,7 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
     total -= median_filter(total.mean(axis=0), size=SEARCH.cycles[0] + 1, mode="nearest")
     total -= total[:, 2:].mean(axis=1, keepdims=True)
     total /= total[:, 2:].std()
-    return np.ascontiguousarray(total.T), together * (length // 2)
+    return np.ascontiguousarray(total.T), together * length
 
 
 def _comb_scores(levels: Any_, places: Float) -> Any_:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.channels import SI_UNIT
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
@@ -360,34 +360,51 @@ def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
     """
     samples = history.data.shape[1]
     degree = min(int(np.clip(0.5 * low * history.duration, 1, DEGREE)), samples - 1)
+    much = _drifts(history.data, degree)
+    if not much.any():
+        return history
+    data = np.array(history.data)
+    drifting = data[much]
     places = np.linspace(-1.0, 1.0, samples)
-    offset = history.data[:, :1].astype(np.float64)
+    offset = drifting[:, :1].astype(np.float64)
     gram = np.zeros((degree + 1, degree + 1))
-    right = np.zeros((degree + 1, len(history.data)))
+    right = np.zeros((degree + 1, len(drifting)))
     for start in range(0, samples, BLOCK):
         part = slice(start, start + BLOCK)
         basis = legvander(places[part], degree)
         gram += basis.T @ basis
-        right += basis.T @ (history.data[:, part] - offset).T
+        right += basis.T @ (drifting[:, part] - offset).T
     drift = np.linalg.solve(gram, right)
     drift[0] += offset[:, 0]
-    power = np.einsum("pc,pq,qc->c", drift, gram, drift)
-    much = power > 0.5 * np.einsum("cs,cs->c", history.data, history.data, dtype=np.float64)
-    if not much.any():
-        return history
-    data = np.array(history.data)
     for start in range(0, samples, BLOCK):
         part = slice(start, start + BLOCK)
         basis = legvander(places[part], degree)
-        data[much, part] = history.data[much, part] - (basis @ drift[:, much]).T
+        drifting[:, part] -= (basis @ drift).T
+    data[much] = drifting
     return replace(history, data=data)
+
+
+def _drifts(data: Any_, degree: int) -> Bool:
+    """(ch,) whether polynomials up to a `degree` hold more than half of the power of signals (ch,
+    sample): fitted to means over parts that are short beside them.
+    """
+    samples = data.shape[1]
+    size = max(1, samples // (64 * (degree + 1)))
+    used = data[:, : samples // size * size]
+    offset = data[:, :1].astype(np.float64)
+    means = used.reshape(len(data), -1, size).mean(axis=2, dtype=np.float64) - offset
+    basis = legvander(np.linspace(-1.0, 1.0, means.shape[1]), degree)
+    fitted = basis @ np.linalg.lstsq(basis, means.T)[0] + offset[:, 0]
+    power = np.einsum("sc,sc->c", fitted, fitted) * size
+    return np.asarray(power > 0.5 * np.einsum("cs,cs->c", used, used, dtype=np.float64))
 
 
 def unit_factor(history: TimeHistory) -> float:
     """The power of two that brings the typical standard deviation of the channels near 1; it
     changes no digit.
     """
-    exponent = np.frexp(np.median(history.data.std(axis=1, dtype=np.float64)))[1]
+    levels = [x.std(dtype=np.float64) for x in history.data]  # one by one for the memory's sake
+    exponent = np.frexp(np.median(levels))[1]
     return float(np.ldexp(1.0, -int(exponent)))
 
 

@@ -355,6 +355,7 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
         good=clean,
         unclipped=unclipped,
         gaps=gaps,
+        events=impacts if clean is good else events_of(clean, gaps),
         factor=factor,
         references=references,
         bands=bands,

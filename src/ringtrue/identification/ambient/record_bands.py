@@ -248,6 +248,8 @@ class FirstStretch:
     unclipped : TimeHistory, optional
         Those of its channels whose amplitude is not cut off; None if all are.
     gaps : Gaps
+    events : Events
+        Of `good`.
     factor : float
         Unit of `good`.
     references : (ref,) int64, optional
@@ -265,6 +267,7 @@ class FirstStretch:
     good: TimeHistory
     unclipped: TimeHistory | None
     gaps: Gaps
+    events: Events
     factor: float
     references: Int | None
     bands: tuple[Band, ...]
@@ -375,7 +378,7 @@ def sums_of_stretches(
     report : callable (fraction, text)
     """
     good = record.good
-    events = [events_of(good, record.gaps)]
+    events = [record.events]
     sums = first_sums(
         good.data,
         good.rate,
