@@ -4,10 +4,12 @@
     python bench/ambient_families.py close      24 modes in pairs 1.5 % from each other, two channels at 0 dB
     python bench/ambient_families.py short      records of 60 periods of the first mode
     python bench/ambient_families.py machine    combs of 50 to 200 harmonics whose speed wanders by up to 0.3 %
+    python bench/ambient_families.py decay      free decays of six modes that last 0.1 to 10 s
 
 each with [--quick | --full]. Records are made from chains and random shapes under white forces, with
 default settings identified, and compared with their modes: a mode is found where one within four
-standard deviations of the least scatter, and 0.5 % at least, has its shape (MAC 0.8). Times are CPU
+standard deviations of the least scatter, and 0.5 % at least, has its shape (MAC 0.8); one of a
+free decay within 0.1 %. Times are CPU
 seconds. Not covered: measured records (records.py), forces with peaks.
 """
 
@@ -32,7 +34,8 @@ from ringtrue.shapes import mac
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
     """A record and its modes: frequencies (m,) Hz, damping (m,), shapes (ch, m); the speed of a
-    machine, Hz, 0 for none.
+    machine, Hz, 0 for none; how near a mode must be found, relative to it, 0 for as the record
+    allows.
     """
 
     record: TimeHistory
@@ -40,6 +43,7 @@ class Made:
     damping: Float
     shape: Float
     speed: float = 0.0
+    near: float = 0.0
 
 
 def responses(
@@ -164,6 +168,30 @@ def machine(seed: int) -> Made:
     return Made(record(y, rate, "acceleration"), f, z, shape, speed)
 
 
+def decay(seed: int) -> Made:
+    """Up to three impacts without a measured force; a decay lasts as long as it takes to 60 dB."""
+    rng = np.random.default_rng([15, seed])
+    f = np.sort(10 ** rng.uniform(0.9, 2.9, 6))
+    f = f[0] * np.cumprod(np.maximum(f / np.roll(f, 1), 1.03) ** (np.arange(6) > 0))
+    lasts = np.clip(10 ** rng.uniform(-1, 1, 6), 50 / f, 10)  # of 50 cycles at least
+    z = np.log(1000) / (2 * np.pi * f * lasts)
+    channels = int(rng.integers(2, 8))
+    shape = rng.standard_normal((channels, 6))
+    rate = 2.6 * f[-1]
+    impacts = int(rng.integers(1, 4))
+    apart = 1.2 * lasts.max()
+    before = int(0.5 * rate)
+    y = np.zeros((channels, before + int(impacts * apart * rate)))
+    poles = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
+    for k in range(impacts):
+        start = before + int(k * apart * rate)
+        t = np.arange(y.shape[1] - start) / rate
+        size = rng.uniform(0.5, 1.5, 6) * rng.choice([-1, 1], 6)
+        y[:, start:] += ((shape * size) @ np.exp(poles[:, None] * t)).imag
+    y += 1e-3 * np.abs(y).max() * rng.standard_normal(y.shape)
+    return Made(record(y, rate, "acceleration"), f, z, shape, near=1e-3)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
     """What was found of one record: modes of it, others, errors over their deviations."""
@@ -186,6 +214,8 @@ def outcome(made: Made) -> Outcome:
     seconds = time.process_time() - begin
     least, _ = least_deviations(made.frequency, made.damping, made.record.duration)
     reach = np.maximum(4 * least, 0.005 * made.frequency)
+    if made.near:
+        reach = made.near * made.frequency
     off = np.abs(made.frequency[:, None] - test.frequencies)
     like = mac(made.shape.astype(complex), test.shapes) > 0.8
     score = np.where((off < reach[:, None]) & like, off / reach[:, None], np.inf)
@@ -217,6 +247,7 @@ FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {  # least share
     "close": (close, 23.5 / 24, 8),
     "short": (short, 0.95, 60),
     "machine": (machine, 0.97, 40),
+    "decay": (decay, 0.99, 40),
 }
 FIRST_SEED = 1000  # those below were looked at when the statistic was made
 

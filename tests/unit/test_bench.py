@@ -31,6 +31,7 @@ import modes
 import numpy as np
 import outcome
 import pytest
+import records
 import uncertainty
 import updating
 import write_docs
@@ -63,6 +64,7 @@ RECORD = ambient_families.Outcome(
     seconds=1.0,
 )
 STATED = np.linspace(0.0, 1.0, 500)
+FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
 
 
 def right(checks: Check | Sequence[Check]) -> bool:
@@ -432,6 +434,12 @@ JUDGED: list[
         ],
     ),
     ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    (
+        "records",
+        records.checks,
+        (FOUND, (2, 0)),
+        [(replace(FOUND, found=1), (2, 0)), (replace(FOUND, extra=1), (2, 0))],
+    ),
     (
         "ambient_families",
         ambient_families.checks,

@@ -248,9 +248,7 @@ def _searched(data: Any_, at: Int) -> Any_:
 
 def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | None:
     """The most likely candidate for which there is evidence."""
-    for candidate in candidates(signals):
-        if candidate.score < settings.score:  # they descend
-            break
+    for candidate in candidates(signals, settings.score):
         course = candidate.course
         blocks = order_blocks(signals, course, _orders(signals, course, SEARCH.orders))
         if blocks is None:

@@ -211,9 +211,9 @@ class CourseCandidate:
     course: ShaftCourse
 
 
-def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
-    """Courses that combs might have, the most likely first; multiples and parts of one speed are
-    all among them.
+def candidates(signals: SearchedSignals, least: float) -> list[CourseCandidate]:
+    """Courses that combs might have, of a score of at `least` so much, the most likely first;
+    multiples and parts of one speed are all among them.
     """
     found = list[CourseCandidate]()
     band = SearchedBand.of(signals, SEARCH.lowest)
@@ -224,6 +224,7 @@ def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
         found += _octave(band, low)
         low *= 2
     # of courses that are one for some of the time, the strongest
+    found = [candidate for candidate in found if candidate.score >= least]
     found.sort(key=lambda candidate: -candidate.strength)
     times = np.linspace(0, signals.duration, SEARCH.steps)
     distinct = list[CourseCandidate]()
