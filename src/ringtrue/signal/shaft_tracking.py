@@ -212,7 +212,7 @@ class CourseCandidate:
 
 
 def candidates(signals: SearchedSignals, least: float) -> list[CourseCandidate]:
-    """Courses that combs might have, of a score of at `least` so much, the most likely first;
+    """Courses that combs might have, of a score of at `least` so much, the strongest first;
     multiples and parts of one speed are all among them.
     """
     found = list[CourseCandidate]()
@@ -235,7 +235,6 @@ def candidates(signals: SearchedSignals, least: float) -> list[CourseCandidate]:
         if all((np.abs(speed - x) < SEARCH.distance).mean() < SEARCH.shared for x in speeds):
             distinct.append(candidate)
             speeds.append(speed)
-    distinct.sort(key=lambda candidate: -candidate.score)
     return distinct[: SEARCH.most]
 
 
