@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from ringtrue.api.measurements import (
         estimate_frfs,
         identify_ambient,
+        identify_ambient_setups,
         identify_frfs,
         modes_of_test,
         read_frfs,
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
 
 _PLACES = {  # module -> public names in it
     "api.models": "frf read_deck solve_modes static write_deck",
-    "api.measurements": "estimate_frfs identify_ambient identify_frfs "
+    "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
     "api.comparison": "correlate",
     "api.improvement": "TestedModel fit_damping localise parameter tune_suspension update",
@@ -100,6 +101,7 @@ __all__ = [
     "fit_damping",
     "frf",
     "identify_ambient",
+    "identify_ambient_setups",
     "identify_frfs",
     "localise",
     "modes_of_test",

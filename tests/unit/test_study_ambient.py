@@ -42,7 +42,8 @@ def identified(
     listed, sensors = read_log(folder / "log.json")
     sheet = read_sensor_sheet(folder / "sensors.csv")
     campaign = Campaign(sheet, sensors, (), choice or Choice())
-    return ambient(listed, campaign, IdentifySection(), quiet)
+    found, shown, _ = ambient(listed, campaign, IdentifySection(), quiet)
+    return found, shown
 
 
 def test_files_that_count_on_are_one_record(tmp_path: Path) -> None:

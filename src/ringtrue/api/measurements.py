@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast, get_args
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from ringtrue.identification.ambient.pipeline import (
     identify_stretches,
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.ambient.setups import MergeMethod, SetupsResult, identify_setups
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
@@ -37,7 +38,9 @@ from ringtrue.identification.methods import SecondOpinion, identify_ambient_by
 from ringtrue.io import frfs as frf_files
 from ringtrue.io import modes as mode_files
 from ringtrue.io import records
+from ringtrue.io.setup_tables import WiredFile, read_setup_table
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.io.uff.shapes import write_mode_sets
 from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import explain_clipping, find_spikes, remove_overlap
 from ringtrue.signal.frf_sets import join_by_setup, join_frfs, of_one_kind
@@ -97,7 +100,7 @@ class TestModes(Displayed):
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
-    result: AmbientResult | DecayResult | HammerResult | SecondOpinion | None = None
+    result: AmbientResult | SetupsResult | DecayResult | HammerResult | SecondOpinion | None = None
     frequencies: Float = field(init=False)
     std_frequency: Float = field(init=False)
     damping: Float = field(init=False)
@@ -131,14 +134,14 @@ class TestModes(Displayed):
     @property
     def others(self) -> OtherCandidates:
         """Doubtful modes and harmonics, which are not among the modes."""
-        if isinstance(self.result, AmbientResult | DecayResult):
+        if isinstance(self.result, AmbientResult | SetupsResult | DecayResult):
             return self.result.others
         return OtherCandidates.none(self.channels)
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is particular of each mode, in six words; empty for one beyond doubt."""
-        if isinstance(self.result, AmbientResult):
+        if isinstance(self.result, AmbientResult | SetupsResult):
             return self.result.remarks
         return ("",) * len(self)
 
@@ -263,13 +266,17 @@ def is_solver_result(path: Path) -> bool:
     return ending in READERS and (ending != ".h5" or is_nastran_h5(path))
 
 
-def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeSet:
+def write_modes(
+    path: str | Path, modes: ModeSet | FeModes | TestModes, *, sensors: SensorSheet | None = None
+) -> ModeSet:
     """Write modes as `.json`, `.h5`, `.uff` (translations of points only) or `.csv`.
 
     Parameters
     ----------
     path : str or Path
     modes : ModeSet, FeModes or TestModes
+    sensors : SensorSheet, optional
+        Its points and lines are written with the modes; of `.uff` only.
 
     Returns
     -------
@@ -296,7 +303,12 @@ def write_modes(path: str | Path, modes: ModeSet | FeModes | TestModes) -> ModeS
         others = modes.others
         known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
         spread = modes.uncertainty if known.any() else None
-    mode_files.write_modes(path, kept, spread, reasons, others)
+    if sensors is not None:
+        if path.suffix.lower() not in TRANSLATIONS_ONLY:
+            raise ConfigError(f"sensors: {path} takes no geometry; a .uff file does")
+        write_mode_sets(path, kept, sensors.model)
+    else:
+        mode_files.write_modes(path, kept, spread, reasons, others)
     return kept
 
 
@@ -689,6 +701,101 @@ def identify_ambient(
         one = next(iter(parts))
         return _of_result(identify_ambient_by(method, one, settings, near=near, progress=progress))
     return _of_result(identify_stretches(iter(parts), settings, choice=choice, progress=progress))
+
+
+def identify_ambient_setups(
+    setups: str | Path | Iterable[TimeHistory],
+    *,
+    references: Sequence[str] = (),
+    rate: float | None = None,
+    fmin: float | None = None,
+    fmax: float | None = None,
+    merge: MergeMethod = "poser",
+) -> TestModes:
+    """Modes from ambient records of several setups: some sensors stay, the others move.
+
+    Poles are those of all setups together; each shape is read from every record and scaled by the
+    references, so that none has holes. `result` has the frequency and damping of each setup.
+
+    Parameters
+    ----------
+    setups : path or iterable of TimeHistory
+        A wiring table (`file, channel, point, direction, reference`), or a record a setup, in which
+        channels of one id measure the same.
+    references : sequence of str
+        Channels that scale the setups to one another; without, those of the table, or all that
+        they have in common.
+    rate : float, Hz, optional
+        Sample rate, where the files of a table have none.
+    fmin, fmax : float, Hz, optional
+        The band of interest.
+    merge : {"poser", "preger"}
+        Poles of each setup, merged; or of the references of all setups as one record.
+
+    Raises
+    ------
+    ConfigError
+        If the band is empty or there is no such way to merge.
+    DataError
+        If there are fewer than two setups, one shares no channel with the others, or a file or the
+        table is wrong.
+
+    References
+    ----------
+    Döhler, Andersen and Mevel (2010), Data merging for multi-setup operational modal analysis.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ringtrue as rt
+    >>> rng = np.random.default_rng(0)
+    >>> setups = []
+    >>> for moved, level in (("2+Z", -0.5), ("3+Z", 0.8)):
+    ...     x = np.zeros((1, 20000))
+    ...     for k in range(2, 20000):  # a mode of 1.6 Hz at 1 %, sampled at 20 Hz
+    ...         x[:, k] = 1.7434 * x[:, k - 1] - 0.9900 * x[:, k - 2] + rng.standard_normal()
+    ...     x = x * [[1.0], [level]] + 0.1 * rng.standard_normal((2, 20000))
+    ...     names = [rt.Channel(name, "acceleration", "m/s^2") for name in ("1+Z", moved)]
+    ...     setups.append(rt.TimeHistory(x, 20.0, tuple(names), moved))
+    >>> test = rt.identify_ambient_setups(setups)
+    >>> test.channels
+    ('1+Z', '2+Z', '3+Z')
+    >>> test.shapes[:, 0].real.round(1)
+    array([ 1. , -0.5,  0.8])
+    """
+    check_band(fmin, fmax)
+    merge = merge_method(merge)
+    settings = AmbientSettings(fmin=fmin, fmax=fmax)
+    if not isinstance(setups, str | Path):
+        return of_setups(identify_setups(setups, settings, references=references, merge=merge))
+    files = read_setup_table(setups)
+    given = tuple(references) or references_of(files)
+    histories = (file.wired(read_record(file.path, rate=rate)) for file in files)
+    return of_setups(identify_setups(histories, settings, references=given, merge=merge))
+
+
+def merge_method(name: str) -> MergeMethod:
+    """The way to merge setups of this name."""
+    known = get_args(MergeMethod)
+    if name not in known:
+        raise ConfigError(f"merge {name!r}{did_you_mean(name, known)}")
+    return cast("MergeMethod", name)
+
+
+def references_of(files: Sequence[WiredFile]) -> tuple[str, ...]:
+    """The channels that a wiring table marks as references."""
+    return tuple(dict.fromkeys(name for file in files for name in file.references))
+
+
+def of_setups(found: SetupsResult) -> TestModes:
+    """The modes of several setups."""
+    return TestModes(
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=found.notes,
+        result=found,
+    )
 
 
 def _of_decays(

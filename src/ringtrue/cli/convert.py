@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ringtrue.api.measurements import is_solver_result, read_modes, write_modes
+from ringtrue.api.measurements import is_solver_result, read_modes, read_sensors, write_modes
 from ringtrue.api.models import read_deck
 from ringtrue.cli.show import out
 from ringtrue.errors import DataError, InputError
@@ -28,6 +28,10 @@ def convert(
             help="The deck of the run: turns displacement frames (CD) to the basic frame."
         ),
     ] = None,
+    sensors: Annotated[
+        Path | None,
+        typer.Option(help="Sensor sheet: its points and lines go into a .uff with the modes."),
+    ] = None,
 ) -> int:
     """Modes from one format to another: results of Nastran or MYSTRAN to a mode set.
 
@@ -38,7 +42,7 @@ def convert(
     found = read_modes(source, deck=read_deck(deck) if deck else None)
     if not len(found):
         raise DataError(f"{source}: no modes")
-    modes = write_modes(target, found)
+    modes = write_modes(target, found, sensors=read_sensors(sensors) if sensors else None)
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
     out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")

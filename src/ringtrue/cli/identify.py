@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +18,11 @@ from ringtrue.api.measurements import (
     TestModes,
     ambient_parts,
     identify_ambient,
+    merge_method,
+    of_setups,
     read_sensors,
     record_with_notes,
+    references_of,
 )
 from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.choice import Choice
@@ -27,12 +30,15 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import summary
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, about, did_you_mean
-from ringtrue.identification.ambient.pipeline import AmbientResult
+from ringtrue.identification.ambient.pipeline import AmbientResult, AmbientSettings
+from ringtrue.identification.ambient.setups import SetupsResult, identify_setups
 from ringtrue.identification.common.manual_selection import as_choice
 from ringtrue.identification.methods import AMBIENT_METHODS, AUTOMATIC_AMBIENT, PeakMethod
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json
+from ringtrue.io.setup_tables import WiredFile, read_setup_table
+from ringtrue.io.sheets import SensorSheet
 from ringtrue.plots.pages import picker_page
 from ringtrue.shapes import mpc
 from ringtrue.signal.spectra import check_band
@@ -148,18 +154,36 @@ def choice_of(path: Path | None, record: Path) -> Choice | None:
 
 def oma(
     records: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
-            metavar="RECORD...",
+            metavar="RECORD",
             help=".h5, .npy (sample, channel), .csv, .mat, .uff, .tdms, .lvm or .wav; several of "
             "one length, of "
             "sensors that stay in place (hourly files), are one record with pauses.",
         ),
-    ],
+    ] = None,
     rate: Rate = None,
     group: Group = "",
     fmin: Fmin = None,
     fmax: Fmax = None,
+    setups: Annotated[
+        Path | None,
+        typer.Option(
+            "--setups",
+            metavar="FILE",
+            help="Several setups, in place of records: a table (.csv, .xlsx) with the columns "
+            "file, channel, point, direction, reference; one row a channel of each file.",
+        ),
+    ] = None,
+    merge: Annotated[
+        str,
+        typer.Option(
+            "--merge",
+            metavar="poser|preger",
+            help="Poles of setups: of each by itself, merged; or of their references as one "
+            "record.",
+        ),
+    ] = "poser",
     method: Annotated[
         str,
         typer.Option(
@@ -193,9 +217,30 @@ def oma(
     Other methods (--method): poly-reference LSCF on half spectra, ERA/NExT, SSI-data, FDD with
     the damping of FSDD. Free decays (--decay) are fitted as such.
 
+    Setups of moved sensors (--setups): poles of all together, shapes from every record.
+
     Example: ringtrue oma tower.npy --rate 100 --fmax 10 --write-choice tower.toml
+    ringtrue oma --setups setups.csv --rate 100 --sensors sensors.csv --json modes.json
     """
     check_band(fmin, fmax)
+    by_setup = {
+        "--choice": choice,
+        "--write-choice": choice_to,
+        "--diagram": diagram,
+        "--near": near,
+        "--decay": decay,
+        "--method": method if method != AUTOMATIC_AMBIENT else None,
+        "RECORD": records,
+    }
+    if setups is not None:
+        if given := [name for name, value in by_setup.items() if value]:
+            raise ConfigError(f"{given[0]} is of one record and does not go with --setups")
+        sheet = read_sensors(sensors) if sensors else None
+        reading = _SetupReading(rate, group, sheet, tuple(leave_out or ()))
+        found = _modes_of_setups(setups, merge, reading, AmbientSettings(fmin=fmin, fmax=fmax))
+        return print_result(str(setups), found, json, more=_setups_json(found), why=why)
+    if not records:
+        raise ConfigError("a record is missing; several setups are given by --setups table.csv")
     check_each_once(records)
     record = records[0]
     more = f" .. {records[-1].name} ({len(records)} files)" if len(records) > 1 else ""
@@ -232,6 +277,64 @@ def oma(
         write_pages(record, found, choice_to, diagram)
     found = replace(found, notes=(*notes, *_machines(found), *found.notes))
     return print_result(f"{record}{more}", found, json, why=why)
+
+
+@dataclass(frozen=True, slots=True)
+class _SetupReading:
+    """How the files of setups are read."""
+
+    rate: float | None
+    group: str
+    sheet: SensorSheet | None
+    leave_out: tuple[str, ...]
+
+    def read(self, file: WiredFile, notes: dict[str, None]) -> TimeHistory:
+        """The channels of a setup; what is to be said of them is added to `notes`."""
+        history, _ = record_with_notes(file.path, self.rate, self.group, None, ())
+        named = file.wired(history)
+        if self.sheet:
+            named, of_sheet = self.sheet.scaled(named)
+            notes.update(dict.fromkeys(of_sheet))
+        kept = [c.id for c in named.channels if c.id not in self.leave_out]
+        return named if len(kept) == len(named.channels) else named.pick(kept)
+
+
+def _modes_of_setups(
+    table: Path, merge: str, reading: _SetupReading, settings: AmbientSettings
+) -> TestModes:
+    """Modes of the setups of a wiring table."""
+    files = read_setup_table(table)
+    known = {c.name for file in files for c in file.channels}
+    if lost := [c for c in reading.leave_out if c not in known]:
+        raise ConfigError(f"--leave-out {lost[0]}{did_you_mean(lost[0], known)}")
+    notes: dict[str, None] = {}
+    histories = (reading.read(file, notes) for file in files)
+    kept = tuple(c for c in references_of(files) if c not in reading.leave_out)
+    with progress("ambient modes of setups") as show, about(table):
+        found = of_setups(
+            identify_setups(
+                histories, settings, references=kept, merge=merge_method(merge), progress=show
+            )
+        )
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def _setups_json(found: TestModes) -> dict[str, Any]:
+    """Frequencies and damping of each setup; null where it did not find the mode."""
+    if not isinstance(found.result, SetupsResult):
+        return {}
+    result = found.result
+    rows = zip(result.setups, result.frequency.tolist(), result.damping.tolist(), strict=True)
+    return {
+        "setups": [
+            {
+                "name": name,
+                "frequency_hz": [x if np.isfinite(x) else None for x in frequency],
+                "damping": [x if np.isfinite(x) else None for x in damping],
+            }
+            for name, frequency, damping in rows
+        ]
+    }
 
 
 def check_each_once(files: Sequence[Path]) -> None:

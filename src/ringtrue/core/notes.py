@@ -58,6 +58,7 @@ SENTENCES = {
         "channel {subject}: wraps {count} times from one end of its range to the other: too few "
         "bits, or an overflow; left out"
     ),
+    "candidate setups": "{found} of {setups} setups show it: a chance, or a machine of theirs",
     "channel clipped": (
         "channel {subject}: clipped at {value:.4g} {unit} in {samples:,} of {total:,} samples"
     ),
@@ -152,6 +153,7 @@ SUMMARIES = {
     "candidate remainder": "remainder of a machine's line",
     "candidate steady": "steady amplitude: a machine",
     "candidate edge": "edge of the recorder's filter",
+    "candidate setups": "too few setups show it",
 }
 
 

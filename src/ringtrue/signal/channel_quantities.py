@@ -43,6 +43,8 @@ class QuantitySettings:
     ----------
     segments : int
         Of the record, that are looked at.
+    shortest : int
+        Samples of one, in records that are short: setups of five minutes.
     coherence : float
         Squared coherence of a line that counts.
     lines : float
@@ -57,6 +59,7 @@ class QuantitySettings:
     """
 
     segments: int = 64
+    shortest: int = 256
     coherence: float = 0.25
     lines: float = 20.0
     agreement: float = 0.5
@@ -101,7 +104,7 @@ def with_learned_quantities(
     """
     limits = settings or QuantitySettings()
     unknown = np.array([c.quantity == "unknown" for c in history.channels])
-    length, starts = segments_of(history.data.shape[1], limits.segments)
+    length, starts = segments_of(history.data.shape[1], limits.segments, limits.shortest)
     if len(unknown) < 3 or not unknown.any() or not starts.size:
         return history, ()
     phases = _phase_agreement(segment_lines(history.data, length, starts), limits)

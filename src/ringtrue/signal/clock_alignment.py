@@ -177,9 +177,9 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
-def segments_of(samples: int, segments: int) -> tuple[int, Int]:
+def segments_of(samples: int, segments: int, shortest: int = 1024) -> tuple[int, Int]:
     """Length of the segments of a record, and their first samples; none of one too short."""
-    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // segments, 1024, 4096))))
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // segments, shortest, 4096))))
     if samples < 16 * length:
         return length, np.empty(0, dtype=np.int64)
     return length, np.linspace(0, samples - length, segments).astype(np.int64)

@@ -86,6 +86,7 @@ class ConfidenceLimits:
 
 WEIGHTS = EvidenceWeights()
 LIMITS = ConfidenceLimits()
+DOUBTS = ("candidate orders", "candidate scatter", "candidate complex", "candidate peak")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,9 +196,8 @@ def weakest(value: Float) -> tuple[str, ...]:
     """For each candidate the code of the note on which evidence, of `value` (4, m), speaks most
     against it.
     """
-    codes = ("candidate orders", "candidate scatter", "candidate complex", "candidate peak")
     clear = (0.0, 0.0, WEIGHTS.complexity * np.log(0.02), WEIGHTS.peak * np.arcsinh(20.0))
-    return tuple(codes[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
+    return tuple(DOUBTS[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
 
 
 def all_clear(c: CandidateModes, duration: float) -> bool:

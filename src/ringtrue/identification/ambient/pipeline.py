@@ -250,7 +250,15 @@ def identify_stretches(
     """
     settings = settings or AmbientSettings()
     report = progress or quiet
-    weighed = weighed_candidates(stretches, settings, choice, report)
+    return modes_of_record(
+        weighed_candidates(stretches, settings, choice, report), settings, report
+    )
+
+
+def modes_of_record(
+    weighed: WeighedRecord, settings: AmbientSettings, report: Progress
+) -> AmbientResult:
+    """The modes among the weighed candidates of a record, as `identify_stretches` returns them."""
     record = weighed.record
     facts = weighed.facts
     result = _assembled(record, weighed.found, facts, settings)

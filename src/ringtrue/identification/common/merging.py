@@ -219,18 +219,19 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """Merged modes; `provenance` lists for each mode what every record gave, `notes` what was
-    undone in a record.
+    """Merged modes; `provenance` lists for each mode what every record gave, `notes` and `faults`
+    what was undone in a record.
     """
 
     modes: ModeSet
     uncertainty: Uncertainty
     provenance: tuple[tuple[Contribution, ...], ...]
     notes: tuple[str, ...] = ()
+    faults: tuple[CommonFault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _MergeRecord:
+class MergeRecord:
     """The modes of one record, with shapes and their variances on all channels (n, m), NaN where
     the record has none.
     """
@@ -244,7 +245,7 @@ class _MergeRecord:
     @classmethod
     def of(
         cls, modes: ModeSet, std: Uncertainty, name: str, channels: Sequence[str]
-    ) -> _MergeRecord:
+    ) -> MergeRecord:
         at = [channels.index(c) for c in modes.channels]
         psi = np.full((len(channels), len(modes)), np.nan, dtype=np.complex128)
         var = np.full(psi.shape, np.nan)
@@ -266,7 +267,7 @@ class _GluedMode:
     shape: Complex
     var: Float
 
-    def cost(self, record: _MergeRecord) -> Float:
+    def cost(self, record: MergeRecord) -> Float:
         """(m,) of joining each mode of a record, infinite where it may not."""
         freqs = record.modes.frequencies
         df = np.abs(freqs / self.frequency - 1)
@@ -278,7 +279,7 @@ class _GluedMode:
         ok = (df < LIMITS.frequency) & (like >= least)
         return np.where(ok, df / LIMITS.frequency + 1 - like, np.inf)
 
-    def joined(self, record: _MergeRecord, index: int, mode: int) -> _GluedMode:
+    def joined(self, record: MergeRecord, index: int, mode: int) -> _GluedMode:
         """With one more mode, brought to this scale by least squares on the common channels."""
         psi = record.psi[:, mode]
         var = record.var[:, mode]
@@ -326,14 +327,7 @@ def merge_modes(records: Sequence[tuple[ModeSet, Uncertainty, str]]) -> Merged:
     channels = tuple(dict.fromkeys(c for modes, _, _ in records for c in modes.channels))
     names = [name for _, _, name in records]
     faults = common_faults([modes for modes, _, _ in records])
-    mended = list(records)
-    for fault in faults:
-        modes, std, name = mended[fault.record]
-        deviations = np.array(std.shape)
-        at = [modes.channels.index(c) for c in fault.channels]
-        deviations[at] = deviations[at[::-1]]
-        mended[fault.record] = undone(modes, fault.channels), replace(std, shape=deviations), name
-    full = [_MergeRecord.of(*record, channels) for record in mended]
+    full = [MergeRecord.of(*record, channels) for record in mended(records, faults)]
     glued: list[_GluedMode] = []
     for index in sorted(range(len(full)), key=lambda i: (-len(full[i].modes), i)):
         _join(glued, full[index], index)
@@ -353,10 +347,24 @@ def merge_modes(records: Sequence[tuple[ModeSet, Uncertainty, str]]) -> Merged:
     merged = ModeSet(f, z, shape / top, channels, source=" + ".join(names), confidence=confidence)
     std = Uncertainty.independent(std_f, std_z, np.sqrt(_of_unit(shape, var)) / top)
     notes = tuple(fault.describe(names) for fault in faults)
-    return Merged(merged, std, tuple(found[k][1] for k in rank), notes)
+    return Merged(merged, std, tuple(found[k][1] for k in rank), notes, faults)
 
 
-def _join(glued: list[_GluedMode], record: _MergeRecord, index: int) -> None:
+def mended(
+    records: Sequence[tuple[ModeSet, Uncertainty, str]], faults: Sequence[CommonFault]
+) -> list[tuple[ModeSet, Uncertainty, str]]:
+    """The records without the faults."""
+    out = list(records)
+    for fault in faults:
+        modes, std, name = out[fault.record]
+        deviations = np.array(std.shape)
+        at = [modes.channels.index(c) for c in fault.channels]
+        deviations[at] = deviations[at[::-1]]
+        out[fault.record] = undone(modes, fault.channels), replace(std, shape=deviations), name
+    return out
+
+
+def _join(glued: list[_GluedMode], record: MergeRecord, index: int) -> None:
     """Join each mode of a record to the one it fits best, each once; the others begin a mode."""
     m = len(record.modes)
     cost = np.array([mode.cost(record) for mode in glued]).reshape(len(glued), m)
@@ -388,7 +396,7 @@ def _average(x: Float, sd: Float, spread: float) -> tuple[float, float, Bool]:
 
 
 def _contributions(
-    records: Sequence[_MergeRecord], mode: _GluedMode
+    records: Sequence[MergeRecord], mode: _GluedMode
 ) -> tuple[tuple[float, float, float, float], tuple[Contribution, ...]]:
     """Merged frequency, std, damping, std; and what each record gave."""
     parts = [(records[r], k) for r, k in mode.members]

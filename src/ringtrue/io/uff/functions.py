@@ -66,6 +66,13 @@ def write_test_model(path: str | Path, test: TestModel) -> None:
     DataError
         If there are no points, or a number has more than ten digits.
     """
+    sets = test_model_sets(path, test)
+    with atomic_write(path) as part:
+        write_sets(part, sets)
+
+
+def test_model_sets(path: str | Path, test: TestModel) -> list[dict[str, object]]:
+    """The data sets of units, points and lines that `write_test_model` writes."""
     largest = 9_999_999_999  # ten columns
     if not test.points.size or test.points.max() > largest or test.points.min() < 1:
         raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {largest}")
@@ -80,13 +87,15 @@ def write_test_model(path: str | Path, test: TestModel) -> None:
         "temp": 1.0,
         "temp_offset": 273.15,
     }
-    sets = [units, {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z}]
+    sets: list[dict[str, object]] = [
+        units,
+        {"type": 15, "node_nums": test.points, "x": x, "y": y, "z": z},
+    ]
     if len(test.lines):
         # 0 lifts the pen
         trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()
         sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
-    with atomic_write(path) as part:
-        write_sets(part, sets)
+    return sets
 
 
 log = logging.getLogger(__name__)

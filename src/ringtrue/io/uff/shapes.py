@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
+from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import atomic_write, sets_held
 from ringtrue.io.foreign.parsers import write_sets
 from ringtrue.io.uff.datasets import DataSet, integers, parse_real, reals, row, scan
-from ringtrue.io.uff.functions import label
+from ringtrue.io.uff.functions import label, test_model_sets
 
 # analysis types
 NORMAL = 2
@@ -220,9 +222,11 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     )
 
 
-def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
+def write_mode_sets(path: str | Path, modes: ModeSet, geometry: TestModel | None = None) -> None:
     """Write the modes as data sets 55, three translations a node; directions without a channel are
     0.
+
+    Behind the points and lines of a `geometry`, where one is given.
 
     Raises
     ------
@@ -235,8 +239,10 @@ def write_mode_sets(path: str | Path, modes: ModeSet) -> None:
     nodes, row = np.unique(dofs.node, return_inverse=True)
     full = np.zeros((nodes.size, 3, len(modes)), dtype=modes.shapes.dtype)
     full[row, np.abs(dofs.direction) - 1] = modes.shapes * np.sign(dofs.direction)[:, None]
+    first = test_model_sets(path, geometry) if geometry is not None else []
+    shapes = (_set55(modes, k, nodes, full[:, :, k]) for k in range(len(modes)))
     with atomic_write(path) as part:
-        write_sets(part, (_set55(modes, k, nodes, full[:, :, k]) for k in range(len(modes))))
+        write_sets(part, chain(first, shapes))
 
 
 def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
-from ringtrue.core.iterate import Progress, part
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import Uncertainty
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -25,9 +25,12 @@ from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
-    identify_stretches,
+    modes_of_record,
+    weighed_candidates,
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.ambient.shape_reading import RecordCorrelations
+from ringtrue.identification.common.joined_shapes import with_joined_shapes
 from ringtrue.identification.common.merging import Contribution, merge_modes
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
@@ -264,10 +267,13 @@ def _as_one(files: Sequence[RecordSummary], result: AmbientResult) -> RecordSumm
 
 def ambient(
     records: Sequence[Logged], campaign: Campaign, settings: IdentifySection, progress: Progress
-) -> tuple[list[IdentifiedRecord], list[RecordSummary]]:
-    """Modes of each ambient record; files that go on with each other are one record."""
+) -> tuple[list[IdentifiedRecord], list[RecordSummary], list[RecordCorrelations]]:
+    """Modes of each ambient record, what is shown of it, and what shapes are read from; files that
+    go on with each other are one record.
+    """
     found: list[IdentifiedRecord] = []
     shown: list[RecordSummary] = []
+    correlations: list[RecordCorrelations] = []
     todo = list(records)
     while todo:
         record = todo[0]
@@ -279,11 +285,13 @@ def ambient(
         low = max(first.low, settings.ambient_fmin or 0.0)
         band = AmbientSettings(fmin=low or None, fmax=settings.ambient_fmax)
         with about(record.path):
-            result = identify_stretches(parts, band, choice=campaign.choice.of(record.name))
+            weighed = weighed_candidates(parts, band, campaign.choice.of(record.name), quiet)
+            result = modes_of_record(weighed, band, quiet)
         modes = (result.modes, result.uncertainty, result.reasons, result.diagrams)
         found.append(IdentifiedRecord(*modes, record=record.name))
+        correlations.append(RecordCorrelations.of(weighed))
         shown.append(_as_one(mine, result))
-    return found, shown
+    return found, shown, correlations
 
 
 HAMMER = "hammer"  # what a choice by hand calls the hammer test
@@ -464,16 +472,15 @@ def _identified(
     if test.modes:
         return supplied_modes(session.base / test.modes, sheet.model, unused)
     records, sensors = read_log(session.base / test.log) if test.log else ([], {})
-    quiet = [r for r in records if r.kind == "ambient"]
+    unforced = [r for r in records if r.kind == "ambient"]
     forced = [r for r in records if r.kind != "ambient"]
     if forced and test.frfs:
         raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
     choice = _by_hand(session, records)
     campaign = Campaign(sheet, sensors, tuple(unused), choice)
-    found, shown = ambient(quiet, campaign, settings, part(progress, 0.0, 0.5))
-    stage = _with_ambient(
-        IdentifyStage(sheet.model, IdentifiedModes(NO_MODES, NOT_KNOWN), None), found, shown
-    )
+    found, shown, read = ambient(unforced, campaign, settings, part(progress, 0.0, 0.5))
+    nothing = IdentifyStage(sheet.model, IdentifiedModes(NO_MODES, NOT_KNOWN), None)
+    stage = _with_ambient(nothing, found, shown, read)
     given, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
     if forced:
         early = part(progress, 0.5, 0.7)
@@ -508,9 +515,14 @@ def _identified(
 
 
 def _with_ambient(
-    stage: IdentifyStage, found: Sequence[IdentifiedRecord], shown: Sequence[RecordSummary]
+    stage: IdentifyStage,
+    found: Sequence[IdentifiedRecord],
+    shown: Sequence[RecordSummary],
+    correlations: Sequence[RecordCorrelations],
 ) -> IdentifyStage:
-    """With the modes of ambient records, merged."""
+    """With the modes of ambient records, merged; the shape of one that two records or more found is
+    read from all.
+    """
     stage = replace(stage, records=tuple(shown), ambient_records=tuple(found))
     parts = [
         (r.modes, _floored(r, s.duration), r.record)
@@ -520,6 +532,9 @@ def _with_ambient(
     if not parts:
         return stage
     merged = merge_modes(parts)
+    readers = [c for c, r in zip(correlations, found, strict=True) if len(r)]
+    several = np.flatnonzero([len(given) > 1 for given in merged.provenance])
+    merged = with_joined_shapes(merged, parts, readers, several)
     reasons = tuple(_reason(p, found) for p in merged.provenance)
     ambient_modes = IdentifiedModes(merged.modes, merged.uncertainty, reasons)
     return replace(stage, ambient=ambient_modes, merge_notes=merged.notes)
