@@ -5,6 +5,7 @@
     python bench/ambient_families.py short      records of 60 periods of the first mode
     python bench/ambient_families.py machine    combs of 50 to 200 harmonics whose speed wanders by up to 0.3 %
     python bench/ambient_families.py decay      free decays of six modes that last 0.1 to 10 s
+    python bench/ambient_families.py setups     frames of 15 setups, velocities beside accelerations, without units
 
 each with [--quick | --full]. Records are made from chains and random shapes under white forces, with
 default settings identified, and compared with their modes: a mode is found where one within four
@@ -35,7 +36,7 @@ from ringtrue.shapes import mac
 class Made:
     """A record and its modes: frequencies (m,) Hz, damping (m,), shapes (ch, m); the speed of a
     machine, Hz, 0 for none; how near a mode must be found, relative to it, 0 for as the record
-    allows.
+    allows; the records of all setups, where there are several.
     """
 
     record: TimeHistory
@@ -44,6 +45,7 @@ class Made:
     shape: Float
     speed: float = 0.0
     near: float = 0.0
+    setups: tuple[TimeHistory, ...] = ()
 
 
 def responses(
@@ -192,9 +194,57 @@ def decay(seed: int) -> Made:
     return Made(record(y, rate, "acceleration"), f, z, shape, near=1e-3)
 
 
+def frame(rng: np.random.Generator) -> tuple[Float, Float]:
+    """Frequencies over the first (24,), ascending, and shapes (64, 24) of eight floors that move in
+    two directions and turn: two directions at four corners of each.
+    """
+    storeys, phi = chain(8, rng)
+    corners = np.array([[-1, -0.8], [1, -0.8], [1, 0.8], [-1, 0.8]])
+    apart = np.array([1.0, rng.uniform(1.03, 1.15), rng.uniform(1.3, 1.6)])
+    beside = np.eye(3) + rng.uniform(-0.25, 0.25, (3, 3))
+    across, along, turn = beside.T
+    moves = np.stack(
+        [across - np.outer(corners[:, 1], turn), along + np.outer(corners[:, 0], turn)], axis=1
+    )
+    f = np.outer(storeys, apart).ravel()
+    shape = np.einsum("sm,cdk->scdmk", phi, moves).reshape(64, 24)
+    rank = np.argsort(f)
+    return f[rank], shape[:, rank]
+
+
+def setups(seed: int) -> Made:
+    """Eleven modes of a frame: 15 setups of five minutes with two to four references."""
+    rng = np.random.default_rng([16, seed])
+    f, phi = frame(rng)
+    while (np.diff(f[:11]) / f[:10]).min() < 0.012:  # nearer ones no setup would separate
+        f, phi = frame(rng)
+    f = f[:11] * rng.uniform(1.5, 5)
+    phi = phi[:, :11]
+    z = rng.uniform(0.004, 0.015, 11)
+    rate = 2.7 * f[-1]
+    references = np.array([56, 57, 61, 34])[: rng.integers(2, 5)]
+    places = np.setdiff1d(rng.permutation(64), references)
+    order = rng.integers(1, 3, 64)
+    records = []
+    for k, moved in enumerate(np.array_split(rng.permutation(places), 15)):
+        at = np.append(references, moved)
+        force = rng.standard_normal((8, 11)) * rng.uniform(0.3, 1.5, 11)
+        changed = f * (1 + 4e-4 * rng.standard_normal(11))  # by temperature
+        q, omega = responses(changed, z, force, 300.0, rate, 100 * seed + k)
+        spectra = (phi[at] @ q) * (1j * omega) ** order[at, None]
+        names = tuple(Channel(f"{i + 1}+X") for i in at.tolist())
+        y = signals(spectra, np.full(at.size, 40.0), 100 * seed + k)
+        records.append(TimeHistory(y, rate, names, f"setup {k + 1}"))
+    listed = dict.fromkeys(c.id for x in records for c in x.channels)
+    rows = [int(name.split("+")[0]) - 1 for name in listed]
+    return Made(records[0], f, z, phi[rows], setups=tuple(records))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What was found of one record: modes of it, others, errors over their deviations."""
+    """What was found of one record: modes of it, others, errors over their deviations; MAC of the
+    shapes, and how many of their values are missing.
+    """
 
     found: int
     of: int
@@ -205,20 +255,25 @@ class Outcome:
     damping: Float
     speed: float
     seconds: float
+    mac: Float
+    missing: int
 
 
 def outcome(made: Made) -> Outcome:
     """Identify a record and compare."""
     begin = time.process_time()
-    test = rt.identify_ambient(made.record)
+    if made.setups:
+        test = rt.identify_ambient_setups(made.setups)
+    else:
+        test = rt.identify_ambient(made.record)
     seconds = time.process_time() - begin
     least, _ = least_deviations(made.frequency, made.damping, made.record.duration)
     reach = np.maximum(4 * least, 0.005 * made.frequency)
     if made.near:
         reach = made.near * made.frequency
     off = np.abs(made.frequency[:, None] - test.frequencies)
-    like = mac(made.shape.astype(complex), test.shapes) > 0.8
-    score = np.where((off < reach[:, None]) & like, off / reach[:, None], np.inf)
+    like = mac(made.shape.astype(complex), np.nan_to_num(test.shapes))
+    score = np.where((off < reach[:, None]) & (like > 0.8), off / reach[:, None], np.inf)
     pairs = []
     while np.isfinite(score.min(initial=np.inf)):
         i, j = np.unravel_index(score.argmin(), score.shape)
@@ -239,6 +294,8 @@ def outcome(made: Made) -> Outcome:
         (test.damping[to] - made.damping[at]) / test.std_damping[to],
         float(wrong),
         seconds,
+        like[at, to],
+        int(np.isnan(test.shapes).sum()),
     )
 
 
@@ -248,6 +305,7 @@ FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {  # least share
     "short": (short, 0.95, 60),
     "machine": (machine, 0.97, 40),
     "decay": (decay, 0.99, 40),
+    "setups": (setups, 0.98, 8),
 }
 FIRST_SEED = 1000  # those below were looked at when the statistic was made
 
@@ -269,6 +327,11 @@ def checks(family: str, every: list[Outcome]) -> list[Check]:
     if family == "machine":
         right = sum(x.speed < 1e-3 for x in every)
         judged.append(share_at_least("speeds within 0.1 %", right, records, 0.95))
+    if family == "setups":
+        good = int(sum((x.mac > 0.997).sum() for x in every))
+        judged.append(share_at_least("shapes of MAC above 0.997", good, found, 0.95))
+        missing = float(sum(x.missing for x in every))
+        judged.append(at_most("missing values of shapes", missing, 0))
     return judged
 
 

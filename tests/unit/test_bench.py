@@ -62,6 +62,8 @@ RECORD = ambient_families.Outcome(
     damping=np.array([-1.0, 1.0]),
     speed=1e-5,
     seconds=1.0,
+    mac=np.ones(5),
+    missing=0,
 )
 STATED = np.linspace(0.0, 1.0, 500)
 FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
@@ -451,6 +453,8 @@ JUDGED: list[
             ("machine", [replace(RECORD, frequency=3 * RECORD.frequency)] * 40),
             ("machine", [replace(RECORD, damping=3 * RECORD.damping)] * 40),
             ("short", [replace(RECORD, first=False)] * 40),
+            ("setups", [replace(RECORD, mac=np.full(5, 0.99))] * 40),
+            ("setups", [replace(RECORD, missing=1)] * 40),
         ],
     ),
     (

@@ -79,6 +79,25 @@ def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys:
     assert "double hit" in found["blows"][2]["reasons"][0]
 
 
+def test_a_wiring_table_names_the_channels_of_moved_sensors(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    rows = ["file,channel,point,direction,reference"]
+    for k, outs in enumerate(([1, 0, 2], [5, 7, 10])):
+        np.save(tmp_path / f"s{k}.npy", record(1, outs, seed=k).data.T)
+        rows.append(f"s{k}.npy,1,2,Z,yes")
+        rows += [f"s{k}.npy,{i},{out + 1},Z," for i, out in enumerate(outs, start=2)]
+    table = tmp_path / "setups.csv"
+    table.write_text("\n".join(rows))
+    found = ema(capsys, "--setups", table, "--rate", 512, "--fmax", 80)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(FN, rel=1e-3)
+    assert found["channels"] == ["2+Z", "1+Z", "3+Z", "6+Z", "8+Z", "11+Z"]
+    assert run(["ema", "--setups", str(table), "--struck", "2+Z"]) != 0
+    table.write_text("\n".join(rows).replace("yes", ""))
+    assert run(["ema", "--setups", str(table), "--rate", "512"]) != 0
+    assert "0 references" in capsys.readouterr().err
+
+
 def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -> None:
     blows = record(1, RESPONSES)
     gain = 0.01 * (1 + np.arange(len(blows.channels)))

@@ -25,9 +25,11 @@ from ringtrue.cli.identify import (
     write_pages,
 )
 from ringtrue.cli.show import Json, file_to, progress
-from ringtrue.errors import about
+from ringtrue.errors import ConfigError, about
 from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.frfs import write_frfs
+from ringtrue.io.records import read_runs
+from ringtrue.io.setup_tables import read_setup_table
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import ForceRecordFormat
@@ -35,12 +37,20 @@ from ringtrue.study.hammer_records import ForceRecordFormat
 
 def ema(
     files: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             help="FRFs (.h5 .npz .uff .csv .mat), or time records with a force channel (those, "
             ".wav .tdms .lvm)"
         ),
-    ],
+    ] = None,
+    setups: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Time records of several setups, in place of files: a table with the columns "
+            "file, channel, point, direction, reference (yes: the force).",
+        ),
+    ] = None,
     fmin: Fmin = None,
     fmax: Fmax = None,
     force: Annotated[
@@ -84,9 +94,24 @@ def ema(
     --write-frfs frfs.h5
     """
     check_band(fmin, fmax)
+    names: tuple[tuple[str, ...], ...] = ()
+    if setups is not None:
+        given = {"FILES": files, "--force": force, "--struck": struck}
+        if twice := [name for name, value in given.items() if value]:
+            raise ConfigError(f"{twice[0]} does not go with --setups, whose table says it")
+        table = read_setup_table(setups)
+        files = [file.path for file in table]
+        names = tuple(
+            file.force_names([c.id for c in read_runs(file.path, rate)[0].channels])
+            for file in table
+        )
+        force = [next(n for n in own if n.startswith("F:")) for own in names]
+    if not files:
+        raise ConfigError("a file is missing; several setups are given by --setups table.csv")
     check_each_once(files)
     by_hand = choice_of(choice, files[0])
     reading = ForceRecordFormat(
+        channels=names,
         force=tuple(force or ()),
         struck=tuple(struck or ()),
         leave_out=tuple(leave_out or ()),

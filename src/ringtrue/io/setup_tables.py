@@ -46,26 +46,40 @@ class WiredFile:
     path: Path
     channels: tuple[WiredChannel, ...]
 
+    def force_names(self, ids: Sequence[str]) -> tuple[str, ...]:
+        """Names of the channels `ids` of the file, empty for those that the table does not have,
+        the force as `F:3-Z`: the reference of a test with forces.
+
+        Raises
+        ------
+        DataError
+            If the file does not have one reference, or lacks a channel of the table.
+        """
+        if len(self.references) != 1:
+            raise DataError(
+                f"{self.path}: {len(self.references)} references; one row of each file, the "
+                "force, must have reference yes, with the point and direction that it acts at"
+            )
+        named = [""] * len(ids)
+        for wired in self.channels:
+            name = wired.name if wired.sign > 0 else wired.name.replace("+", "-")
+            named[self._place(wired.column, ids)] = f"F:{name}" if wired.reference else name
+        return tuple(named)
+
     @property
     def references(self) -> tuple[str, ...]:
         """Names of the reference channels."""
         return tuple(c.name for c in self.channels if c.reference)
 
-    def names(self, ids: Sequence[str]) -> tuple[str, ...]:
-        """The name of each channel `ids` of the file, empty for one that the table does not have.
+    def wired(self, history: TimeHistory) -> TimeHistory:
+        """The channels of the table by their names at the structure, in positive directions.
 
         Raises
         ------
         DataError
-            If the file lacks a channel of the table.
+            If two rows have one point and direction, or the file lacks a channel of the table.
         """
-        named = [""] * len(ids)
-        for wired in self.channels:
-            named[self._place(wired.column, ids)] = wired.name
-        return tuple(named)
-
-    def wired(self, history: TimeHistory) -> TimeHistory:
-        """The channels of the table by their names at the structure, in positive directions."""
+        refuse_twice([c.name for c in self.channels], "point and direction", self.path)
         ids = [c.id for c in history.channels]
         at = [self._place(c.column, ids) for c in self.channels]
         signs = np.array([c.sign for c in self.channels], dtype=history.data.dtype)
@@ -119,7 +133,6 @@ def read_setup_table(path: str | Path) -> tuple[WiredFile, ...]:
         raise DataError(f"{path}: no row has a file and a point")
     for name, channels in found.items():
         refuse_twice([c.column for c in channels], "channel", f"{path}: {name}")
-        refuse_twice([c.name for c in channels], "point and direction", f"{path}: {name}")
     return tuple(WiredFile(path.parent / f, tuple(channels)) for f, channels in found.items())
 
 

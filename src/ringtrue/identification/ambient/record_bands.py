@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -430,11 +431,13 @@ def _next_stretch(
     events = events_of(part, gaps)
     out = stretch_sums(sums, part.data, part.rate, events)
     same = shared_shapes([x.spectra for x in sums], [x.spectra for x in out])
-    if same < 0.9:  # of one setup 0.99 and more, of moved sensors 0.3 to 0.8
+    if same < 0.9:  # of one setup 0.98 and more, of moved sensors 0.8 at most
         raise DataError(
             f"{coming.source}: it moves in other shapes than the record before it (they have "
-            f"{100 * same:.0f} % in common): were sensors moved? Identify each setup by itself; a "
-            "study joins them (`setup` in its log)"
+            f"{100 * same:.0f} % in common): sensors that were moved make setups, not one record. "
+            "Give them by `ringtrue oma --setups table.csv`, a row for each channel of each file: "
+            "file,channel,point,direction,reference such as "
+            f"{Path(coming.source).name},1,101,+Z,yes (yes: this sensor stayed in place)"
         )
     lost = np.flatnonzero(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
     if lost.size:
@@ -444,38 +447,58 @@ def _next_stretch(
 
 
 def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) -> float:
-    """Mean share of the shapes that both records have in common, by the power of the lines; 1 where
-    nothing is clear.
+    """Mean share of the shapes that both records have in common, 1 where nothing is clear.
+
+    The least of two means: by the power of the lines, and of all lines alike with channels that
+    weigh the same. Sensors that stay may be most of the motion of the loudest mode, and one that
+    measures nothing has noise alone to compare.
 
     Parameters
     ----------
     first, other : sequence of SpectralBins
         The bands of two records, of the same channels.
     """
-    shares = [np.ones(1)]
-    weights = [np.full(1, np.finfo(np.float64).tiny)]
+    by_power = [(np.ones(1), np.full(1, np.finfo(np.float64).tiny))]
+    alike = [np.ones(0)]
     for a, b in zip(first, other, strict=True):
         if a.freqs.shape != b.freqs.shape or not a.freqs.size or a.cross.shape[1] < 3:
             continue  # any shape lies in a plane of two channels
         groups = np.cumsum(b.count) // (2 * a.cross.shape[1])
         starts = np.unique(groups, return_index=True)[1]
-        one, two = (_shapes(x, starts) for x in (a, b))
-        clear = one[2] & two[2]
-        share = np.maximum(_within(one[0], two[0]), _within(two[0], one[0]))
-        power = np.sqrt(one[1] * two[1])
-        shares.append(share[clear])
-        weights.append(power[clear])
-    return float(np.average(np.concatenate(shares), weights=np.concatenate(weights)))
+        one, two = (
+            np.add.reduceat(x.cross * x.count[:, None, None], starts).astype(np.complex128)
+            for x in (a, b)
+        )
+        share, power = _common_shapes(one, two)
+        by_power.append((share, power))
+        level = 1 / np.sqrt(np.maximum(_channel_shares(one) + _channel_shares(two), 1e-12))
+        balance = np.outer(level, level)
+        alike.append(_common_shapes(one * balance, two * balance)[0])
+    shares, weights = (np.concatenate(x) for x in zip(*by_power, strict=True))
+    lines = np.concatenate(alike)
+    return min(float(np.average(shares, weights=weights)), float(lines.mean()) if lines.size else 1)
 
 
-def _shapes(bins: SpectralBins, starts: Any_) -> tuple[Any_, Float, Any_]:
-    """First two singular vectors (line, ch, 2), the share of each line in the power, and which
-    lines are clear: the first singular value ten times the second.
+def _channel_shares(cross: Any_) -> Float:
+    """(ch,) mean share of each channel in the power of a line, of spectra (line, ch, ch)."""
+    power = np.einsum("lcc->lc", cross).real
+    total = np.maximum(power.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return np.asarray((power / total).mean(axis=0))
+
+
+def _common_shapes(one: Any_, two: Any_) -> tuple[Float, Float]:
+    """Share of the shapes that the spectra (line, ch, ch) of two records have in common, and the
+    power of these lines: those with a first singular value ten times the second.
     """
-    cross = np.add.reduceat(bins.cross * bins.count[:, None, None], starts).astype(np.complex128)
-    values, vectors = np.linalg.eigh(cross)
-    power = values[:, -1] / max(float(values.sum()), np.finfo(np.float64).tiny)
-    return vectors[:, :, -2:], power, values[:, -1] > 10.0 * values[:, -2]
+    found = []
+    for cross in (one, two):
+        values, vectors = np.linalg.eigh(cross)
+        power = values[:, -1] / max(float(values.sum()), np.finfo(np.float64).tiny)
+        found.append((vectors[:, :, -2:], power, values[:, -1] > 10.0 * values[:, -2]))
+    (a, power_a, clear_a), (b, power_b, clear_b) = found
+    share = np.maximum(_within(a, b), _within(b, a))
+    clear = clear_a & clear_b
+    return share[clear], np.sqrt(power_a * power_b)[clear]
 
 
 def _within(plane: Any_, shapes: Any_) -> Float:

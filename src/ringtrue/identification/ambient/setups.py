@@ -59,8 +59,7 @@ class SetupsResult:
     Attributes
     ----------
     modes : ModeSet
-        Shapes on the channels of all setups; a mode has the probability that it is one without its
-        best setup.
+        Shapes on the channels of all setups; the confidence is the mean over the setups.
     uncertainty : Uncertainty
     reasons, remarks : tuple of str
         One a mode.
@@ -248,7 +247,7 @@ def _at_poles_of(
     """The modes of the references with what each setup gives to them."""
     name = "references of all setups"
     merged = merge_modes([(found.modes, found.uncertainty, name), *records])
-    place = {p.mode: k for k, own in enumerate(merged.provenance) for p in own if p.record == name}
+    place = {p.mode: k for k, own in enumerate(merged.provenance) for p in own if p.position == 0}
     rows = np.array([place[k] for k in range(len(found.modes))], dtype=np.int64)
     joint = merged.modes.take(rows)
     return replace(
@@ -260,7 +259,8 @@ def _at_poles_of(
             damping=found.uncertainty.damping,
         ),
         provenance=tuple(
-            tuple(p for p in merged.provenance[k] if p.record != name) for k in rows.tolist()
+            tuple(replace(p, position=p.position - 1) for p in merged.provenance[k] if p.position)
+            for k in rows.tolist()
         ),
         faults=tuple(replace(f, record=f.record - 1) for f in merged.faults if f.record),
     )
@@ -269,21 +269,20 @@ def _at_poles_of(
 def _members(merged: Merged, setups: Sequence[IdentifiedSetup]) -> Int:
     """(setup, m) the candidate of each setup in each mode, -1 for none."""
     out = np.full((len(setups), len(merged.modes)), -1, dtype=np.int64)
-    place = {x.name: k for k, x in enumerate(setups)}
     for row, given in enumerate(merged.provenance):
         for one in given:
-            out[place[one.record], row] = one.mode
+            out[one.position, row] = one.mode
     return out
 
 
 def _joint_confidence(members: Int, found: Sequence[_AllCandidates]) -> Float:
-    """(m,) probability that a candidate is a mode by what its setups but the best say: that one
-    alone may be a chance.
+    """(m,) mean over the setups of the probability that a candidate is a mode, 0 where a setup does
+    not show it: the references move in every setup alike.
     """
     p = np.zeros(members.shape)
     for k, own in enumerate(members):
         p[k, own >= 0] = found[k].modes.confidence[own[own >= 0]]
-    return np.asarray(1 - np.prod(1 - np.sort(p, axis=0)[:-1], axis=0))
+    return np.asarray(p.mean(axis=0))
 
 
 def _kinds(

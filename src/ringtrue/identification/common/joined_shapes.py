@@ -10,7 +10,7 @@ mode is expected to fall with its distance in bandwidths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -58,10 +58,15 @@ def with_joined_shapes(
     """
     if not rows.size or len(records) < 2:
         return merged
-    read = [
-        _completed(merged, rows, record, reader)
-        for record, reader in zip(records, readers, strict=True)
-    ]
+    read = []
+    for position, (record, reader) in enumerate(zip(records, readers, strict=True)):
+        found = {
+            k: given.mode
+            for k, row in enumerate(rows.tolist())
+            for given in merged.provenance[row]
+            if given.position == position
+        }
+        read.append(_completed(merged.modes.take(rows), found, record, reader))
     channels = merged.modes.channels
     full = [MergeRecord.of(*record, channels) for record in mended(read, merged.faults)]
     there = np.array([np.isfinite(x.psi).all(axis=1) for x in full])
@@ -83,33 +88,27 @@ def with_joined_shapes(
 
 
 def _completed(
-    merged: Merged,
-    rows: Int,
+    joint: ModeSet,
+    found: Mapping[int, int],
     record: tuple[ModeSet, Uncertainty, str],
     reader: ShapeReader,
 ) -> tuple[ModeSet, Uncertainty, str]:
-    """The merged modes `rows` as a record shows them: its own where it found them, else read.
+    """The joint modes as a record shows them: its own where it `found` them, else read.
 
     The poles that it found belong to its correlations better than those of all setups.
     """
     modes, std, name = record
-    found = {
-        k: given.mode
-        for k, row in enumerate(rows.tolist())
-        for given in merged.provenance[row]
-        if given.record == name
-    }
     at = np.array(list(found), dtype=np.int64)
     own = np.array(list(found.values()), dtype=np.int64)
-    frequency = merged.modes.frequencies[rows]
-    damping = merged.modes.damping[rows]
+    frequency = joint.frequencies.copy()
+    damping = joint.damping.copy()
     frequency[at] = modes.frequencies[own]
     damping[at] = modes.damping[own]
     shape, deviation = reader.shapes(frequency, damping)
     shape[:, at] = modes.shapes[:, own]
     deviation[:, at] = std.shape[:, own]
     whole = ModeSet(frequency, damping, shape, modes.channels)
-    unknown = np.full(rows.size, np.nan)
+    unknown = np.full(frequency.size, np.nan)
     return whole, Uncertainty.independent(unknown, unknown, deviation), name
 
 

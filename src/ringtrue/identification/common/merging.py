@@ -203,6 +203,8 @@ class Contribution:
     Attributes
     ----------
     record : str
+    position : int
+        Of the record among those that are merged.
     mode : int
         Position in the record's modes.
     outlier : bool
@@ -212,6 +214,7 @@ class Contribution:
     """
 
     record: str
+    position: int
     mode: int
     outlier: bool
     why: str
@@ -388,11 +391,15 @@ def _average(x: Float, sd: Float, spread: float) -> tuple[float, float, Bool]:
     sd = np.where(known, sd, largest)
     distance = np.abs(x - float(np.median(x))) / np.hypot(sd, spread)
     out = (distance > LIMITS.outlier) & (x.size > 2)
+    out &= not out.all()  # two groups far from each other
     w = np.where(out, 0.0, 1 / sd**2)
     mean = float(w @ x / w.sum())
-    chi = float(w @ (x - mean) ** 2) / max(int((~out).sum()) - 1, 1)
-    # Birge: records that differ by more than they say make the mean less certain
-    return mean, float(np.sqrt(max(chi, 1.0) / w.sum())), out
+    # records that differ by more than they say (temperature, amplitude): variance between them
+    # (DerSimonian and Laird 1986), so that the best known one does not stand for all
+    excess = float(w @ (x - mean) ** 2) - max(int((~out).sum()) - 1, 0)
+    between = max(excess, 0.0) / max(float(w.sum() - (w @ w) / w.sum()), 1e-300)
+    w = np.where(out, 0.0, 1 / (sd**2 + between))
+    return float(w @ x / w.sum()), float(1 / np.sqrt(w.sum())), out
 
 
 def _contributions(
@@ -407,11 +414,11 @@ def _contributions(
     mf, df, out = _average(f, sf, LIMITS.spread * mode.frequency)
     mz, dz, _ = _average(z[~out], sz[~out], 0.0)
     gave = []
-    for (x, k), fk, zk, outlier in zip(parts, f, z, out, strict=True):
+    for (r, k), fk, zk, outlier in zip(mode.members, f, z, out, strict=True):
         why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
         if outlier:
             why += ": outlier"
-        gave.append(Contribution(record=x.name, mode=k, outlier=bool(outlier), why=why))
+        gave.append(Contribution(records[r].name, r, k, bool(outlier), why))
     return (mf, df, mz, dz), tuple(gave)
 
 
