@@ -10,8 +10,8 @@
 each with [--quick | --full]. Records are made from chains and random shapes under white forces, with
 default settings identified, and compared with their modes: a mode is found where one within four
 standard deviations of the least scatter, and 0.5 % at least, has its shape (MAC 0.8); one of a
-free decay within 0.1 %. Times are CPU
-seconds. Not covered: measured records (records.py), forces with peaks.
+free decay within 0.1 %. Times are CPU seconds. Not covered: measured records (records.py), forces
+with peaks, drops.
 """
 
 from __future__ import annotations

@@ -418,7 +418,10 @@ def _contributions(
         why = f"{100 * (fk / mf - 1):+.2f} % in frequency, {100 * (zk / mz - 1):+.0f} % in damping"
         if outlier:
             why += ": outlier"
-        gave.append(Contribution(records[r].name, r, k, bool(outlier), why))
+        given = Contribution(
+            record=records[r].name, position=r, mode=k, outlier=bool(outlier), why=why
+        )
+        gave.append(given)
     return (mf, df, mz, dz), tuple(gave)
 
 
