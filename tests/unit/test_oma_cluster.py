@@ -127,6 +127,16 @@ def test_shapes_of_roving_records_are_glued_on_the_common_channels():
     assert [len(p) for p in m.provenance] == [3, 3]
 
 
+def test_a_single_record_keeps_its_deviations() -> None:
+    f = np.array([1.1, 2.3, 3.7])
+    shape = np.eye(3, dtype=complex) + 0.1
+    modes = ModeSet(f, 0.013 + 0 * f, shape, ("1", "2", "3"))
+    std = Uncertainty.independent(1.7e-4 * f, 1.3e-3 + 0 * f, np.full((3, 3), 0.01))
+    merged = merge_modes([(modes, std, "only")])
+    assert merged.uncertainty.frequency == pytest.approx(std.frequency, rel=1e-12)
+    assert merged.uncertainty.damping == pytest.approx(std.damping, rel=1e-12)
+
+
 def test_weights_and_outliers():
     a = (*_record([0, 1, 2], [1.0, 3.0], 0.001, 1.0, 1), "good")
     b = (*_record([0, 1, 2], [1.001, 3.001], 0.002, 1.0, 2), "fair")

@@ -394,9 +394,11 @@ def _average(x: Float, sd: Float, spread: float) -> tuple[float, float, Bool]:
     out &= not out.all()  # two groups far from each other
     w = np.where(out, 0.0, 1 / sd**2)
     mean = float(w @ x / w.sum())
+    if (~out).sum() < 2:
+        return mean, float(np.sqrt(1 / w.sum())), out
     # records that differ by more than they say (temperature, amplitude): variance between them
     # (DerSimonian and Laird 1986), so that the best known one does not stand for all
-    excess = float(w @ (x - mean) ** 2) - max(int((~out).sum()) - 1, 0)
+    excess = float(w @ (x - mean) ** 2) - int((~out).sum()) + 1
     between = max(excess, 0.0) / max(float(w.sum() - (w @ w) / w.sum()), 1e-300)
     w = np.where(out, 0.0, 1 / (sd**2 + between))
     return float(w @ x / w.sum()), float(1 / np.sqrt(w.sum())), out
