@@ -110,7 +110,7 @@ def test_files_of_moved_sensors_are_not_one_record(tmp_path: Path, capsys: Captu
     status, _, _ = call(capsys, "oma", tmp_path / "a.h5", tmp_path / "b.h5", "--fmin", 1)
     assert status == 0
     told = refused(capsys, "oma", tmp_path / "a.h5", tmp_path / "moved.h5", "--fmin", 1)
-    assert "were sensors moved? Identify each setup by itself" in told
+    assert "`ringtrue oma --setups table.csv`" in told
 
 
 def test_a_force_that_is_cut_off_is_said_to_be(tmp_path: Path, capsys: Capture) -> None:
