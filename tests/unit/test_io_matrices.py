@@ -43,6 +43,9 @@ def test_matlab_73_and_hdf5(tmp_path: Path) -> None:
             s["data"], s["indices"], s["indptr"] = SPARSE.data, SPARSE.indices, SPARSE.indptr
             f["dense"] = c.toarray().T if path.suffix == ".mat" else c.toarray()
             f["list"] = np.arange(3.0)
+        if path.suffix == ".mat":
+            with path.open("r+b") as block:
+                block.write(b"MATLAB 7.3 MAT-file")
         _same(path, "K", c.toarray())
         _same(path, "S")
         _same(path, "dense", c.toarray())
@@ -177,7 +180,7 @@ def test_broken_files(tmp_path: Path) -> None:
         ("k.hb", b"nothing\nhere\n"),
         ("k.mtx", b"1 2\n"),
         ("k.mat", b"not a file of that kind at all, but long enough to be looked at" * 4),
-        ("k.xyz", b"1 2 3"),
+        ("k.xyz", b"1 2 3\x00"),
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(DataError, match=name.replace(".", r"\.")):

@@ -101,7 +101,7 @@ def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
     ("text", "told"),
     [
         ("a,b\n1,2\n", "no row or column `frequency [Hz]`; there are a, b"),
-        ("", "no row or column"),
+        ("", "empty, no modes in it"),
         ("frequency [Hz],1+Z\n", "no mode below `frequency [Hz]`"),
         ("frequency,1+Z\n3.0,much\n", "1+Z is 'much'; it must be a number"),
         ("frequency,1+Z\n3.0,inf\n", "1+Z is 'inf'; it must be a number"),

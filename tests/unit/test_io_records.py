@@ -219,10 +219,10 @@ def test_refuses_rates_that_disagree(tmp_path: Path) -> None:
 def test_refuses_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
         read_record(tmp_path / "no.h5")
-    (tmp_path / "r.xyz").write_text("1")
-    with pytest.raises(DataError, match="Allowed"):
+    (tmp_path / "r.xyz").write_bytes(b"1\x00")
+    with pytest.raises(DataError, match="no binary format that is known; looked for: a Nastran"):
         read_record(tmp_path / "r.xyz")
-    (tmp_path / "r.h5").write_text("no hdf5")
+    (tmp_path / "r.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     with pytest.raises(DataError, match="not a readable HDF5"):
         read_record(tmp_path / "r.h5")
     with pytest.raises(DataError, match="did you mean 'acceleration'"):

@@ -167,5 +167,6 @@ def test_files_without_sensitivities(tmp_path: Path) -> None:
             read_sensitivities(tmp_path / name)
     with pytest.raises(DataError, match="no such file"):
         read_sensitivities(tmp_path / "b.op2")
-    with pytest.raises(DataError, match=r"Allowed: \.csv"):
+    (tmp_path / "b.pch").write_text("{}")
+    with pytest.raises(DataError, match=r"no sensitivities: .* allowed are OP2"):
         read_sensitivities(tmp_path / "b.pch")

@@ -29,19 +29,23 @@ def test_frfs_given_as_a_record(ending: str, frf, tmp_path: Path, capsys: Captur
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "text", "told"),
     [
-        ("beam.bdf", "no record: a deck; `ringtrue check` takes decks"),
-        ("beam.op2", "`ringtrue convert` takes them"),
-        ("modes.json", "`ringtrue correlate` takes modes"),
-        ("study.toml", "`ringtrue run` takes studies"),
+        ("beam.csv", "SOL 103\nCEND\n", "no record: a deck; `ringtrue check` takes decks"),
+        (
+            "beam.txt",
+            "1  M Y S T R A N\n   R E A L   E I G E N V A L U E S\n",
+            "`ringtrue convert`",
+        ),
+        ("modes.csv", '{"modes": []}\n', "`ringtrue correlate` takes modes"),
+        ("study.txt", '[study]\ntitle = "x"\n', "`ringtrue run` takes studies"),
     ],
 )
 @pytest.mark.parametrize("command", ["oma", "ema"])
 def test_other_files_given_as_a_record(
-    command: str, name: str, told: str, tmp_path: Path, capsys: Capture
+    command: str, name: str, text: str, told: str, tmp_path: Path, capsys: Capture
 ) -> None:
-    (tmp_path / name).write_text("")
+    (tmp_path / name).write_text(text)
     assert told in refused(capsys, command, tmp_path / name)
 
 

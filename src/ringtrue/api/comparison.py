@@ -39,6 +39,7 @@ from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import ConfigError, DataError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.common.tracking import Stretch, Tracked, track_modes, unseen
+from ringtrue.io.recognition import Format, format_of
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
@@ -147,7 +148,7 @@ def _parts(path: Path, cut: RecordParts) -> Iterator[TimeHistory]:
     """A record in parts; one in ringtrue's layout is never in memory as a whole."""
     seconds = cut.hours * HOUR_S
     try:
-        info = record_info(path) if path.suffix.lower() in (".h5", ".hdf5") else None
+        info = record_info(path) if format_of(path) is Format.HDF5 else None
     except DataError:
         info = None
     if info is not None:

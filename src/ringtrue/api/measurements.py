@@ -19,7 +19,7 @@ from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.decks.nastran.results.modes import READERS, is_nastran_h5, read_nastran_modes
+from ringtrue.decks.nastran.results.modes import is_solver_result, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.identification.ambient.decay_band_fit import DecaySettings
 from ringtrue.identification.ambient.free_decays import DecayResult, free_decay_note, identify_decay
@@ -55,8 +55,8 @@ from ringtrue.study.hammer_records import (
     rejected_hits,
 )
 from ringtrue.study.run import load_study
+from ringtrue.study.store import is_store
 
-STORE = "study.h5"
 TRANSLATIONS_ONLY = (".uff", ".unv", ".55")
 AMBIENT = "ssi"  # the method with a stabilisation diagram that is judged
 
@@ -206,8 +206,8 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
     Parameters
     ----------
     path : str or Path
-        `.json`, `.h5`, `.uff`, `.csv`, `.xlsx`; results of Nastran or MYSTRAN `.op2`, `.f06`,
-        `.pch`, `.h5`; or the `study.h5` of a study: its modes merged over all records.
+        JSON, HDF5, a universal file, a table of text or Excel; results of Nastran or MYSTRAN (OP2,
+        F06, punch, HDF5); or the `study.h5` of a study: its modes merged over all records.
     deck : Model, optional
         The deck of a run of Nastran, to turn displacement frames to the basic frame.
 
@@ -233,7 +233,7 @@ def read_modes(path: str | Path, *, deck: Model | None = None) -> TestModes:
         std = unknown, unknown
     elif deck is not None:
         raise InputError(f"deck: {path} is no results file of a solver")
-    elif path.name == STORE:
+    elif is_store(path):
         return merged_modes(path)
     else:
         modes = mode_files.read_modes(path)
@@ -258,12 +258,6 @@ def merged_modes(path: Path) -> TestModes:
     return TestModes(
         best.modes, best.uncertainty, best.reasons, notes=notes, diagrams=best.diagrams
     )
-
-
-def is_solver_result(path: Path) -> bool:
-    """Whether a file holds results of Nastran or MYSTRAN."""
-    ending = path.suffix.lower()
-    return ending in READERS and (ending != ".h5" or is_nastran_h5(path))
 
 
 def write_modes(

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from ringtrue.api.measurements import is_solver_result, read_modes, read_sensors, write_modes
+from ringtrue.api.measurements import read_modes, read_sensors, write_modes
 from ringtrue.api.models import read_deck
 from ringtrue.cli.show import out
+from ringtrue.decks.nastran.results.modes import is_solver_result
 from ringtrue.errors import DataError, InputError
 
 

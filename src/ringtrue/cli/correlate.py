@@ -30,7 +30,7 @@ from ringtrue.correlation.measures import CompleteCorrelation, complete_json
 from ringtrue.correlation.sensor_mapping import Method
 from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.errors import ConfigError
-from ringtrue.io.modes import READ
+from ringtrue.io.recognition import Format, format_of
 from ringtrue.model.model import Model
 from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.placing import seats_json
@@ -41,7 +41,7 @@ ON_SHEET = "of the places of a sheet on a deck; give --sensors"
 
 def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
     """Whether A and B are decks; what cannot be held against each other is refused."""
-    first, second = (x.suffix.lower() not in READ for x in (a, b))
+    first, second = (format_of(x) is Format.DECK for x in (a, b))
     if sensors is not None and not second:
         raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
     if first and not second:
@@ -60,7 +60,7 @@ def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[b
 
 def _modes_or_deck(path: Path, units: str) -> TestModes | Model:
     """Modes of a file or a study, or a deck that is solved."""
-    if path.suffix.lower() in READ:
+    if format_of(path) is not Format.DECK:
         return read_modes(path)
     model = read_deck(path, units=units)
     warn_of_units(model, units)

@@ -12,6 +12,7 @@ from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.io.files import atomic_write, existing
 from ringtrue.io.foreign.parsers import read_json, read_toml
+from ringtrue.io.recognition import Format, format_of
 
 _KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
 _HEAD = """\
@@ -34,7 +35,7 @@ def read_choice(path: str | Path) -> Choice:
         If it is no TOML or JSON, or an entry has a key or value that is not allowed.
     """
     path = existing(path)
-    read = read_json if path.suffix.lower() == ".json" else read_toml
+    read = read_json if format_of(path) is Format.JSON else read_toml
     table = read(path, ConfigError)
     if not isinstance(table, dict):
         raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject` or `merge`")

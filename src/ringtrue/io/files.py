@@ -257,13 +257,6 @@ _TAKES = (
     "`ringtrue oma` takes records, `ringtrue ema` FRFs and records with a force, `ringtrue "
     "correlate` modes, and a sensor sheet the points of a test"
 )
-_BY_ENDING = {  # of files that no record or FRF has
-    **dict.fromkeys((".bdf", ".dat", ".nas"), "a deck; `ringtrue check` takes decks"),
-    **dict.fromkeys((".op2", ".f06", ".pch"), "results of a solver; `ringtrue convert` takes them"),
-    ".json": "modes or a log; `ringtrue correlate` takes modes",
-    ".toml": "a study or a choice; `ringtrue run` takes studies",
-    ".npz": "FRFs; `ringtrue ema` takes FRFs",
-}
 
 
 def functions_held(kinds: Iterable[int]) -> str:
@@ -276,14 +269,6 @@ def sets_held(kinds: Iterable[int]) -> str:
     """What the data sets of a universal file hold, and which command takes it."""
     named = [f"{_SETS.get(k, 'data sets')} ({k})" for k in sorted(set(kinds))]
     return f"it holds {', '.join(named)}; {_TAKES}"
-
-
-def ending_means(path: Path) -> str:
-    """What a file with this ending holds, and which command takes it; empty where nothing can be
-    said.
-    """
-    known = _BY_ENDING.get(path.suffix.lower())
-    return f": {known}" if known else ""
 
 
 def refuse_twice(names: Sequence[str], what: str, path: str | Path) -> None:

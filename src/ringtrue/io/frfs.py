@@ -18,7 +18,6 @@ from ringtrue.errors import DataError, about, did_you_mean
 from ringtrue.io import hdf5
 from ringtrue.io.files import (
     atomic_write,
-    ending_means,
     existing,
     refuse_ending,
     refuse_large,
@@ -35,6 +34,7 @@ from ringtrue.io.frf_tables import (
     say_accelerances,
     write_frf_table,
 )
+from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored, h5_values, mat_values, texts
 from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY, write_frf_sets
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions
@@ -44,7 +44,14 @@ GROUP = "frfs"
 _ROUNDED = 1e-3  # that a coherence of three digits may be beyond 1
 _UFF = (".uff", ".unv", ".58")
 _HDF5 = (".h5", ".hdf5")
-_TEXT = (".csv", ".txt")
+_READ = (
+    Format.HDF5,
+    Format.MATLAB,
+    Format.NPZ,
+    Format.UFF,
+    Format.TEXT,
+    Format.LVM,
+)
 
 
 def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
@@ -53,10 +60,11 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
     Parameters
     ----------
     path : path
-        `.h5` written by `write_frfs`; `.mat` and `.h5` of others (`read_frf_arrays`); `.npz` with
-        `freq (f,)` and `H1 (reference, response, f)`, optional `coherence` like H1, `outputs`,
-        `inputs` (ids), `kind`; `.uff` with data sets 58; `.csv`, `.txt` with columns of frequency,
-        real and imaginary part or magnitude and phase (`read_frf_table`).
+        By its content: HDF5 written by `write_frfs`; MATLAB and HDF5 of others
+        (`read_frf_arrays`); an archive of NumPy with `freq (f,)` and `H1 (reference, response, f)`,
+        optional `coherence` like H1, `outputs`, `inputs` (ids), `kind`; a universal file with data
+        sets 58; text with columns of frequency, real and imaginary part or magnitude and phase
+        (`read_frf_table`).
     leave_out : sequence of str
         Ids of responses and references that are not used, where the file has them; in a universal
         file they may be at fault.
@@ -67,23 +75,22 @@ def read_frfs(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         If the file has no FRFs, no references, repeated lines, or values that are not finite.
     """
     path = existing(path)
-    ext = path.suffix.lower()
-    if ext == ".mat" or (ext in _HDF5 and not _own(path)):
+    held = format_of(path)
+    if held is Format.MATLAB or (held is Format.HDF5 and not _own(path)):
         frfs = read_frf_arrays(path)
-    elif ext in _HDF5:
+    elif held is Format.HDF5:
         with open_hdf5(path, "HDF5 file of FRFs") as file:
             frfs = hdf5.load(file.get(GROUP, file))
         if not isinstance(frfs, FrfSet):
             raise DataError(f"{path}: holds a {type(frfs).__name__}, not FRFs")
-    elif ext == ".npz":
+    elif held is Format.NPZ:
         frfs = _read_npz(path)
-    elif ext in _UFF:
+    elif held is Format.UFF:
         frfs = read_frf_sets(path, leave_out)
-    elif ext in _TEXT:
+    elif held in (Format.TEXT, Format.LVM):
         frfs = read_frf_table(path)
     else:
-        known = did_you_mean(ext, [".npz", *_HDF5, *_UFF, *_TEXT])
-        raise DataError(f"{path}: no FRFs{ending_means(path) or f': format {ext!r}{known}'}")
+        refuse_format(path, "FRFs", _READ)
     _check(frfs, path)
     frfs = _forward(frfs, path)
     there = {c.id for c in (*frfs.outputs, *frfs.inputs)} & set(leave_out)
@@ -94,7 +101,7 @@ def frf_ids(path: str | Path) -> tuple[str, ...]:
     """Ids of all responses and references of a file of FRFs, of a universal file also of those at
     fault.
     """
-    if existing(path).suffix.lower() in _UFF:
+    if format_of(path) is Format.UFF:
         return frf_ends(path)
     frfs = read_frfs(path)
     return tuple(dict.fromkeys(c.id for c in (*frfs.outputs, *frfs.inputs)))
@@ -109,16 +116,16 @@ def holds_frfs(path: str | Path) -> bool:
         If there is no such file, or it is a damaged universal file.
     """
     path = existing(path)
-    ext = path.suffix.lower()
-    if ext in _UFF:
+    held = format_of(path)
+    if held is Format.UFF:
         return any(f.kind in (FRF, TRANSMISSIBILITY) for f in read_functions(path))
-    if ext in _TEXT:
+    if held in (Format.TEXT, Format.LVM):
         return is_frf_table(path)
-    if ext in _HDF5:
+    if held is Format.HDF5:
         return _own(path) or holds_frf_arrays(path)
-    if ext == ".mat":
+    if held is Format.MATLAB:
         return holds_frf_arrays(path)
-    return ext == ".npz"
+    return held is Format.NPZ
 
 
 def _own(path: Path) -> bool:
@@ -308,7 +315,7 @@ def read_frf_arrays(path: Path) -> FrfSet:
 
 
 def _values(path: Path) -> dict[str, Any]:
-    if path.suffix.lower() == ".mat":
+    if format_of(path) is Format.MATLAB:
         return mat_values(path)
 
     def value(_: str, item: h5py.Dataset) -> Any:

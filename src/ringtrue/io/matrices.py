@@ -23,9 +23,9 @@ from ringtrue.io.foreign.arrays import compressed_matrix, read_npz, triplet_matr
 from ringtrue.io.foreign.door import door, read_apart
 from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5
 from ringtrue.io.op4 import fixed_numbers, read_op4
+from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _FORTRAN = re.compile(r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
 
 
@@ -95,7 +95,7 @@ class MatrixFile:
 
 
 def read_matrices(path: str | Path) -> MatrixFile:
-    """Read a file of matrices; its ending and first bytes show the kind.
+    """Read a file of matrices; its content shows the kind.
 
     Raises
     ------
@@ -103,26 +103,20 @@ def read_matrices(path: str | Path) -> MatrixFile:
         If the file is absent, of no known kind, or broken.
     """
     path = existing(path)
-    with path.open("rb") as f:
-        start = f.read(8)
-    if start == _HDF5 or (path.suffix.lower() == ".mat" and is_hdf5(path)):
-        return _hdf5(path)
-    if start.startswith(b"%%Matri"):
-        return _one(path, read_apart("matrix market", path, "MatrixMarket file"))
-    kinds: dict[str, Callable[[Path], MatrixFile]] = {
-        ".mat": _matlab,
-        ".op4": lambda p: MatrixFile(read_op4(p), {}),
-        ".mtx": _abaqus,
-        ".npz": _scipy,
-        **dict.fromkeys((".hb", ".rb", ".rsa", ".rua", ".matrix", ".full"), _harwell_boeing),
+    held = format_of(path)
+    if held is Format.HDF5 or (held is Format.MATLAB and is_hdf5(path)):
+        return _hdf5(path, of_matlab=held is Format.MATLAB)
+    readers: dict[Format, Callable[[Path], MatrixFile]] = {
+        Format.MATLAB: _matlab,
+        Format.OP4: lambda p: MatrixFile(read_op4(p), {}),
+        Format.TEXT: _abaqus,
+        Format.NPZ: _scipy,
+        Format.HARWELL_BOEING: _harwell_boeing,
+        Format.MATRIX_MARKET: _matrix_market,
     }
-    kind = kinds.get(path.suffix.lower())
-    if kind is None:
-        raise DataError(
-            f"{path}: matrices in a {path.suffix or 'nameless'} "
-            f"file{did_you_mean(path.suffix, kinds)}"
-        )
-    found = kind(path)
+    if held not in readers:
+        refuse_format(path, "matrices", (Format.HDF5, *readers))
+    found = readers[held](path)
     if not (found.matrices or found.arrays):
         raise DataError(f"{path}: no matrix in it")
     return found
@@ -130,6 +124,10 @@ def read_matrices(path: str | Path) -> MatrixFile:
 
 def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> MatrixFile:
     return MatrixFile({path.stem: matrix}, {}, dofs)
+
+
+def _matrix_market(path: Path) -> MatrixFile:
+    return _one(path, read_apart("matrix market", path, "MatrixMarket file"))
 
 
 def _matlab(path: Path) -> MatrixFile:
@@ -178,11 +176,10 @@ def _sort(
         arrays[name] = value
 
 
-def _hdf5(path: Path) -> MatrixFile:
+def _hdf5(path: Path, of_matlab: bool) -> MatrixFile:
     matrices: dict[str, sparse.csr_array] = {}
     arrays: dict[str, Any_] = {}
     with open_hdf5(path) as f, about(path):
-        turned = path.suffix.lower() == ".mat"  # MATLAB stores columns first
 
         def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
             if isinstance(item, h5py.Group):
@@ -190,8 +187,8 @@ def _hdf5(path: Path) -> MatrixFile:
                     matrices[name] = made
             elif item.dtype.kind in "fciu" and _sparse_group(item.parent) is None:
                 value = _stored(item)
-                if turned and value.ndim == 2:
-                    value = value.T
+                if of_matlab and value.ndim == 2:
+                    value = value.T  # MATLAB stores columns first
                 _sort(name, np.asarray(value), matrices, arrays)
 
         f.visititems(visit)

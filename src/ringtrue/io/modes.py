@@ -21,6 +21,7 @@ from ringtrue.errors import DataError, about
 from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write, existing, refuse_ending, refuse_large
 from ringtrue.io.foreign.parsers import open_hdf5, read_json
+from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.sheets import cells
 from ringtrue.io.times import hertz
 from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
@@ -28,8 +29,8 @@ from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
 GROUP = "modes"
 _UFF = (".uff", ".unv", ".55")
 _HDF5 = (".h5", ".hdf5")
-_TABLES = (".csv", ".txt", ".xlsx", ".xlsm")
-READ = (".json", *_HDF5, *_UFF, *_TABLES)  # endings
+_TABLES = (Format.TEXT, Format.XLSX)
+_READ = (Format.JSON, Format.HDF5, Format.UFF, *_TABLES)
 WRITTEN = (".json", *_HDF5, *_UFF, ".csv")
 
 
@@ -189,7 +190,7 @@ def write_modes(
 
 
 def read_modes(path: str | Path) -> ModeSet:
-    """Read modes from `.json`, `.h5`, `.uff` (data sets 55), or a table of `.csv` or `.xlsx`.
+    """Read modes from JSON, HDF5, universal files (data sets 55), or a table of text or Excel.
 
     Raises
     ------
@@ -197,23 +198,23 @@ def read_modes(path: str | Path) -> ModeSet:
         If the file is missing, unreadable or holds no modes.
     """
     path = existing(path)
-    ext = path.suffix.lower()
-    if ext == ".json":
+    held = format_of(path)
+    if held is Format.JSON:
         table = read_json(path)
         if not isinstance(table, dict):
             raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
         modes = modes_from_json(table, str(path))
-    elif ext in _HDF5:
+    elif held is Format.HDF5:
         with open_hdf5(path) as file:
             modes = hdf5.load(file.get(GROUP, file))
         if not isinstance(modes, ModeSet):
             raise DataError(f"{path}: holds a {type(modes).__name__}, not modes")
-    elif ext in _UFF:
+    elif held is Format.UFF:
         modes = read_mode_sets(path)
-    elif ext in _TABLES:
+    elif held in _TABLES:
         modes = read_mode_table(path)[0]
     else:
-        refuse_ending(path, READ)
+        refuse_format(path, "modes", _READ)
     with about(path):
         refuse_large(modes.frequencies, "frequency")
         refuse_large(modes.damping, "damping")
@@ -229,16 +230,17 @@ def read_std(path: str | Path) -> tuple[Float, Float]:
     frequency : (m,) float64, Hz
     damping : (m,) float64, of the ratio
     """
-    path = Path(path)
-    if path.suffix.lower() in _TABLES:
+    path = existing(path)
+    held = format_of(path)
+    if held in _TABLES:
         return read_mode_table(path)[1:]
     modes = read_modes(path)
     nothing = np.full(len(modes), np.nan)
-    if path.suffix.lower() == ".json":
+    if held is Format.JSON:
         rows = read_json(path)["modes"]
         with about(path):
             return _column(rows, "std_frequency_hz"), _column(rows, "std_damping")
-    if path.suffix.lower() in _HDF5:
+    if held is Format.HDF5:
         with open_hdf5(path) as file:
             found = hdf5.load(file["uncertainty"]) if "uncertainty" in file else None
         if isinstance(found, Uncertainty) and found.frequency.size == len(modes):

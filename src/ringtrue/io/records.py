@@ -13,8 +13,8 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import atomic_write, ending_means, existing, refuse_twice
+from ringtrue.errors import DataError
+from ringtrue.io.files import atomic_write, existing, refuse_twice
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frfs import holds_frfs
 from ringtrue.io.labview import (
@@ -25,6 +25,7 @@ from ringtrue.io.labview import (
     read_tdms_pieces,
     read_tdms_runs,
 )
+from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored, read_h5_table, read_mat, read_npy, read_wav
 from ringtrue.io.record_table import (
     FORMAT,
@@ -43,27 +44,21 @@ from ringtrue.io.record_texts import read_csv
 from ringtrue.io.times import to_si
 from ringtrue.io.uff.functions import read_time, read_time_runs
 
-_UFF = (".uff", ".unv", ".58")
 _READERS = {
-    ".npy": read_npy,
-    ".csv": read_csv,
-    ".txt": read_csv,
-    ".lvm": read_lvm,
-    ".mat": read_mat,
-    ".wav": read_wav,
-    **dict.fromkeys(_UFF, read_time),
+    Format.NPY: read_npy,
+    Format.TEXT: read_csv,
+    Format.LVM: read_lvm,
+    Format.MATLAB: read_mat,
+    Format.WAVE: read_wav,
+    Format.UFF: read_time,
 }
-_HDF5 = (".h5", ".hdf5")
+_GROUPED = (Format.HDF5, Format.TDMS)
 # Hz: a sample a day, and what no recorder of vibration reaches
 _SLOWEST = 1e-5
 _FASTEST = 1e9
 _LARGEST = 1e70  # fourth powers stay finite
-_MAY_HOLD_FRFS = (
-    ".csv",
-    ".txt",
-    ".mat",
-    *_HDF5,
-)  # universal files say what they hold where they are read
+# universal files say what they hold where they are read
+_MAY_HOLD_FRFS = (Format.TEXT, Format.LVM, Format.MATLAB, Format.HDF5)
 
 
 def write_record(
@@ -137,8 +132,8 @@ def read_record(
     Parameters
     ----------
     path : path
-        `.h5` in ringtrue's layout or with a 2-D data set; `.npy` (sample, channel); `.csv`; `.lvm`;
-        `.mat`; `.uff`; `.tdms`; `.wav`.
+        By its content: HDF5 in ringtrue's layout or with a 2-D data set; NumPy (sample, channel);
+        delimited or LabVIEW text; MATLAB; universal file; TDMS; WAVE.
     rate : float, Hz, optional
         Needed where the file has none; where it has one, the two must agree.
     channels : sequence of str, optional
@@ -185,7 +180,7 @@ def read_runs(
         As `read_record` does.
     """
     path = existing(path)
-    reader = _RUNS.get(path.suffix.lower())
+    reader = _RUNS.get(format_of(path))
     if reader is None or group:
         return (read_record(path, rate, check=False, group=group),)
     _check_rate_given(path, rate)
@@ -202,8 +197,8 @@ def _lvm_runs(path: Path) -> tuple[RawTable, ...]:
         return tuple(t for _, t in read_lvm_segments(path))
 
 
-_PIECES = {".lvm": read_lvm_pieces, ".tdms": read_tdms_pieces}
-_RUNS = {".lvm": _lvm_runs, ".tdms": read_tdms_runs, **dict.fromkeys(_UFF, read_time_runs)}
+_PIECES = {Format.LVM: read_lvm_pieces, Format.TDMS: read_tdms_pieces}
+_RUNS = {Format.LVM: _lvm_runs, Format.TDMS: read_tdms_runs, Format.UFF: read_time_runs}
 
 
 def _check_rate_given(path: Path, rate: float | None) -> None:
@@ -243,10 +238,10 @@ def _read(
     group: str,
     gaps: bool,
 ) -> TimeHistory:
-    ext = path.suffix.lower()
-    if group and ext not in (*_HDF5, ".tdms"):
+    kind = format_of(path)
+    if group and kind not in _GROUPED:
         raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
-    if ext in _HDF5:
+    if kind is Format.HDF5:
         with open_hdf5(path) as file:
             own = find_record(file)
             if own is not None and not group:
@@ -255,28 +250,35 @@ def _read(
                 check_stored(own["data"], path)
                 at = channel_positions(info, channels, path)
                 return stored_samples(own, info, at, samples)
-    if ext in _MAY_HOLD_FRFS and not group and holds_frfs(path):
+    if kind in _MAY_HOLD_FRFS and not group and holds_frfs(path):
         raise DataError(f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs")
     table = None
-    if gaps and not group and ext in _PIECES:
-        table = joined(_PIECES[ext](path))
+    if gaps and not group and kind in _PIECES:
+        table = joined(_PIECES[kind](path))
     if table is None:
-        table = _table(path, ext, group)
+        table = raw_record(path, group)
     history = _from_table(table.evened() if gaps else table, path, rate)
     history = history if channels is None else history.pick(channels)
     return replace(history, data=history.data[:, samples])
 
 
-def _table(path: Path, ext: str, group: str) -> RawTable:
-    if ext in _HDF5:
+def raw_record(path: Path, group: str = "") -> RawTable:
+    """The samples of a file of others, in its units and with its rate where it has one.
+
+    Raises
+    ------
+    DataError
+        If it holds no record, is empty or damaged.
+    """
+    kind = format_of(path)
+    if kind is Format.HDF5:
         with open_hdf5(path) as file:
             return read_h5_table(file, path, group)
-    if ext == ".tdms":
+    if kind is Format.TDMS:
         return read_tdms(path, group)
-    if ext in _READERS:
-        return _READERS[ext](path)
-    known = did_you_mean(ext, [*_HDF5, *_READERS, ".tdms"])
-    raise DataError(f"{path}: no record{ending_means(path) or f': format {ext!r}{known}'}")
+    if kind in _READERS:
+        return _READERS[kind](path)
+    refuse_format(path, "record", [*_GROUPED, *_READERS])
 
 
 def _agree(asked: float | None, found: float, path: Path, where: str) -> None:

@@ -19,9 +19,10 @@ from ringtrue.core.channels import LINEAR, input_id, other_names
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about, did_you_mean
-from ringtrue.io.files import existing, read_text, refuse_ending, refuse_large, refuse_twice
+from ringtrue.io.files import existing, read_text, refuse_large, refuse_twice
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import read_sheet, sheet_names
+from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_table import RecordChannel
 from ringtrue.io.times import to_si
 
@@ -244,10 +245,11 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
         If the file is missing or of another kind.
     """
     path = existing(path)
-    if path.suffix.lower() in (".xlsx", ".xlsm"):
+    held = format_of(path)
+    if held is Format.XLSX:
         return [[_text(v) for v in row] for row in read_sheet(path, sheet)]
-    if path.suffix.lower() not in (".csv", ".txt"):
-        refuse_ending(path, [".csv", ".xlsx"])
+    if held not in (Format.TEXT, Format.EMPTY):
+        refuse_format(path, "table", (Format.TEXT, Format.XLSX))
     lines = read_text(path).splitlines()
     first = next((x for x in lines if x.strip() and not x.startswith("#")), "")
     # commas may be decimal: not more of them than of others
@@ -370,7 +372,7 @@ def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
     table: list[list[str]] = []
     if lines is not None:
         table = cells(Path(lines))
-    elif path.suffix.lower() in (".xlsx", ".xlsm") and "lines" in sheet_names(path):
+    elif format_of(path) is Format.XLSX and "lines" in sheet_names(path):
         table = cells(path, "lines")
     pairs = []
     for i, row in enumerate(table, start=1):

@@ -13,6 +13,7 @@ from ringtrue.core.channels import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
 from ringtrue.core.iterate import Progress
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.recognition import Format, format_of
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import clipping, explain_clipping
@@ -20,8 +21,6 @@ from ringtrue.signal.frf import estimate_columns, shaker_frfs
 from ringtrue.signal.impacts import Estimator, HammerSettings, ImpactReport, force_channel
 from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.spectra import Welch
-
-OWN = (".h5", ".hdf5")  # endings of records that may tell their full scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,7 @@ def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHisto
 def full_scale(path: Path) -> dict[str, float]:
     """Ranges of the channels by id, SI, where the record states them."""
     try:
-        return record_info(path).full_scale() if path.suffix.lower() in OWN else {}
+        return record_info(path).full_scale() if format_of(path) is Format.HDF5 else {}
     except DataError:  # HDF5 of another layout
         return {}
 

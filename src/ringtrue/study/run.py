@@ -33,8 +33,8 @@ from ringtrue.study.results import Provenance
 from ringtrue.study.session import Session
 from ringtrue.study.stages import STAGES, Stage
 from ringtrue.study.stages.predict import check as check_rotor
+from ringtrue.study.store import PROVENANCE, Store, locked
 from ringtrue.study.store import SETS_FILE as SETS
-from ringtrue.study.store import Store, locked
 
 log = logging.getLogger(__name__)
 
@@ -260,7 +260,7 @@ def _run(
     return StudyRun(
         folder=session.out,
         session=session,
-        results=results | {"provenance": made},
+        results=results | {PROVENANCE: made},
         timings=made.timings,
         loaded=tuple(loaded),
     )
@@ -284,7 +284,7 @@ def _intact_key(session: Session, stage: str) -> str | None:
 
 def _sign(session: Session, inputs: Mapping[str, str], text: str) -> Provenance:
     made = provenance(session, inputs, text)
-    session.store.save("provenance", "", made)
+    session.store.save(PROVENANCE, "", made)
     return made
 
 
@@ -319,12 +319,12 @@ def load_study(store: Path) -> StudyRun:
         If the study.toml that was stored with it is not valid any more.
     """
     held = Store(store)
-    made = held.load("provenance")
+    made = held.load(PROVENANCE)
     assert isinstance(made, Provenance)
     config = parse_config(made.settings, store)
     session = Session(config, store.parent / made.home, store.parent, held)
     there = held.stages()
     results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(session)}
     return StudyRun(
-        store.parent, session, results | {"provenance": made}, made.timings, tuple(results)
+        store.parent, session, results | {PROVENANCE: made}, made.timings, tuple(results)
     )

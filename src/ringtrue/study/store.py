@@ -21,11 +21,27 @@ from ringtrue.io import hdf5
 from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.door import DAMAGE
 from ringtrue.io.foreign.parsers import open_hdf5, trust_hdf5
+from ringtrue.io.recognition import Format, format_of
 from ringtrue.study.results import FinishedSet
 
 DIGEST = "digest"  # SHA-256 of all that a stage holds
 SECONDS = "seconds"  # of the run that made it
+PROVENANCE = "provenance"  # the stage that every study has
 _log = logging.getLogger(__name__)
+
+
+def is_store(path: Path) -> bool:
+    """Whether a file is the store of a study.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is damaged.
+    """
+    if format_of(path) is not Format.HDF5:
+        return False
+    with open_hdf5(path) as file:
+        return PROVENANCE in file and "key" in file[PROVENANCE].attrs
 
 
 @dataclass(frozen=True, slots=True)

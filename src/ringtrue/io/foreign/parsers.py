@@ -212,7 +212,11 @@ def _opened(path: str | Path) -> Iterator[Any]:
                         f"{path}: {part.filename} unfolds to {part.file_size / MEGABYTE:.0f} MB, "
                         f"the file {path.stat().st_size / MEGABYTE:.1f} MB: {_SAVE_AGAIN}"
                     )
-        with closing(load_workbook(path, read_only=True, data_only=True)) as book:
+        # openpyxl refuses other names of files, not other names of streams
+        with (
+            path.open("rb") as file,
+            closing(load_workbook(file, read_only=True, data_only=True)) as book,
+        ):
             yield book
 
 

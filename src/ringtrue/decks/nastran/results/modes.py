@@ -1,4 +1,4 @@
-"""Modes of any file of results, by its ending, and of HDF5."""
+"""Modes of any file of results, by its content, and of HDF5."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.results.op2 import read_op2
 from ringtrue.decks.nastran.results.printed import read_f06, read_punch
 from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered, to_mode_set
-from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.errors import DataError, about
 from ringtrue.io.foreign.parsers import open_hdf5
+from ringtrue.io.recognition import SOLVER_RESULTS, Format, format_of, refuse_format
 from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
@@ -93,17 +94,22 @@ def _masses(file: h5py.File, modes: Int, lam: Any) -> Any:
     return mass
 
 
-READERS = {
-    ".op2": read_op2,
-    ".f06": read_f06,
-    ".out": read_f06,  # of Autodesk Nastran and others
-    ".pch": read_punch,
-    ".h5": read_nastran_h5,
+_READERS = {
+    Format.OP2: read_op2,
+    Format.F06: read_f06,
+    Format.PUNCH: read_punch,
+    Format.HDF5: read_nastran_h5,
 }
 
 
+def is_solver_result(path: str | Path) -> bool:
+    """Whether a file holds results of Nastran or MYSTRAN."""
+    held = format_of(path)
+    return held in SOLVER_RESULTS or (held is Format.HDF5 and is_nastran_h5(path))
+
+
 def read_recorded(path: str | Path) -> RecordedModes:
-    """Modes as the file gives them, by its ending: .op2, .f06 (.out), .pch or .h5.
+    """Modes as the file gives them: OP2, F06, punch or HDF5.
 
     Raises
     ------
@@ -111,10 +117,10 @@ def read_recorded(path: str | Path) -> RecordedModes:
         If the file is missing, damaged or holds no real modes.
     """
     path = Path(path)
-    ext = path.suffix.lower()
-    if ext not in READERS:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, READERS)}")
-    return READERS[ext](path)
+    held = format_of(path)
+    if held not in _READERS:
+        refuse_format(path, "results of a solver", tuple(_READERS))
+    return _READERS[held](path)
 
 
 def read_nastran_modes(
@@ -125,7 +131,7 @@ def read_nastran_modes(
     Parameters
     ----------
     path : path
-        .op2, .f06 (.out), .pch or .h5 (of MSC Nastran).
+        OP2, F06, punch or HDF5 (of MSC Nastran).
     model : Model, optional
         The deck of the run: turns shapes from the displacement frames (CD) and knows how they were
         scaled.

@@ -17,10 +17,11 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int, freeze_arrays
 from ringtrue.decks.nastran.results.op2 import Op2Table, matrix, read_tables
-from ringtrue.errors import DataError, about, did_you_mean
+from ringtrue.errors import DataError, about
 from ringtrue.io.files import existing, read_text, refuse_large
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import open_hdf5
+from ringtrue.io.recognition import Format, format_of, refuse_format
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
 # response types: Quick Reference Guide, DSCMCOL
@@ -65,21 +66,20 @@ class Sensitivities:
 
 
 def read_sensitivities(path: str | Path) -> Sensitivities:
-    """Sensitivities from .op2, .f06, .h5 or .csv.
+    """Sensitivities from OP2, F06, HDF5 or delimited text.
 
     Raises
     ------
     DataError
         If the file is missing, damaged or holds none.
     """
-    path = Path(path)
-    readers = {".op2": _op2, ".f06": _f06, ".h5": _h5, ".csv": _csv}
-    ext = path.suffix.lower()
-    if ext not in readers:
-        raise DataError(f"{path}: format {ext!r}{did_you_mean(ext, readers)}")
     path = existing(path)
+    readers = {Format.OP2: _op2, Format.F06: _f06, Format.HDF5: _h5, Format.TEXT: _csv}
+    held = format_of(path)
+    if held not in readers:
+        refuse_format(path, "sensitivities", tuple(readers))
     with about(path), door(path, "file of sensitivities"):
-        return readers[ext](path)
+        return readers[held](path)
 
 
 def _op2(path: Path) -> Sensitivities:
