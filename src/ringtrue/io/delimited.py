@@ -27,47 +27,29 @@ SECONDS_PER = {
     "min": 60.0,
     "h": 3600.0,
 }
-_OF_FREQUENCY = ("hz", "khz", "rad/s", "rpm")
-_AXES = (*_OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
+OF_FREQUENCY = ("hz", "khz", "rad/s", "rpm")
+_AXES = (*OF_FREQUENCY, "db", "deg", "°", "rad")  # of FRFs
 BRACKETED_UNIT = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
 _COMMENT = ("#", "%", "//")
 
 
-def read_columns(path: Path) -> tuple[list[str], Float]:
-    """Titles of the columns of a delimited text, empty where there are none, and numbers (column,
-    row).
+def read_lines(path: Path, most: int | None = None) -> tuple[list[str], list[str], str, bool]:
+    """Comments, the other lines without what ends them, the delimiter of the columns and whether
+    commas are decimal.
+
+    Parameters
+    ----------
+    path : path
+    most : int, optional
+        Bytes from the beginning of the file that are looked at, in whole lines.
 
     Raises
     ------
     DataError
-        If the file is empty, binary or has a cell that is no number.
+        If the file is empty or binary.
     """
-    names, rows, delimiter, comma = _titled(path)
-    return names, numbers(rows, delimiter, comma, path)
-
-
-def read_titles(path: Path) -> list[str]:
-    """Titles of the columns of a delimited text, as `read_columns` gives them; the numbers are not
-    read.
-    """
-    return _titled(path)[0]
-
-
-def _titled(path: Path) -> tuple[list[str], list[str], str, bool]:
-    """Titles, rows of numbers, the delimiter and whether commas are decimal."""
-    _, lines, delimiter, comma = read_lines(path)
-    width = len(split_cells(lines[-1], delimiter))
-    top = header_rows(lines, delimiter, comma, width)
-    names = column_titles([split_cells(x, delimiter) for x in lines[:top]], width, path)
-    return names, lines[top:], delimiter, comma
-
-
-def read_lines(path: Path) -> tuple[list[str], list[str], str, bool]:
-    """Comments, the other lines without what ends them, the delimiter of the columns and whether
-    commas are decimal.
-    """
-    text = read_text(path).splitlines()
+    text = read_text(path, most).splitlines()
     comments = [x for x in text[:200] if x.startswith(_COMMENT)]
     lines = [x for x in text if x.strip() and not x.startswith(_COMMENT)]
     if not lines:
@@ -180,20 +162,20 @@ def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list
     fit = [r for r in (rows if width > 1 else rows[-1:]) if len(r) == width]
     if len(fit) < 2:
         return fit[-1] if fit else []
-    units = [_unbracketed(u) for u in fit[-1]]
+    units = [unbracketed(u) for u in fit[-1]]
     # a unit of frequency stands first, whatever follows: analysers and their users write many
     # units
-    if units[0].lower() not in _OF_FREQUENCY and not all(map(_is_unit, units[1:])):
+    if units[0].lower() not in OF_FREQUENCY and not all(map(is_unit, units[1:])):
         return fit[-1]
     titles = []
     for name, unit in zip(fit[-2], units, strict=True):
         own = BRACKETED_UNIT.match(name)
         bare = unit.strip("-")
-        titles.append(f"{name} [{bare}]" if bare and not (own and _is_unit(own[2])) else name)
+        titles.append(f"{name} [{bare}]" if bare and not (own and is_unit(own[2])) else name)
     return titles
 
 
-def _unbracketed(cell: str) -> str:
+def unbracketed(cell: str) -> str:
     """A cell without brackets around all of it: `[g/N]`, `((m/s^2)/N)`."""
     text = cell.strip()
     while text[:1] in ("[", "(") and text[-1:] in ("]", ")"):
@@ -212,7 +194,8 @@ def commented_titles(comments: Sequence[str], delimiter: str, width: int) -> lis
     return cells if len(cells) == width > 1 else []
 
 
-def _is_unit(text: str) -> bool:
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, a ratio of two, or nothing."""
     over, _, under = text.replace("(", "").replace(")", "").rpartition("/")
     return text.lower() in ("", "-", *SECONDS_PER, *_AXES) or bool(
         known(text) or (over and known(over) and known(under))

@@ -208,15 +208,20 @@ def existing(path: str | Path) -> Path:
     return path
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, most: int | None = None) -> str:
     """Text in UTF-8, UTF-16 with its mark, or Latin-1, as editors and instruments write it.
+
+    Of a file of more than `most` bytes, the whole lines among the first so many.
 
     Raises
     ------
     DataError
         If there are zero bytes: a binary file.
     """
-    raw = path.read_bytes()
+    with path.open("rb") as file:
+        raw = file.read(most)
+    if len(raw) == most and b"\n" in raw:
+        raw = raw[: raw.rindex(b"\n")]
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
     if b"\x00" in raw:

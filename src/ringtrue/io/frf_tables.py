@@ -29,8 +29,8 @@ from ringtrue.core.channels import (
 )
 from ringtrue.core.signals import Channel, FrfSet, Quantity
 from ringtrue.errors import DataError
-from ringtrue.io.delimited import read_columns, read_titles
 from ringtrue.io.files import atomic_write
+from ringtrue.io.frf_headers import FREQUENCY, PART, frf_titles, read_frf_columns
 from ringtrue.io.times import hertz, known, to_si
 
 log = logging.getLogger(__name__)
@@ -133,22 +133,12 @@ def say_accelerances(path: str | Path) -> None:
     )
 
 
-_FREQUENCY = re.compile(
-    r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE
-)
-_PARTS = {
-    "re": r"real([\s_]*part|teil)?|(partie\s+)?r[eé]elle|re",
-    "im": r"imaginary([\s_]*part)?|imag([\s_]*part)?|imagin[aä]rteil|(partie\s+)?imaginaire|im",
-    "size": r"magnitude|mag|amplitude|ampl|amp|abs|modulus|module|gain|betrag",
-    "phase": r"phase(nwinkel)?|phi|arg|angle|winkel",
-    "coherence": r"coh[eé]rence|coh|gamma2|koh[aä]renz",
-}
-_PART = {
-    k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()
-}
 _GROUP = re.compile(r"\[[^\[\]]*\]|\((?:[^()]|\([^()]*\))*\)")
 _BARS = re.compile(r"^\s*\|([^|]+)\|")  # of a modulus
-_CALLED = re.compile(r"^\W*((H|FRF)(?=[\s_:(])|H[12vV](?=\())")
+_CALLED = re.compile(
+    r"^\W*((?i:frequency response( function)?|transfer function)[\s:_-]*)?"
+    r"((H|FRF)(?=[\s_:(]|$)|H[12vV](?=[\s(]|$))?"
+)
 _LEVEL = re.compile(
     r"(?<![A-Za-z])dB(?![A-Za-z])(\s*re[fl]?\b[.:]?\s*(?P<one>(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)?)?",
     re.IGNORECASE,
@@ -173,12 +163,12 @@ def is_frf_table(path: Path) -> bool:
     complex numbers.
     """
     try:
-        names = read_titles(path)
+        names = frf_titles(path)
     except DataError:
         return False
     return (
         len(names) > 2
-        and bool(_FREQUENCY.match(names[0]))
+        and bool(FREQUENCY.match(names[0]))
         and any(_title(n) is not None for n in names[1:])
     )
 
@@ -198,14 +188,20 @@ def read_frf_table(path: Path) -> FrfSet:
         If the first column is no frequency, a response lacks a part or a value, two columns are the
         same part, or a unit is not motion over force.
     """
-    names, data = read_columns(path)
-    if len(names) != len(data) or not names or not _FREQUENCY.match(names[0]):
+    names, data = read_frf_columns(path)
+    if len(names) != len(data) or not names or not FREQUENCY.match(names[0]):
         raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
     parts, units = _columns(names, path)
     if not parts:
         raise DataError(
             f"{path}: no column is a part of an FRF, such as `1+Z/2+Z real`; there are {names[1:9]}"
         )
+    for k, name in enumerate(names):
+        if name == names[0] and (data[k] != data[0]).any():
+            raise DataError(
+                f"{path}: column {k + 1}, {name}, has other frequencies than the first one: "
+                "export FRFs of one axis"
+            )
     freqs, order = np.unique(data[0] * hertz(names[0]), return_index=True)
     if freqs.size != data.shape[1]:
         raise DataError(f"{path}: {data.shape[1] - freqs.size} frequencies occur twice")
@@ -281,7 +277,7 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
 def _title(name: str) -> _Title | None:
     """Part, response and reference of a title; None where it names no part."""
     rest, unit = _unit_of(_BARS.sub(r"abs \1 ", name))
-    hits = ((part, hit) for part, pattern in _PART.items() if (hit := pattern.search(rest)))
+    hits = ((part, hit) for part, pattern in PART.items() if (hit := pattern.search(rest)))
     by_unit = ""
     if _LEVEL.search(unit):
         by_unit = "size"
@@ -306,7 +302,7 @@ def _unit_of(title: str) -> tuple[str, str]:
         inside = found[0][1:-1].strip()
         closing = not title[found.end() :].strip() and not title[: found.start()][-1:].isalpha()
         points = re.search(r"\d[+-]R?[XYZ]", inside)  # such as `1+Z,3+Z`
-        part = any(p.fullmatch(inside) for p in _PART.values())
+        part = any(p.fullmatch(inside) for p in PART.values())
         if _says_unit(inside) or (closing and not points and not part):
             rest = rest.replace(found[0], " ", 1)
             units = [*units, inside]

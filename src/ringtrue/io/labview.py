@@ -5,6 +5,7 @@ A .lvm has segments, decimal commas, and no, one or several columns of time.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -23,6 +24,7 @@ from ringtrue.io.record_texts import read_csv
 from ringtrue.io.times import known, second_of_day
 
 _END = "***End_of_Header***"
+_OVER_FREQUENCY = re.compile(r"\A\s*LabVIEW[\s\S]*?^X_Dimension[,\t]Freq", re.MULTILINE)
 _SPECIAL = ("***Start_of_Special***", "***End_of_Special***")
 
 
@@ -78,8 +80,32 @@ def read_lvm_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
     return read_lvm_segments(path) if _has_headers(path) else ()
 
 
+def lvm_spectra(path: Path) -> tuple[list[str], Float] | None:
+    """Titles and numbers (column, row) of a file over a frequency, of its last segment; None where
+    it is none.
+    """
+    if not _OVER_FREQUENCY.search(read_text(path, 1 << 16)):
+        return None
+    lines = _without_special(read_text(path).splitlines())
+    ends = [i for i, x in enumerate(lines) if x.startswith(_END)]
+    if len(ends) < 2:
+        return None
+    separator = "," if any(x.startswith("Separator,") for x in lines[: ends[0]]) else "\t"
+    head = _table(lines[: ends[0]], separator)
+    table = _table(lines[_segment_start(lines, ends[-1]) : ends[-1]], separator)
+    comma = _first(head, "Decimal_Separator") == ","
+    named = "".join(lines[ends[-1] + 1 : ends[-1] + 2])
+    titles = [x.strip() for x in named.split(separator)]
+    titles = titles[: titles.index("Comment")] if "Comment" in titles else titles
+    rows = [x.split(separator)[: len(titles)] for x in lines[ends[-1] + 2 :] if x.strip()]
+    data = numbers([" ".join(row) for row in rows], " ", comma, path)
+    units = [*table.get("Y_Unit_Label", []), *[""] * len(titles)]
+    parts = (f"{t} [{u}]" if u else t for t, u in zip(titles[1:], units, strict=False))
+    return [f"Frequency [{_first(table, 'X_Unit_Label') or 'Hz'}]", *parts], data
+
+
 def _has_headers(path: Path) -> bool:
-    return read_text(path).lstrip().startswith("LabVIEW")
+    return read_text(path, 1000).lstrip().startswith("LabVIEW")
 
 
 def _without_special(lines: Sequence[str]) -> list[str]:
