@@ -312,7 +312,8 @@ def read_sensors(path: str | Path) -> SensorSheet:
     Parameters
     ----------
     path : str or Path
-        `.csv` or `.xlsx`; columns as in docs/formats.md.
+        Text or Excel, columns as in docs/formats.md; or a universal file with nodes, whose trace
+        lines and elements become the lines between the points.
 
     Raises
     ------

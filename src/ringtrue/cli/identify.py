@@ -69,7 +69,8 @@ Sensors = Annotated[
     typer.Option(
         "--sensors",
         metavar="FILE",
-        help="Sensor sheet: units and sensitivities where a record has none.",
+        help="Sensor sheet: units and sensitivities where a record has none; or a universal file "
+        "with the geometry.",
     ),
 ]
 ChoiceFile = Annotated[

@@ -25,6 +25,7 @@ from ringtrue.io.foreign.parsers import read_sheet, sheet_names
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_table import RecordChannel
 from ringtrue.io.times import to_si
+from ringtrue.io.uff.geometry import read_geometry
 
 REQUIRED = ("point", "x", "y", "z")
 COLUMNS = (
@@ -135,7 +136,7 @@ class SensorSheet:
 
 
 def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> SensorSheet:
-    """Read a sensor sheet.
+    """Read a sensor sheet, or the geometry of a universal file as one.
 
     Columns: `point x y z` and `direction` (`X`, `-Y`, `+Z`; a vector `0.5 0 0.87`; empty for a
     point without a channel) or `azimuth` and `elevation` (degrees from +X towards +Y, and from the
@@ -145,7 +146,8 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
     Parameters
     ----------
     path : path
-        `.csv` or `.xlsx`; in a workbook the first sheet, and a sheet `lines` if there is one.
+        Text or a workbook, of which the first sheet counts, and a sheet `lines` if there is one; or
+        a universal file with nodes (`read_geometry`), whose channels have no units.
     lines : path, optional
         `.csv` or `.xlsx` with two columns of point numbers to draw lines between.
 
@@ -156,6 +158,11 @@ def read_sensor_sheet(path: str | Path, lines: str | Path | None = None) -> Sens
         a channel given twice or a direction that is none; the row is named.
     """
     path = Path(path)
+    if lines is None and format_of(path) is Format.UFF:
+        model = read_geometry(path)
+        places = zip(model.channels, model.at.tolist(), strict=True)
+        unknown = tuple(RecordChannel(name, point) for name, point in places)
+        return SensorSheet(model, unknown, orientation_notes(model))
     rows = _rows(path)
     points, xyz, groups = _points(rows, path)
     axes = []

@@ -244,7 +244,7 @@ class TestSection(StudySection):
     """
 
     sheet: str | None = None
-    """The sensor sheet, .csv or .xlsx; without it the modes are frequencies alone."""
+    """The sensor sheet: .csv, .xlsx, .uff geometry; without it modes are frequencies alone."""
     log: str | None = None
     """The crew's log, .json: lists the records."""
     frfs: list[str] = []
