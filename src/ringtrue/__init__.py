@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         tune_suspension,
         update,
     )
+    from ringtrue.api.inspection import inspect_file
     from ringtrue.api.measurements import (
         estimate_frfs,
         identify_ambient,
@@ -61,6 +62,7 @@ _PLACES = {  # module -> public names in it
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
     "api.comparison": "correlate",
+    "api.inspection": "inspect_file",
     "api.improvement": "TestedModel fit_damping localise parameter tune_suspension update",
     "api.studies": "open_study plan_test predict run_study",
     "core.parameters": "ParameterSet",
@@ -103,6 +105,7 @@ __all__ = [
     "identify_ambient",
     "identify_ambient_setups",
     "identify_frfs",
+    "inspect_file",
     "localise",
     "modes_of_test",
     "open_study",

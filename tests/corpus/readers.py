@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ringtrue.api.inspection import inspect_file
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
@@ -38,7 +39,7 @@ def _record_with_gaps(path: Path) -> Any:
     return read_record(path, check=False, gaps=True)
 
 
-READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
+_OF_KIND: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "choice": (read_choice,),
     "deck": (read_deck,),
     "frf": (read_frfs, holds_frfs),
@@ -52,6 +53,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "statics": (read_statics,),
     "study": (read_config,),
 }
+READERS = {kind: (*readers, inspect_file) for kind, readers in _OF_KIND.items()}
 
 
 def kinds() -> list[tuple[str, str]]:

@@ -31,6 +31,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "demo": ("study", "demo"),
         "run": ("study", "run"),
         "report": ("study", "report"),
+        "inspect": ("inspect", "inspect"),
     },
     "Models": {
         "check": ("model", "check"),
