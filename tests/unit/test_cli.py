@@ -467,7 +467,7 @@ def test_a_rate_that_the_file_contradicts(tmp_path: Path, capsys: Capture) -> No
     )
     (tmp_path / "text.npy").write_text("no")
     assert "text.npy" in refused(capsys, "oma", tmp_path / "text.npy", "--rate", 1)
-    assert "not a readable WAVE file" in refused(
+    assert "empty, no record in it" in refused(
         capsys, "oma", _touch(tmp_path / "a.wav"), "--rate", 1
     )
     assert "no such file" in refused(capsys, "oma", tmp_path / "none.npy")

@@ -26,7 +26,7 @@ KINDS = {
     "frf/other.h5": ("FRFs", "ringtrue ema"),
     "frf/own.h5": ("FRFs", "ringtrue ema"),
     "frf/spectrum.lvm": ("FRFs", "ringtrue ema"),
-    "log/campaign.json": ("log", "[test] log"),
+    "log/campaign.json": ("log", "test.log ="),
     "matrices/a00.op4": ("matrices", ""),
     "matrices/csr.npz": ("matrices", ""),
     "matrices/k.h5": ("matrices", ""),
@@ -51,7 +51,7 @@ KINDS = {
     "sensors/geometry.uff": ("sensors", "--sensors"),
     "sensors/s.csv": ("sensors", "--sensors"),
     "sensors/s.xlsx": ("sensors", "--sensors"),
-    "statics/s.csv": ("statics", "[[static]]"),
+    "statics/s.csv": ("statics", "residual ="),
     "study/small.toml": ("study", "ringtrue run"),
 }
 

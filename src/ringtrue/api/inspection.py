@@ -53,7 +53,7 @@ class FilePart:
     values : mapping
         Its figures: counts, `rate_hz`, `duration_s`, `band_hz`, lists of names.
     commands : tuple of str
-        What takes it, as lines to copy.
+        What takes it, as lines to copy: of the shell, or of a study.toml.
     """
 
     kind: str
@@ -118,9 +118,6 @@ def inspect_file(path: str | Path) -> FileContents:
         parts += _PARTS[held](path) if held in _PARTS else _measured(path, held)
     except (InputError, UnsupportedError) as exc:
         problem = str(exc)
-        if held in (Format.TDMS, Format.HDF5) and "--group" in problem:
-            command = f"ringtrue oma {quote(str(path))} --group NAME"
-            parts.append(FilePart("record", {}, (command,)))
     return FileContents(str(path), str(held), tuple(parts), problem)
 
 
@@ -291,7 +288,9 @@ def _table(path: Path) -> list[FilePart]:
     if set(REQUIRED) <= titles:
         return [_sensors(path)]
     if set(STATICS) <= titles:
-        return [FilePart("statics", {}, (f'[[static]] file = "{path}"',))]
+        cases = {row[0] for row in cells(path)[1:] if any(row)}
+        line = f'residual = [{{ kind = "static", file = "{path}" }}]'
+        return [FilePart("statics", {"cases": len(cases)}, (line,))]
     try:
         return [_modes(path, read_modes(path))]
     except DataError:
@@ -334,7 +333,7 @@ def _settings(path: Path) -> list[FilePart]:
         counts = {f"{k}s": len(v) for k, v in value.items() if isinstance(v, list)}
         return [FilePart("choice", counts, (f"ringtrue oma RECORD --choice {name}",))]
     if is_json and "tests" in keys:
-        return [FilePart("log", {"tests": len(value["tests"])}, (f'[test] log = "{path}"',))]
+        return [FilePart("log", {"tests": len(value["tests"])}, (f'test.log = "{path}"',))]
     if not is_json and {"study", "model", "test"} & set(keys):
         return [FilePart("study", {"sections": list(keys)}, (f"ringtrue run {name}",))]
     return [FilePart("table", {"keys": list(keys)})]

@@ -28,14 +28,14 @@ from ringtrue.io.labview import lvm_spectra
 FREQUENCY = re.compile(
     r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE
 )
-PARTS = {
+_PARTS = {
     "re": r"real([\s_]*part|teil)?|(partie\s+)?r[eé]elle|re",
     "im": r"imaginary([\s_]*part)?|imag([\s_]*part)?|imagin[aä]rteil|(partie\s+)?imaginaire|im",
     "size": r"magnitude|mag|amplitude|ampl|amp|abs|modulus|module|gain|betrag",
     "phase": r"phase(nwinkel)?|phi|arg|angle|winkel",
     "coherence": r"coh[eé]rence|coh|gamma2|koh[aä]renz",
 }
-PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in PARTS.items()}
+PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
 _HEAD = 1 << 20  # bytes that show the titles
 _COUNT = re.compile(r"(no|nr|line|index|idx|row|sample|point|bin|#)?\W*$", re.IGNORECASE)
 _OF_FRF = re.compile(

@@ -127,9 +127,10 @@ def _binary(head: bytes, path: Path) -> Format | None:
     return Format.HDF5 if is_hdf5(path) else None  # behind a block of the user
 
 
-# a mark that opens a data set, and the number of the set
+# a mark that opens a data set, its number, and more than the whole numbers of a column
 _UFF = re.compile(
-    rb"(?:^|[\r\n]) {0,5}-1[ \t\x00]*[\r\n]+ {0,6}\d{1,6}[bB]?[ \t]*(?=[ \r\n\x00]|\Z)"
+    rb"(?:^|[\r\n]) {0,5}-1[ \t\x00]*[\r\n]+ {0,6}\d{1,6}[bB]?(?:[ \t\x00][^\r\n]*)?(?:[\r\n]+|\Z)"
+    rb"(?!(?:[ \t]*[-+]?\d+[ \t]*[\r\n]+){2})"
 )
 
 
@@ -174,7 +175,7 @@ def _matlab_attributes(path: Path) -> bool:
     return "MATLAB_class" in names
 
 
-_NUMBERS = re.compile(r"[\s;,]*([-+]?(\d+[.,]?\d*|[.,]\d+)([eEdD][-+]?\d+)?([\s;,]+|$)){2,}$")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?")
 _TABLE = re.compile(r"\[\[?\s*[\w\"'.\- ]+\s*\]?\]\s*(#.*)?$")
 _KEY = re.compile(r"[\w\"'.\-]+\s*=\s*([\"'\[{+\-\d]|true\b|false\b|inf\b|nan\b)")
 _JSON = re.compile(r"\{|\[[\s\[]*([{\"\d\-\]]|$|true\b|false\b|null\b)")
@@ -193,7 +194,7 @@ _MARKS = {  # of the text as a whole
     ),
     Format.OP4: re.compile(r"\A[ \d-]{32}[A-Za-z]\w{0,7} *(?:1P,?)?(?:\d+[ED]\d+\.\d+)? *$", re.M),
     Format.HARWELL_BOEING: re.compile(
-        r"\A.*\n(?: *\d+){4,5} *\n[RCPI][SUHZR][AE] +\d+ +\d+", re.IGNORECASE
+        r"\A.*\n(?: +\d+){4,5} *\n[RCPI][SUHZR][AE] +\d+ +\d+", re.IGNORECASE
     ),
 }
 _STATEMENT = re.compile(
@@ -207,18 +208,29 @@ def _text(lines: Sequence[str], path: Path) -> Format:
     """The format of a text of which these are the first lines."""
     whole = "\n".join(lines)
     given = [x.strip() for x in lines if x.strip() and not x.lstrip().startswith("#")]
-    samples = any(map(_NUMBERS.match, given))
     first = given[0] if given else ""
-    if not samples and (_TABLE.match(first) or _KEY.match(first)):
-        return Format.TOML
-    if _JSON.match(first) and not any(map(_NUMBERS.match, given[1:])):
-        return Format.JSON
+    if not _has_samples(given):
+        if _TABLE.match(first) or _KEY.match(first):
+            return Format.TOML
+        if _JSON.match(first):
+            return Format.JSON
     for kind, mark in _MARKS.items():
         if mark.search(whole):
             return kind
     if _is_deck(lines) or path.suffix.lower() in (".bdf", ".nas"):
         return Format.DECK
     return Format.TEXT
+
+
+def _has_samples(lines: Sequence[str]) -> bool:
+    """Whether a line outside of brackets has two or more numbers and nothing else."""
+    depth = 0
+    for line in lines:
+        words = re.split(r"[\s;,]+", line.strip("\t ;,"))
+        if depth <= 0 and len(words) > 1 and all(map(_NUMBER.fullmatch, words)):
+            return True
+        depth += line.count("[") - line.count("]")
+    return False
 
 
 def _is_deck(lines: Sequence[str]) -> bool:
