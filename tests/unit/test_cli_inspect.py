@@ -48,6 +48,8 @@ KINDS = {
     "results/m.h5": ("results", "ringtrue convert"),
     "results/m.op2": ("results", "ringtrue convert"),
     "results/m.pch": ("results", "ringtrue convert"),
+    "sensitivity/s.f06": ("sensitivities", ""),
+    "sensitivity/s.op2": ("sensitivities", ""),
     "sensors/geometry.uff": ("sensors", "--sensors"),
     "sensors/s.csv": ("sensors", "--sensors"),
     "sensors/s.xlsx": ("sensors", "--sensors"),

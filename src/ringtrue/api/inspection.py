@@ -17,6 +17,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.deck import other_program
 from ringtrue.decks.nastran.reader import survey
 from ringtrue.decks.nastran.results.modes import is_nastran_h5, read_recorded
+from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError, InputError, UnsupportedError
 from ringtrue.io.files import FUNCTIONS
 from ringtrue.io.foreign.arrays import read_npy, read_npz
@@ -49,7 +50,7 @@ class FilePart:
     ----------
     kind : str
         `record`, `FRFs`, `functions`, `modes`, `results`, `deck`, `sensors`, `choice`, `log`,
-        `study`, `store`, `matrices`, `statics`, `table` or `arrays`.
+        `study`, `store`, `matrices`, `statics`, `sensitivities`, `table` or `arrays`.
     values : mapping
         Its figures: counts, `rate_hz`, `duration_s`, `band_hz`, lists of names.
     commands : tuple of str
@@ -136,7 +137,16 @@ def _deck(path: Path) -> list[FilePart]:
 
 
 def _results(path: Path) -> list[FilePart]:
-    found = read_recorded(path)
+    """Modes, or the sensitivities of a SOL 200."""
+    try:
+        found = read_recorded(path)
+    except DataError as exc:
+        try:
+            s = read_sensitivities(path)
+        except DataError:
+            raise exc from None
+        sizes = {"responses": s.response.size, "variables": s.variable.size}
+        return [FilePart("sensitivities", sizes)]
     f = np.sqrt(np.abs(found.eigenvalues)) / (2 * np.pi)
     values = {"modes": f.size, "nodes": found.nodes.size, "band_hz": _band(f)}
     command = f"ringtrue convert {quote(str(path))} modes.h5 --deck MODEL.bdf"
