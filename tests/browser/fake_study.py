@@ -306,7 +306,9 @@ def _diagram(modes: ModeSet, low: float, high: float) -> StableDiagram:
     level = 10 * np.log10(1e-3 + (1 / ((grid[:, None] / f - 1) ** 2 + 1e-4)).sum(1)) + RNG.normal(
         size=1200
     )
-    return StableDiagram(poles, cluster != -1, np.maximum(cluster, -1), grid, level)
+    return StableDiagram(
+        poles, cluster != -1, np.maximum(cluster, -1), grid, level - np.array([[0], [8], [15]])
+    )
 
 
 def _record(
@@ -539,7 +541,7 @@ def study() -> dict[str, object]:
             _unsure(ambient),
             ("poles of 30 orders",) * len(ambient),
             (_diagram(ambient, 0.2, 3), _diagram(ambient, 2, 40)),
-            x.name,
+            record=x.name,
         )
         for x in records[:4]
     ]

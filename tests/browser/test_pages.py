@@ -12,13 +12,23 @@ import numpy as np
 import pytest
 
 import ringtrue as rt
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, FrfSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.identification.ambient.spectral_bins import SpectrumPeak
+from ringtrue.identification.common.diagram import (
+    IdentificationDiagram,
+    SpectrumAccount,
+    identification_diagram,
+)
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
 from ringtrue.plots.correlation import tracking_page
-from ringtrue.plots.pages import frf_page, picker_page
+from ringtrue.plots.pages import frf_page
+from ringtrue.plots.picker import picker_page
+from ringtrue.signal.tonal_lines import Harmonic
 
 needs_browser = pytest.mark.skipif(
     chromium.find() is None,
@@ -32,39 +42,96 @@ def diagram() -> StableDiagram:
     pole = 2 * np.pi * f * (-0.01 + 1j)
     poles = PoleSet(order, pole, np.ones((2, 10), complex), np.full(10, 1e-3), np.full(10, np.nan))
     return StableDiagram(
-        poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros(50)
+        poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros((3, 50))
     )
 
 
-def modes() -> ModeSet:
-    return ModeSet(np.array([3.05]), np.array([0.01]), np.ones((2, 1)), ("a", "b"))
+def shown(*, geometry: bool = False) -> IdentificationDiagram:
+    """A natural mode and a doubtful one, a machine and a peak that nothing explains."""
+    channels = ("1+X", "2+X") if geometry else ("a", "b")
+
+    def set_of(f: float, shape: list[float]) -> ModeSet:
+        return ModeSet(np.array([f]), np.array([0.01]), np.array([shape]).T, channels)
+
+    std = Uncertainty.independent(np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01))
+    note = Note("candidate orders", "information", "3.5 Hz", {"orders": 3, "tried": 10})
+    others = OtherCandidates(set_of(3.5, [1.0, -0.8]), std, ("doubtful",), (note,))
+    peak = SpectrumPeak(3.8, 0.05, 2, 12.0)
+    account = SpectrumAccount((Harmonic(2.5, "a rotating machine"),), (), (peak,))
+    natural = (set_of(3.05, [1.0, 0.5]), std, ("",))
+    return identification_diagram([diagram()], natural, others, account)
+
+
+def mast() -> TestModel:
+    points = np.array([1, 2])
+    places = np.array([[0.0, 0, 1], [0, 0, 2]])
+    axes = np.array([[1.0, 0, 0], [1, 0, 0]])
+    return TestModel(
+        points, places, ("1+X", "2+X"), at=points, axes=axes, lines=np.zeros((0, 2), np.int64)
+    )
+
+
+CLICK = "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: %s}]})"
+CHOICE = "document.getElementById('choice').textContent"
 
 
 @needs_browser
 def test_a_click_makes_a_choice(tmp_path: Path) -> None:
+    """One click takes a doubtful mode or a pole up, one on what is shown takes it out."""
     path = tmp_path / "d.html"
-    path.write_text(picker_page("tower </script>", [diagram()], modes()))
-    click = (
-        "document.getElementById('figure-0').emit('plotly_click', {points: [{customdata: "
-        "[%s, %d]}]})"
-    )
+    path.write_text(picker_page("tower </script>", shown()))
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
-        assert page.until("document.querySelectorAll('.main-svg').length > 0")
-        for f, order in (("2.9", 2), ("3.05", 0), ("3.1", 20), ("3.1", 20)):
-            page.evaluate(click % (f, order))
-        text = page.evaluate("document.getElementById('choice').textContent")
-        drawn = page.evaluate(
-            "document.getElementById('figure-0').data.map((t) => (t.customdata || []).length)"
+        assert page.until("document.documentElement?.dataset.drawn === 'true'")
+        untouched = page.evaluate(CHOICE)
+        page.evaluate(CLICK % 1)  # the doubtful mode
+        taken = page.evaluate(CHOICE)
+        page.evaluate(CLICK % 1)
+        back = page.evaluate(CHOICE)
+        for about in ("1", "0", "0", "[6, 2]"):  # the natural one is first shown, then out
+            page.evaluate(CLICK % about)
+        text = page.evaluate(CHOICE)
+        named = page.evaluate(
+            "document.getElementById('figure-0')._fullData.map((t) => [t.name, t._length])"
         )
+        rows = page.evaluate("[...document.querySelectorAll('#rows tr')].map((r) => r.innerText)")
+        bars = page.evaluate("document.getElementById('shape').data[0].y")
         assert page.complaints() == []
         assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
-    assert tomllib.loads(text)["pick"] == [{"frequency": 2.9, "order": 2}]
+    assert untouched == back == "automatic = true\n"
+    note = "doubtful: few model orders show it"
+    assert tomllib.loads(taken)["pick"] == [{"frequency": 3.5, "note": note}]
     (tmp_path / "c.toml").write_text(text)
     choice = read_choice(tmp_path / "c.toml")
     assert choice.automatic
+    assert [(p.frequency, p.order) for p in choice.picks] == [
+        (3.5, 0),
+        (pytest.approx(2.9, rel=1e-4), 2),
+    ]
     assert [r.frequency for r in choice.rejects] == [3.05]
-    assert drawn == [0, 4, 3, 3, 1]
+    assert ["unstable pole", 4] in named
+    assert ["unexplained peak", 1] in named
+    assert ["line of a machine", 1] in named
+    assert ["doubtful mode", 1] in named
+    assert "doubtful" in rows[1]
+    assert bars == [1, 1]  # the pole that was clicked last
+
+
+@needs_browser
+def test_the_shape_of_what_is_clicked_moves(tmp_path: Path) -> None:
+    path = tmp_path / "d.html"
+    path.write_text(picker_page("mast", shown(geometry=True), mast()))
+    image = "document.querySelector('#shape canvas').toDataURL().slice(-4000)"
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=path.as_uri())
+        assert page.until("document.querySelectorAll('#shape canvas').length > 0")
+        first = page.evaluate(image)
+        assert page.until(f"({image}) !== {first!r}")
+        for about in ("1", "[0, 20]"):
+            page.evaluate(CLICK % about)
+        title = page.evaluate("document.getElementById('shown').textContent")
+        assert page.complaints() == []
+    assert title == "Shape: pole of order 16, 3.0557 Hz"
 
 
 @needs_browser

@@ -213,3 +213,13 @@ def test_a_study_replays_a_choice(tmp_path: Path) -> None:
     write_choice(tmp_path / "choice.toml", Choice((Pick(2.0, record="ambiant"),)))
     with pytest.raises(ConfigError, match="no record 'ambiant'; did you mean 'ambient'"):
         stage.run(session, lambda f, t: None)
+
+
+def test_a_frequency_to_its_digits_means_the_candidate_that_has_it() -> None:
+    """A doubtful candidate a thousandth beside a natural mode, which a rough figure means."""
+    there = np.array([105.02, 104.91])
+    doubtful = np.array([0.01, 1.05])
+    assert match(np.array([104.91]), there, doubtful).tolist() == [1]
+    assert match(np.array([104.911]), there, doubtful).tolist() == [1]
+    assert match(np.array([105.0]), there, doubtful).tolist() == [0]
+    assert match(np.array([104.8]), there, doubtful).tolist() == [0]

@@ -30,6 +30,11 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.ambient.setups import MergeMethod, SetupsResult, identify_setups
+from ringtrue.identification.common.diagram import (
+    IdentificationDiagram,
+    SpectrumAccount,
+    identification_diagram,
+)
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
@@ -145,13 +150,22 @@ class TestModes(Displayed):
             return self.result.remarks
         return ("",) * len(self)
 
+    @property
+    def diagram(self) -> IdentificationDiagram:
+        """Poles, spectrum, and the modes of each class in one view of the whole band."""
+        account = SpectrumAccount()
+        if isinstance(self.result, AmbientResult):
+            account = self.result.account
+        natural = (self.modes, self.uncertainty, self.remarks)
+        return identification_diagram(self.diagrams, natural, self.others, account)
+
     def plot(self, sensors: SensorSheet | None = None) -> Any:
-        """The stabilisation diagram of the first band, else the shapes as lines.
+        """The diagram of the whole band, else the shapes as lines.
 
         With `sensors`, which have the places: the mode shapes in motion, a 3D view.
         """
         if sensors is None:
-            return plot(self.diagrams[0] if self.diagrams else self.modes)
+            return plot(self.diagram if self.diagrams else self.modes)
         from ringtrue.plots.scene import test_modes  # plotly loads when something is drawn
 
         return test_modes(sensors.model, self.modes)

@@ -110,13 +110,14 @@ def ema(
         raise ConfigError("a file is missing; several setups are given by --setups table.csv")
     check_each_once(files)
     by_hand = choice_of(choice, files[0])
+    sheet = read_sensors(sensors) if sensors else None
     reading = ForceRecordFormat(
         channels=names,
         force=tuple(force or ()),
         struck=tuple(struck or ()),
         leave_out=tuple(leave_out or ()),
         rate=rate,
-        sheet=read_sensors(sensors) if sensors else None,
+        sheet=sheet,
     )
     settings = HammerSettings(keep_to=fmax)
     with progress("modes from FRFs") as show, about(files[0]):
@@ -124,7 +125,7 @@ def ema(
         if frfs_to:
             write_frfs(frfs_to, measured.frfs)
         found = identify_frfs(measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show)
-    write_pages(files[0], found, choice_to, diagram)
+    write_pages(files[0], found, choice_to, diagram, sheet)
     rejected = found.result.rejected if isinstance(found.result, HammerResult) else ()
     none = ("no mode of this band has a confidence above the limit", *rejected[-5:])
     title = " ".join(map(str, files))

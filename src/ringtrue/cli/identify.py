@@ -32,6 +32,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import AmbientResult, AmbientSettings
 from ringtrue.identification.ambient.setups import SetupsResult, identify_setups
+from ringtrue.identification.common.diagram import shape_collinearity
 from ringtrue.identification.common.manual_selection import as_choice
 from ringtrue.identification.methods import AMBIENT_METHODS, AUTOMATIC_AMBIENT, PeakMethod
 from ringtrue.io.choices import read_choice, write_choice
@@ -39,7 +40,7 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.modes import modes_to_json
 from ringtrue.io.setup_tables import WiredFile, read_setup_table
 from ringtrue.io.sheets import SensorSheet
-from ringtrue.plots.pages import picker_page
+from ringtrue.plots.picker import picker_page
 from ringtrue.shapes import mpc
 from ringtrue.signal.spectra import check_band
 
@@ -113,8 +114,7 @@ def mode_lines(found: TestModes) -> list[str]:
 
 def _lines(modes: ModeSet, std: Uncertainty) -> list[str]:
     """The numbers of each mode: frequency and damping with deviations, MPC, confidence."""
-    collinear = mpc(np.nan_to_num(modes.shapes.astype(np.complex128)))
-    collinear[np.isnan(modes.shapes).all(axis=0)] = np.nan
+    collinear = shape_collinearity(modes)
     out = []
     for i, (f, z) in enumerate(zip(modes.frequencies, modes.damping, strict=True)):
         spread = _known(std.frequency[i], ".1e")
@@ -131,14 +131,18 @@ def _known(x: float, form: str) -> str:
 
 
 def write_pages(
-    record: Path, found: TestModes, choice_to: Path | None, diagram_to: Path | None
+    record: Path,
+    found: TestModes,
+    choice_to: Path | None,
+    diagram_to: Path | None,
+    sheet: SensorSheet | None = None,
 ) -> None:
-    """Write the choice and the diagrams that were asked for."""
+    """Write the choice and the diagram that were asked for; shapes move on the sheet."""
     if choice_to:
         write_choice(choice_to, as_choice(found.modes, found.reasons, record=record.stem))
     if diagram_to:
         with atomic_write(diagram_to) as part:
-            page = picker_page(str(record), found.diagrams, found.modes)
+            page = picker_page(str(record), found.diagram, sheet.model if sheet else None)
             part.write_text(page, encoding="utf-8")
 
 
@@ -275,7 +279,7 @@ def oma(
             progress=show,
         )
     if method == AUTOMATIC_AMBIENT:
-        write_pages(record, found, choice_to, diagram)
+        write_pages(record, found, choice_to, diagram, sheet)
     found = replace(found, notes=(*notes, *_machines(found), *found.notes))
     return print_result(f"{record}{more}", found, json, why=why)
 

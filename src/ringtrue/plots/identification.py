@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Any_, Bool, Float
+from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Uncertainty, elastic
 from ringtrue.identification.ambient.decay_backbone import Backbone
-from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.style import (
     FE,
     FINAL,
@@ -21,111 +20,7 @@ from ringtrue.plots.style import (
     f32,
     figure,
     hertz,
-    ticks,
 )
-
-# What the colours of a stabilisation diagram mean.
-POLE_COLORS = (
-    ("spectrum", "#b4bec8"),
-    ("unstable pole", "#d3cbbd"),
-    ("stable pole", QUALITATIVE[5]),
-    ("pole taken into a mode", FE),
-    ("mode", TEST),
-)
-LIMIT = 3000  # strokes of one kind in one diagram; beyond it every n-th is drawn
-
-
-def _strokes(
-    diagram: StableDiagram, chosen: Bool, span: tuple[float, float]
-) -> tuple[Any_, Any_, str]:
-    f = diagram.poles.frequencies
-    order = diagram.poles.order.astype(np.float64)
-    at = np.flatnonzero(chosen & (f >= span[0]) & (f <= span[1]))
-    every = -(-at.size // LIMIT) or 1
-    at = at[::every]
-    step = float(np.diff(diagram.poles.orders).min(initial=2))
-    x, y = ticks(f[at], order[at] - 0.42 * step, order[at] + 0.42 * step)
-    return x, y, f" (one in {every} drawn)" if every > 1 else ""
-
-
-def pole_span(diagram: StableDiagram) -> tuple[float, float]:
-    """Where the poles of a diagram lie, with a margin, Hz."""
-    f = diagram.poles.frequencies if diagram.poles.frequencies.size else diagram.freqs
-    low = float(f.min(initial=np.inf))
-    high = float(f.max(initial=0.0))
-    if low > high:
-        return 0.0, 1.0
-    margin = max(0.06 * (high - low), 0.03 * high) or 1.0  # poles of one mode lie within a hair
-    return max(low - margin, 0.0), high + margin
-
-
-def spectrum(
-    diagram: StableDiagram, span: tuple[float, float], height: int, points: int
-) -> go.Figure:
-    """The axes of a stabilisation diagram, with the spectrum behind."""
-    fig = figure(
-        height,
-        xaxis=axis("Frequency, Hz", range=list(span)),
-        yaxis=axis("Model order", rangemode="tozero"),
-        yaxis2=axis(
-            "Spectrum, dB",
-            overlaying="y",
-            side="right",
-            showgrid=False,
-            tickmode="auto",
-            nticks=5,
-        ),
-    )
-    inside = np.flatnonzero((diagram.freqs >= span[0]) & (diagram.freqs <= span[1]))
-    inside = inside[:: max(1, inside.size // points)]
-    grey = {"width": 1, "color": "#b4bec8"}
-    x = f32(diagram.freqs[inside])
-    y = f32(diagram.level[inside])
-    fig.add_scatter(
-        x=x,
-        y=y,
-        yaxis="y2",
-        line=grey,
-        name="spectrum",
-        hoverinfo="skip",
-    )
-    return fig
-
-
-def stabilisation(diagram: StableDiagram, modes: ModeSet) -> go.Figure:
-    """Poles by model order over the spectrum; the modes as marks. Drawn where there are poles."""
-    span = pole_span(diagram)
-    in_mode = diagram.cluster >= 0
-    fig = spectrum(diagram, span, 240, points=1000)
-    fig.update_layout(showlegend=False, margin={"r": 60, "t": 10})
-    for name, chosen, color, width in (
-        ("unstable", ~diagram.stable & ~in_mode, "#d3cbbd", 1.0),
-        ("stable", diagram.stable & ~in_mode, QUALITATIVE[5], 1.6),
-        ("in a mode", in_mode, FE, 2.0),
-    ):
-        x, y, note = _strokes(diagram, chosen, span)
-        line = {"width": width, "color": color}
-        fig.add_scatter(
-            x=x,
-            y=y,
-            mode="lines",
-            line=line,
-            name=name + note,
-            hoverinfo="skip",
-        )
-    top = float(diagram.poles.order.max(initial=1))
-    f = modes.band(*span).frequencies
-    mark = {"symbol": "triangle-down", "size": 8, "color": TEST}
-    hover = "%{x:.3f} Hz<extra>mode</extra>"
-    fig.add_scatter(
-        x=f32(f),
-        y=np.full(f.shape, top * 1.05),
-        mode="markers",
-        marker=mark,
-        name="mode",
-    )
-    fig.data[-1].hovertemplate = hover
-    return fig
 
 
 def damping(

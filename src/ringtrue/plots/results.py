@@ -10,9 +10,10 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.ambient.decay_backbone import Backbone
-from ringtrue.identification.common.stabilisation import StableDiagram
+from ringtrue.identification.common.diagram import IdentificationDiagram
 from ringtrue.plots.correlation import table_matrix
-from ringtrue.plots.identification import backbone, stabilisation
+from ringtrue.plots.diagram import identification_figure
+from ringtrue.plots.identification import backbone
 from ringtrue.plots.pages import responses
 from ringtrue.plots.style import figure
 
@@ -26,11 +27,10 @@ def mac_matrix(table: CorrelationTable) -> go.Figure:
     return table_matrix(table)
 
 
-@drawing(StableDiagram)
-def poles(diagram: StableDiagram) -> go.Figure:
-    """Poles over frequency and model order, above the spectrum."""
-    nothing = np.zeros(0)
-    return stabilisation(diagram, ModeSet(nothing, nothing, np.zeros((0, 0)), ()))
+@drawing(IdentificationDiagram)
+def identification(shown: IdentificationDiagram) -> go.Figure:
+    """Poles, spectrum, modes of each class and their damping over the whole band."""
+    return identification_figure(shown)
 
 
 @drawing(Backbone)

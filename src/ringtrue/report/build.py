@@ -47,6 +47,7 @@ SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     system.signal_section,
     system.frf_section,
     identified.section,
+    identified.diagrams,
     correlation.tests,
     correlation.initial,
     correlation.remodelled,
@@ -61,6 +62,20 @@ SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     damping.response,
     damping.damping,
     prediction.prediction,
+    summary.provenance,
+)
+
+# of a test without a model: what was found, then what it was found in
+TEST_SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
+    summary.summary,
+    identified.section,
+    shapes.section,
+    identified.diagrams,
+    correlation.tests,
+    system.survey,
+    planned.section,
+    system.frf_section,
+    system.signal_section,
     summary.provenance,
 )
 
@@ -115,7 +130,8 @@ def build(
         stages["model"] = replace(model, scene=thinned(model.scene, most))
     accepted = acceptance or Acceptance()
     data = Stages(title, system_text, accepted, checks, photos, **stages)
-    sections = [s for s in (make(data) for make in SECTIONS) if s is not None]
+    order = SECTIONS if data.model is not None else TEST_SECTIONS
+    sections = [s for s in (make(data) for make in order) if s is not None]
     page = _render(data, sections)
     with atomic_write(out) as part:
         part.write_text(page, encoding="utf-8")

@@ -343,6 +343,11 @@ class Stages:
     provenance: Provenance | None = None
 
     @property
+    def kind(self) -> str:
+        """What the report is on."""
+        return "Modal test" if self.model is None else "Finite element model validation"
+
+    @property
     def test(self) -> TestModel | None:
         """The test model as measured, else as planned; none of frequencies alone."""
         if self.identify is None:

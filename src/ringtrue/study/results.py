@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.checks.materials import MassProperties
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
@@ -19,6 +19,11 @@ from ringtrue.correlation.measures import CompleteCorrelation
 from ringtrue.correlation.pairing import Tracks
 from ringtrue.correlation.sensor_mounting import Mending
 from ringtrue.correlation.table import CorrelationTable
+from ringtrue.identification.common.diagram import (
+    IdentificationDiagram,
+    SpectrumAccount,
+    identification_diagram,
+)
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.identification.frf.lines import cmif
 from ringtrue.planning.exciters import LEAST_REACH
@@ -333,15 +338,41 @@ class RecordSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedModes:
-    """Modes with the evidence for each; `diagrams` are the stabilisation diagrams, one a band."""
+    """Modes with the evidence for each.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        The natural ones.
+    uncertainty : Uncertainty
+    reasons : tuple of str
+    diagrams : tuple of StableDiagram
+        One a band.
+    remarks : tuple of str
+        What is particular of each mode, in six words; empty where nothing is known to be.
+    others : OtherCandidates
+        Doubtful modes and harmonics.
+    account : SpectrumAccount
+        Machines, and peaks that nothing explains.
+    """
 
     modes: ModeSet
     uncertainty: Uncertainty
     reasons: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
+    remarks: tuple[str, ...] = ()
+    others: OtherCandidates = field(default_factory=OtherCandidates.none)
+    account: SpectrumAccount = field(default_factory=SpectrumAccount)
 
     def __len__(self) -> int:
         return len(self.modes)
+
+    @property
+    def diagram(self) -> IdentificationDiagram:
+        """Poles, spectrum, and the modes of each class in one view of the whole band."""
+        remarks = self.remarks or ("",) * len(self)
+        natural = (self.modes, self.uncertainty, remarks)
+        return identification_diagram(self.diagrams, natural, self.others, self.account)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,11 +22,13 @@ from ringtrue.identification.ambient.confidence import (
     select,
 )
 from ringtrue.identification.ambient.record_bands import BandSums
-from ringtrue.identification.ambient.record_checks import RecordFacts, spectrum
+from ringtrue.identification.ambient.record_checks import RecordFacts
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
+    PeakSettings,
     RecordSpectrum,
     candidates,
+    singular_values,
     steady,
 )
 from ringtrue.identification.ambient.ssi_cov import BandPoles, block_power, identify_band
@@ -90,13 +92,14 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
     table = search.table
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
-    level = spectrum(sums.bins, sums.scale[sums.eyes])
+    freqs, _, values = singular_values(sums.bins, PeakSettings(lines=1))
+    level = 10 * np.log10(values * np.mean(sums.scale[sums.eyes] ** 2))
     found = BandModes(
         table=table,
         shape=shape,
         shape_std=std,
         evidence=evidence(table, facts.duration),
-        diagram=StableDiagram(poles, table.stable, table.label, *level),
+        diagram=StableDiagram(poles, table.stable, table.label, freqs, level),
         picked=search.picked,
         inseparable=tuple(i for both in search.pairs for i in both),
         wander=np.zeros(table.pole.size),

@@ -219,7 +219,7 @@ def era_diagram(found: BandFit) -> tuple[StableDiagram, Float]:
     level = 10 * np.log10(np.maximum(power, np.finfo(np.float64).tiny))
     shape = unit(poles.shape * found.scale[:, None])
     full = PoleSet(poles.order, poles.pole, shape, poles.std_frequency, poles.std_damping)
-    return StableDiagram(full, cluster >= 0, cluster, lines, level), share
+    return StableDiagram(full, cluster >= 0, cluster, lines, level[None]), share
 
 
 def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySettings) -> DecayResult:

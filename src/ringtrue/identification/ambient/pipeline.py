@@ -61,6 +61,7 @@ from ringtrue.identification.ambient.record_checks import (
 )
 from ringtrue.identification.ambient.spectral_bins import SpectrumPeak, spectrum_peaks
 from ringtrue.identification.ambient.ssi_cov import SsiCov, positions
+from ringtrue.identification.common.diagram import SpectrumAccount
 from ringtrue.identification.common.manual_selection import chosen
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.shapes import mac
@@ -151,6 +152,11 @@ class AmbientResult:
     channel_notes: tuple[Note, ...] = ()
     unexplained: tuple[SpectrumPeak, ...] = ()
     machines: tuple[Machine, ...] = ()
+
+    @property
+    def account(self) -> SpectrumAccount:
+        """What the peaks of the spectrum are besides modes."""
+        return SpectrumAccount(self.harmonics, self.machines, self.unexplained)
 
     @property
     def notes(self) -> tuple[str, ...]:

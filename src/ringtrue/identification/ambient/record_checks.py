@@ -27,22 +27,6 @@ ORDER: dict[str, int] = {
 }
 
 
-def spectrum(bins: SpectralBins, scale: Float) -> tuple[Float, Float]:
-    """Frequencies and level (dB) of the first singular value of the spectral matrix of up to four
-    channels, eight bins together.
-    """
-    join = 8
-    pick = np.unique(np.linspace(0, scale.size - 1, 4).round().astype(np.int64))
-    n = bins.freqs.size // join
-    if not n:
-        return np.empty(0), np.empty(0)
-    part = bins.cross[: n * join, pick[:, None], pick] * np.outer(scale[pick], scale[pick])
-    mean = part.reshape(n, join, pick.size, pick.size).mean(1)
-    top = np.linalg.svd(mean, compute_uv=False, hermitian=True)[:, 0].astype(np.float64)
-    freqs = bins.freqs[: n * join].reshape(n, join).mean(1)
-    return freqs, 10 * np.log10(np.maximum(top, np.finfo(np.float64).tiny))
-
-
 def response_slope(history: TimeHistory) -> tuple[float, float]:
     """Exponent of the frequency in the responses' spectrum under a flat force, and its standard
     deviation.

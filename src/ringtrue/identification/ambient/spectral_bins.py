@@ -392,6 +392,31 @@ class SpectrumPeak:
     prominence: float
 
 
+def singular_values(
+    bins: SpectralBins, settings: PeakSettings | None = None
+) -> tuple[Float, Float, Float]:
+    """The first singular values of the spectral matrix, of lines that are averaged.
+
+    Returns
+    -------
+    freqs : (f,) float64, Hz
+    count : (f,) float64
+        Lines averaged.
+    values : (value, f) float64
+        Positive, descending.
+    """
+    limits = settings or PeakSettings()
+    channels = bins.cross.shape[1]
+    group = np.floor(np.cumsum(bins.count) / (limits.lines * channels))
+    start = np.flatnonzero(np.diff(group, prepend=-1.0))
+    count = np.add.reduceat(bins.count, start)
+    freqs = np.add.reduceat(bins.freqs * bins.count, start) / count
+    weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
+    cross = np.add.reduceat(weighted, start) / count[:, None, None]
+    values = np.linalg.eigvalsh(cross).T[::-1][: limits.values].astype(np.float64)
+    return freqs, count, np.maximum(values, np.finfo(np.float32).tiny)
+
+
 def spectrum_peaks(
     bins: SpectralBins, low: float, high: float, settings: PeakSettings | None = None
 ) -> tuple[SpectrumPeak, ...]:
@@ -403,26 +428,19 @@ def spectrum_peaks(
     that is none.
     """
     limits = settings or PeakSettings()
-    channels = bins.cross.shape[1]
-    group = np.floor(np.cumsum(bins.count) / (limits.lines * channels))
-    start = np.flatnonzero(np.diff(group, prepend=-1.0))
-    if start.size < 8:
+    freqs, count, size = singular_values(bins, limits)
+    if freqs.size < 8:
         return ()
-    count = np.add.reduceat(bins.count, start)
-    freqs = np.add.reduceat(bins.freqs * bins.count, start) / count
-    weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
-    cross = np.add.reduceat(weighted, start) / count[:, None, None]
-    size = np.linalg.eigvalsh(cross)[:, ::-1][:, : limits.values]
-    level = np.log(np.maximum(size, np.finfo(np.float32).tiny))
+    level = np.log(size)
     found = []
-    for k, curve in enumerate(level.T):
+    for k, curve in enumerate(level):
         least = max(limits.chance / np.sqrt(np.median(count)), np.log(limits.prominence))
         places, about = find_peaks(curve, prominence=least, width=0, rel_height=0.5)
         for at, prominence, width in zip(
             places, about["prominences"], about["widths"], strict=True
         ):
             frequency = float(freqs[at])
-            above = level[max(at - 2, 0) : at + 3, k - 1]
+            above = level[k - 1, max(at - 2, 0) : at + 3]
             dip = k > 0 and 0 < above.argmin() < above.size - 1  # where two modes cross
             if low <= frequency <= high and not dip:
                 step = float(freqs[min(at + 1, freqs.size - 1)] - freqs[at - 1]) / 2

@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Bool, Complex, Float
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.arrays import Any_, Bool, Complex, Float
+from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.shapes import mac
 
@@ -365,6 +365,77 @@ def mended(
         deviations[at] = deviations[at[::-1]]
         out[fault.record] = undone(modes, fault.channels), replace(std, shape=deviations), name
     return out
+
+
+def join_candidates(records: Sequence[OtherCandidates], merged: ModeSet) -> OtherCandidates:
+    """The candidates of all records, each once: the most confident of those of one frequency and
+    shape, and none that is a merged mode.
+
+    Parameters
+    ----------
+    records : sequence of OtherCandidates
+        Those of a single record stay as they are.
+    merged : ModeSet
+        Natural modes of all records.
+
+    Returns
+    -------
+    OtherCandidates
+        Rows of the shapes as in `merged`, where it has modes; NaN where a record has no such
+        channel.
+    """
+    if len(records) == 1:
+        return records[0]
+    channels = merged.channels if len(merged) else ()
+    channels = channels or tuple(dict.fromkeys(c for r in records for c in r.modes.channels))
+    frequency = merged.frequencies.tolist()
+    shapes = list(merged.shapes.T) if frequency else []
+    kept: list[tuple[int, int]] = []
+    every = [(r, k) for r, record in enumerate(records) for k in range(len(record))]
+    every.sort(key=lambda x: -float(records[x[0]].modes.confidence[x[1]]))
+    wide = [_widened(r.modes.shapes, r.modes.channels, channels) for r in records]
+    for r, k in every:  # a few
+        f = float(records[r].modes.frequencies[k])
+        half = max(float(records[r].modes.damping[k]), LIMITS.spread) * f
+        shape = wide[r][:, k]
+        near = [s for g, s in zip(frequency, shapes, strict=True) if abs(g - f) <= half]
+        if all(_common_mac(shape, s) <= LIMITS.mac for s in near):
+            kept.append((r, k))
+            frequency.append(f)
+            shapes.append(shape)
+    kept.sort(key=lambda x: float(records[x[0]].modes.frequencies[x[1]]))
+    std = [_widened(r.uncertainty.shape, r.modes.channels, channels) for r in records]
+    empty = np.zeros((len(channels), 0))
+    modes = ModeSet(
+        np.array([records[r].modes.frequencies[k] for r, k in kept]),
+        np.array([records[r].modes.damping[k] for r, k in kept]),
+        np.concatenate([empty, *(wide[r][:, [k]] for r, k in kept)], axis=1),
+        channels,
+        confidence=np.array([records[r].modes.confidence[k] for r, k in kept]),
+    )
+    deviations = Uncertainty.independent(
+        np.array([records[r].uncertainty.frequency[k] for r, k in kept]),
+        np.array([records[r].uncertainty.damping[k] for r, k in kept]),
+        np.concatenate([empty, *(std[r][:, [k]] for r, k in kept)], axis=1),
+    )
+    classes = tuple(records[r].classes[k] for r, k in kept)
+    return OtherCandidates(modes, deviations, classes, tuple(records[r].notes[k] for r, k in kept))
+
+
+def _widened(values: Any_, own: Sequence[str], channels: Sequence[str]) -> Any_:
+    """Rows (channel, m) in the order of `channels`, NaN where `own` has none of the name."""
+    out = np.full((len(channels), values.shape[1]), np.nan, dtype=values.dtype)
+    here = {c: k for k, c in enumerate(own)}
+    for k, c in enumerate(channels):
+        if c in here:
+            out[k] = values[here[c]]
+    return out
+
+
+def _common_mac(a: Complex, b: Complex) -> float:
+    """MAC of two shapes (ch,) on the rows that both have; 0 without two of these."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return float(mac(a[both, None], b[both, None])[0, 0]) if both.sum() > 1 else 0.0
 
 
 def _join(glued: list[_GluedMode], record: MergeRecord, index: int) -> None:

@@ -113,8 +113,8 @@ class StableDiagram:
     cluster : (k,) int64
         The mode (row of the mode table of the same band) that the pole belongs to, -1 for none.
     freqs : (f,) float64, Hz
-    level : (f,) float64, dB
-        Spectrum behind the poles; any reference.
+    level : (value, f) float64, dB
+        Up to three singular values of the spectrum behind the poles, descending; any reference.
     """
 
     poles: PoleSet
@@ -130,9 +130,9 @@ class StableDiagram:
                 f"stable {self.stable.shape}, cluster {self.cluster.shape}: must be "
                 f"({len(self.poles)},)"
             )
-        if self.freqs.shape != self.level.shape:
+        if self.level.ndim != 2 or self.level.shape[1:] != self.freqs.shape:
             raise InputError(
-                f"freqs {self.freqs.shape} and level {self.level.shape} must be equal (f,)"
+                f"freqs {self.freqs.shape} and level {self.level.shape} must be (f,) and (value, f)"
             )
 
 

@@ -104,7 +104,7 @@ def band_candidates(
     poles = plscf(strong, frfs.freqs[at], Plscf(lowest, highest, most))
     poles = replace(poles, shape=driven @ poles.shape)
     poles, clusters = grouped(poles, strong, sigma=sigma, frfs=frfs, at=at)
-    db = 20 * np.log10(np.maximum(curve[at, 0], np.finfo(float).tiny))
+    db = 20 * np.log10(np.maximum(curve[at, :3].T, np.finfo(float).tiny))
     return clusters, StableDiagram(
         poles=poles,
         stable=clusters.label >= 0,

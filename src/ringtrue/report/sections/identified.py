@@ -1,19 +1,20 @@
-"""Identification: stabilisation diagrams and the modes found."""
+"""Identification: the modes found, their diagram and what else is in the spectrum."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from ringtrue.core.modes import ModeSet
-from ringtrue.identification.common.stabilisation import StableDiagram
-from ringtrue.plots import identification as plots
+from ringtrue.core.modes import ModeClass
+from ringtrue.core.notes import sentence as note_sentence
+from ringtrue.identification.common.diagram import IdentificationDiagram, SpectrumAccount
+from ringtrue.plots import diagram as plots
 from ringtrue.report.parts import (
     Block,
     Cell,
     Columns,
-    Heading,
+    Fold,
     Items,
-    Key,
     Plot,
     ReportTable,
     Section,
@@ -24,80 +25,143 @@ from ringtrue.report.parts import (
     number,
     sentence,
 )
-from ringtrue.study.results import IdentifiedModes
+from ringtrue.study.results import IdentifiedModes, IdentifyStage
+
+# the mark of each class, as in the diagram, and the tone of its cell
+MARKS = {"natural": ("▼", ""), "doubtful": ("▽", "warn"), "harmonic": ("◇", "chip")}
+DRAWN = 1500  # poles of one kind in a diagram: a report has several
+PEAKS = 15  # unexplained peaks in a table
 
 
 def section(data: Stages) -> Section | None:
-    """Diagrams behind tabs, a table of modes for each test."""
+    """The modes of each test, of all classes."""
     ident = data.identify
     if ident is None:
         return None
-    tabs = [
-        (r.record, _diagrams(r.record, r.diagrams, r.modes))
-        for r in ident.ambient_records
-        if r.diagrams
-    ]
-    hammer = ident.hammer
-    if hammer is not None and hammer.diagrams:
-        name = ident.source.removesuffix(" test")
-        tabs.append((name, _diagrams(name, hammer.diagrams, hammer.modes)))
-    blocks: list[Block] = (
-        [Heading("Stabilisation diagrams"), Key(plots.POLE_COLORS), Tabs(tabs)] if tabs else []
-    )
-    sides: list[list[Block]] = []
-    if len(ident.ambient):
-        sides.append([_modes(ident.ambient, "Ambient modes, merged over the records.")])
-    if hammer is not None:
-        sides.append([_modes(hammer, f"Modes of the {ident.source}.")])
-    if sides:
-        blocks.append(Columns(sides) if len(sides) > 1 else sides[0][0])
+    blocks = [block for caption, found in _tests(ident) for block in _modes(found, caption)]
     if ident.merge_notes:
         blocks.append(
             Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
         )
     if len(ident.ambient_records) > 1:
         blocks.append(_by_record(data))
-    return Section("identification", "Identification", blocks)
+    return Section("identification", "Identified modes", blocks)
 
 
-def _diagrams(name: str, diagrams: Sequence[StableDiagram], modes: ModeSet) -> list[Block]:
-    telling = [d for d in diagrams if (d.cluster >= 0).any()] or list(diagrams)
-    drawn: list[Block] = [
-        Plot(plots.stabilisation(d, modes), f"{name}, {_span(d)}.") for d in telling
+def _tests(ident: IdentifyStage) -> list[tuple[str, IdentifiedModes]]:
+    """What was found in each test, with its caption."""
+    tests: list[tuple[str, IdentifiedModes]] = []
+    if len(ident.ambient) or len(ident.ambient.others):
+        merged = ", merged over the records" if len(ident.ambient_records) > 1 else ""
+        tests.append((f"Ambient modes{merged}", ident.ambient))
+    if ident.hammer is not None:
+        tests.append((f"Modes of the {ident.source}", ident.hammer))
+    return tests
+
+
+def diagrams(data: Stages) -> Section | None:
+    """The diagram of each record, what its spectrum holds besides modes, and the MAC among them."""
+    ident = data.identify
+    if ident is None:
+        return None
+    records: list[tuple[str, IdentifiedModes]] = [(r.record, r) for r in ident.ambient_records]
+    if ident.hammer is not None:
+        records.append((ident.source.removesuffix(" test"), ident.hammer))
+    tabs = [(name, _diagram(name, found)) for name, found in records if found.diagrams]
+    blocks: list[Block] = []
+    if tabs:
+        blocks += tabs[0][1] if len(tabs) == 1 else [Tabs(tabs)]
+    drawn: list[list[Block]] = [
+        [Plot(plots.auto_mac(found.diagram), f"MAC among the modes: {caption}.")]
+        for caption, found in _tests(ident)
+        if len(found) + len(found.others) > 1 and not found.modes.frequency_only
     ]
-    out: list[Block] = [
-        Columns([drawn[k : k + 1], drawn[k + 1 : k + 2]]) for k in range(0, len(drawn), 2)
-    ]
-    if len(telling) < len(diagrams):
-        rest = ", ".join(_span(d) for d in diagrams if not (d.cluster >= 0).any())
-        out.append(Text(f"Not drawn, without a mode: {rest}.", "note"))
+    if drawn:
+        blocks.append(Columns(drawn) if len(drawn) > 1 else drawn[0][0])
+    return Section("diagrams", "Stabilisation diagrams", blocks) if blocks else None
+
+
+def _diagram(name: str, found: IdentifiedModes) -> list[Block]:
+    """The whole band in one view, and what is neither a pole nor a mode."""
+    text = (
+        f"{name}: poles by model order over singular values of the spectrum, and their damping. "
+        "Filled marks: natural modes; open ones: doubtful modes and harmonics."
+    )
+    figure = plots.identification_figure(found.diagram, most=DRAWN, height=600)
+    return [Plot(figure, text), *_account(found.account)]
+
+
+def _account(account: SpectrumAccount) -> list[Block]:
+    """Machines, and the peaks that nothing explains."""
+    rows: list[Sequence[str | Cell]] = []
+    for m in account.machines:
+        speed = f"{number(60 * m.frequency, 4)} rpm, wanders by {number(100 * m.wander, 2)} %"
+        last = m.harmonics.max(initial=1)
+        orders = f"{m.harmonics.size} harmonics up to the {last}th are taken out"
+        rows.append((number(m.frequency, 5), "machine", f"{speed}; {orders}"))
+    rows += [(number(h.frequency, 5), "line", h.why) for h in account.harmonics]
+    out: list[Block] = []
+    if rows:
+        heads = ("Frequency, Hz", "|What", "|Remark")
+        out.append(ReportTable(heads, rows, "Machines in the record."))
+    peaks = sorted(account.unexplained, key=lambda p: -p.prominence)
+    if peaks:
+        cells = [
+            (number(p.frequency, 5), number(p.prominence, 2), str(p.value)) for p in peaks[:PEAKS]
+        ]
+        lower = len(peaks) - len(cells)
+        rest = f"; {lower} lower ones are not listed" if lower else ""
+        caption = f"Peaks of the spectrum that nothing explains, the highest first{rest}."
+        table = ReportTable(
+            ("Frequency, Hz", "Height, dB", "Singular value"), cells, caption, scroll=True
+        )
+        out.append(Fold(f"Unexplained peaks ({len(peaks)})", [table]))
     return out
 
 
-def _span(d: StableDiagram) -> str:
-    return "{} to {} Hz".format(*(number(f, 3) for f in plots.pole_span(d)))
+def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
+    """A row a mode of any class, ascending in frequency, and why some are not natural."""
+    shown = found.diagram
+    natural = iter(enumerate(_padded(found.reasons, len(found)), start=1))
+    rows: list[Sequence[str | Cell]] = []
+    for k, kind in enumerate(shown.classes):
+        count, why = next(natural) if kind == "natural" else ("–", "")
+        rows.append((str(count), *_numbers(shown, k, why), _mark(kind), shown.remarks[k]))
+    heads = ("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "MPC", "Confidence, %", "|Class", "|Remark")
+    table = ReportTable(heads, rows, f"{caption}.")
+    if not any(shown.remarks) and not len(found.others):
+        table = replace(table, heads=heads[:-2], rows=[row[:-2] for row in rows])
+    out: list[Block] = [table]
+    if notes := found.others.notes:
+        both = zip(found.others.modes.frequencies.tolist(), notes, strict=True)
+        reasons = [f"{number(f, 4)} Hz: {sentence(note_sentence(n))}" for f, n in both]
+        out.append(Items(reasons, "Why these are not among the natural modes"))
+    return out
 
 
-def _modes(found: IdentifiedModes, caption: str) -> ReportTable:
-    modes = found.modes
-    std = found.uncertainty
-    rows = []
-    for k in range(len(modes)):
-        why = found.reasons[k] if k < len(found.reasons) else ""
-        confidence = float(modes.confidence[k])
-        sf = float(std.frequency[k])
-        sz = float(std.damping[k])
-        rows.append(
-            (
-                str(k + 1),
-                fixed(modes.frequencies[k], 3),
-                number(sf, 2),
-                fixed(100 * modes.damping[k], 2),
-                number(100 * sz, 2),
-                Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
-            )
-        )
-    return ReportTable(("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "Confidence, %"), rows, caption)
+def _padded(reasons: Sequence[str], size: int) -> list[str]:
+    """A reason each; empty ones where none were given."""
+    return [*reasons, *[""] * (size - len(reasons))]
+
+
+def _numbers(shown: IdentificationDiagram, k: int, why: str) -> list[str | Cell]:
+    modes = shown.modes
+    std = shown.uncertainty
+    confidence = float(modes.confidence[k])
+    return [
+        fixed(modes.frequencies[k], 3),
+        number(float(std.frequency[k]), 2),
+        fixed(100 * modes.damping[k], 2),
+        number(100 * float(std.damping[k]), 2),
+        fixed(float(shown.mpc[k]), 2),
+        Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
+    ]
+
+
+def _mark(kind: ModeClass) -> Cell:
+    """The mark that the class has in the diagram, too."""
+    name, tone = MARKS[kind]
+    return Cell(f"{name} {kind}", tone)
 
 
 def _by_record(data: Stages) -> Block:

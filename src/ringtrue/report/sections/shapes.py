@@ -18,7 +18,8 @@ def section(data: Stages) -> Section | None:
     if scene is not None:
         text += ": the model's skin, coloured by its displacement"
     if data.test is not None:
-        text += "; the test's wireframe in orange, turned and scaled onto the model's shape"
+        text += "; the test's wireframe in orange"
+        text += ", turned and scaled onto the model's shape" if scene is not None else ""
     view = Scene3D(modes(scene, data.test, shown), f"{text}.", 540)
     return Section("shapes", "Mode shapes", [view])
 
@@ -118,6 +119,10 @@ def _test_only(data: Stages) -> list[Shown]:
         if found is not None:
             m = found.modes
             out += [_alone(name, m, k, None, (m, k)) for k in range(len(m))]
+            others = found.others
+            for k, kind in enumerate(others.classes):
+                stage = f"{name}, {kind}"
+                out.append(_alone(stage, others.modes, k, None, (others.modes, k)))
     return out
 
 

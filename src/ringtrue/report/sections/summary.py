@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 
 from ringtrue.correlation.measures import CompleteCorrelation
 from ringtrue.correlation.orthogonality import OrthogonalityCheck
@@ -54,7 +55,10 @@ def _inventory(data: Stages) -> list[Fact]:
         facts += [Fact("Modes of the model", str(len(data.model.modes)))]
     if data.identify is not None:
         facts += [Fact("Records", str(len(data.identify.records)))]
-        facts += [Fact("Ambient modes", str(len(data.identify.ambient)))]
+        ambient = data.identify.ambient
+        facts += [Fact("Ambient modes", str(len(ambient)))]
+        counts = Counter(ambient.others.classes)
+        facts += [Fact(kind.capitalize(), str(n)) for kind, n in sorted(counts.items())]
         if data.identify.hammer is not None:
             source = data.identify.source
             name = "Hammer modes" if source == "hammer test" else f"Modes of {source}"

@@ -77,6 +77,7 @@ def weight(model: ModelStage) -> tuple[float, str]:
     return (kg / 1000, "t") if kg >= 1000 else (kg, "kg")
 
 
+DRAWN = 4  # records of one test
 HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min")
 
 
@@ -189,10 +190,14 @@ def signal_section(data: Stages) -> Section | None:
 
 def _test(records: list[RecordSummary]) -> list[Block]:
     out: list[Block] = []
-    for r in records:
+    previews = [r for r in records if r.preview is not None]
+    drawn = _telling(previews)
+    for r in drawn:
         if (p := r.preview) is not None:
             text = f"{r.name}, {r.excitation}: time preview and power spectral density."
             out.append(Plot(plots.record(p, p.unit.replace("^2", "²")), text))
+    if left := [r.name for r in previews if r not in drawn]:
+        out.append(Text(f"Not drawn: {', '.join(left)}.", "note"))
     setups = list(dict.fromkeys(r.setup for r in records))
     if len(setups) > 1:
         described = (
@@ -201,6 +206,19 @@ def _test(records: list[RecordSummary]) -> list[Block]:
         )
         return [Text(described, "note"), *out]
     return out
+
+
+def _telling(records: list[RecordSummary]) -> list[RecordSummary]:
+    """The records to draw, in their order: the first of each excitation, and those with the most
+    notes on channels.
+    """
+    first = {r.excitation: k for k, r in reversed(tuple(enumerate(records)))}
+    opening = set(first.values())
+    rank = sorted(
+        range(len(records)),
+        key=lambda k: (k not in opening, -len(records[k].channel_notes), k),
+    )
+    return [records[k] for k in sorted(rank[:DRAWN])]
 
 
 def frf_section(data: Stages) -> Section | None:

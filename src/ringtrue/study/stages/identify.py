@@ -30,8 +30,9 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.ambient.shape_reading import RecordCorrelations
+from ringtrue.identification.common.diagram import SpectrumAccount
 from ringtrue.identification.common.joined_shapes import with_joined_shapes
-from ringtrue.identification.common.merging import Contribution, merge_modes
+from ringtrue.identification.common.merging import Contribution, join_candidates, merge_modes
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.choices import read_choice
@@ -260,7 +261,7 @@ def _as_one(files: Sequence[RecordSummary], result: AmbientResult) -> RecordSumm
     return replace(
         first,
         duration=duration,
-        notes=(*joined, *first.notes, *others, *result.others.sentences(), *result.record_notes),
+        notes=(*joined, *first.notes, *others, *result.record_notes),
         channel_notes=(*of_files, *result.channel_notes),
     )
 
@@ -287,8 +288,18 @@ def ambient(
         with about(record.path):
             weighed = weighed_candidates(parts, band, campaign.choice.of(record.name), quiet)
             result = modes_of_record(weighed, band, quiet)
-        modes = (result.modes, result.uncertainty, result.reasons, result.diagrams)
-        found.append(IdentifiedRecord(*modes, record=record.name))
+        found.append(
+            IdentifiedRecord(
+                modes=result.modes,
+                uncertainty=result.uncertainty,
+                reasons=result.reasons,
+                diagrams=result.diagrams,
+                remarks=result.remarks,
+                others=result.others,
+                account=result.account,
+                record=record.name,
+            )
+        )
         correlations.append(RecordCorrelations.of(weighed))
         shown.append(_as_one(mine, result))
     return found, shown, correlations
@@ -529,12 +540,23 @@ def _with_ambient(
         for r, s in zip(found, shown, strict=True)
         if len(r)
     ]
-    if not parts:
+    if not found:
         return stage
+    only = found[0] if len(found) == 1 else None
+    account = only.account if only else SpectrumAccount()
+    if not parts:
+        others = join_candidates([r.others for r in found], NO_MODES)
+        return replace(stage, ambient=replace(stage.ambient, others=others, account=account))
     merged = merge_modes(parts)
     readers = [c for c, r in zip(correlations, found, strict=True) if len(r)]
     several = np.flatnonzero([len(given) > 1 for given in merged.provenance])
     merged = with_joined_shapes(merged, parts, readers, several)
-    reasons = tuple(_reason(p, found) for p in merged.provenance)
-    ambient_modes = IdentifiedModes(merged.modes, merged.uncertainty, reasons)
+    ambient_modes = IdentifiedModes(
+        modes=merged.modes,
+        uncertainty=merged.uncertainty,
+        reasons=tuple(_reason(p, found) for p in merged.provenance),
+        remarks=only.remarks if only else (),
+        others=join_candidates([r.others for r in found], merged.modes),
+        account=account,
+    )
     return replace(stage, ambient=ambient_modes, merge_notes=merged.notes)

@@ -1,0 +1,163 @@
+"""What a diagram of an identification shows in one view: poles, spectrum, modes of each class."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.display import Displayed
+from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.notes import summary
+from ringtrue.errors import InputError
+from ringtrue.identification.ambient.spectral_bins import SpectrumPeak
+from ringtrue.identification.common.stabilisation import StableDiagram
+from ringtrue.shapes import mac, mpc
+from ringtrue.signal.machines import Machine
+from ringtrue.signal.tonal_lines import Harmonic
+
+MARGIN = 0.03  # on both sides, of the logarithm of the range
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpectrumAccount:
+    """What the peaks of a spectrum are besides modes.
+
+    Attributes
+    ----------
+    harmonics : tuple of Harmonic
+        Lines of machines.
+    machines : tuple of Machine
+        With their speed and harmonics.
+    unexplained : tuple of SpectrumPeak
+        Peaks at which nothing is.
+    """
+
+    harmonics: tuple[Harmonic, ...] = ()
+    machines: tuple[Machine, ...] = ()
+    unexplained: tuple[SpectrumPeak, ...] = ()
+
+    @property
+    def lines(self) -> Float:
+        """(line,) Hz, ascending: of machines, each harmonic once."""
+        single = np.array([h.frequency for h in self.harmonics])
+        combs = [m.frequency * m.harmonics for m in self.machines]
+        return np.unique(np.concatenate([single, *combs]))
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationDiagram(Displayed):
+    """Poles of all bands and orders over the spectrum, and the modes of each class.
+
+    Attributes
+    ----------
+    diagrams : tuple of StableDiagram
+        One a band.
+    modes : ModeSet
+        Natural, doubtful and harmonic ones, ascending in frequency.
+    uncertainty : Uncertainty
+    classes : tuple of {"natural", "doubtful", "harmonic"}
+    remarks : tuple of str
+        What is particular of each mode, in six words; empty for one beyond doubt.
+    account : SpectrumAccount
+    """
+
+    diagrams: tuple[StableDiagram, ...]
+    modes: ModeSet
+    uncertainty: Uncertainty
+    classes: tuple[ModeClass, ...]
+    remarks: tuple[str, ...]
+    account: SpectrumAccount = SpectrumAccount()
+
+    def __post_init__(self) -> None:
+        m = len(self.modes)
+        if len(self.classes) != m or len(self.remarks) != m:
+            raise InputError(
+                f"{len(self.classes)} classes and {len(self.remarks)} remarks of {m} modes"
+            )
+
+    @property
+    def auto_mac(self) -> Float:
+        """(m, m) float64, 0..1; NaN of shapes that are not known."""
+        shapes = self.modes.shapes
+        values = mac(np.nan_to_num(shapes), np.nan_to_num(shapes))
+        unknown = np.isnan(shapes).all(axis=0)
+        values[unknown] = np.nan
+        values[:, unknown] = np.nan
+        return values
+
+    @property
+    def mpc(self) -> Float:
+        """(m,) float64, 0..1: modal phase collinearity; NaN of shapes that are not known."""
+        return shape_collinearity(self.modes)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Where poles, modes and unexplained peaks lie, with a margin, Hz; 0 to 1 where there are
+        none.
+        """
+        peaks = [p.frequency for p in self.account.unexplained]
+        poles = [d.poles.frequencies for d in self.diagrams]
+        f = np.concatenate([self.modes.frequencies, peaks, *poles])
+        f = f[f > 0]
+        if not f.size:
+            return 0.0, 1.0
+        margin = max((f.max() / f.min()) ** MARGIN, 1.03)
+        return float(f.min() / margin), float(f.max() * margin)
+
+
+def shape_collinearity(modes: ModeSet) -> Float:
+    """(m,) MPC of each mode; NaN where its shape is not known."""
+    values = mpc(np.nan_to_num(modes.shapes.astype(np.complex128)))
+    values[np.isnan(modes.shapes).all(axis=0)] = np.nan
+    return values
+
+
+def identification_diagram(
+    diagrams: Sequence[StableDiagram],
+    natural: tuple[ModeSet, Uncertainty, Sequence[str]],
+    others: OtherCandidates,
+    account: SpectrumAccount | None = None,
+) -> IdentificationDiagram:
+    """The diagram of natural modes (with deviations and remarks) and other candidates.
+
+    Raises
+    ------
+    InputError
+        If the shapes of both have different channels.
+    """
+    modes, std, remarks = natural
+    if not len(modes):
+        modes = others.modes.take([])
+        std = others.uncertainty.take([])
+    elif not len(others):
+        others = OtherCandidates.none(modes.channels)
+    both = np.concatenate([modes.frequencies, others.modes.frequencies])
+    rank = np.argsort(both, kind="stable")
+    joined = ModeSet(
+        both,
+        np.concatenate([modes.damping, others.modes.damping]),
+        np.concatenate([modes.shapes, others.modes.rows(modes.channels).shapes], axis=1),
+        modes.channels,
+        norm=modes.norm,
+        source=modes.source,
+        confidence=np.concatenate([modes.confidence, others.modes.confidence]),
+    )
+    deviations = Uncertainty.independent(
+        np.concatenate([std.frequency, others.uncertainty.frequency]),
+        np.concatenate([std.damping, others.uncertainty.damping]),
+        np.concatenate([std.shape, others.uncertainty.shape], axis=1),
+    )
+    natural_ones: list[ModeClass] = ["natural"] * len(modes)
+    kinds = [*natural_ones, *others.classes]
+    texts = [*remarks, *map(summary, others.notes)]
+    return IdentificationDiagram(
+        tuple(diagrams),
+        joined.take(rank),
+        deviations.take(rank),
+        tuple(kinds[k] for k in rank.tolist()),
+        tuple(texts[k] for k in rank.tolist()),
+        account or SpectrumAccount(),
+    )

@@ -1,0 +1,238 @@
+"""The diagram of an identification: the whole band in one view."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ringtrue.core.arrays import Float, Int
+from ringtrue.identification.common.diagram import IdentificationDiagram
+from ringtrue.identification.common.stabilisation import StableDiagram
+from ringtrue.plots.correlation import MatrixSide, labels, matrix
+from ringtrue.plots.style import FE, MUTED, QUALITATIVE, TEST, axis, f32, figure, thinned_log
+
+# kinds of poles: name, colour, size of the mark
+POLES = (
+    ("unstable pole", "#d3cbbd", 4),
+    ("stable pole", QUALITATIVE[5], 4),
+    ("pole of a candidate mode", FE, 5),
+)
+# classes of modes: name, colour, symbol; open where it is not reported
+CLASSES = (
+    ("natural", TEST, "triangle-down"),
+    ("doubtful", "#b07800", "triangle-down"),
+    ("harmonic", "#8e4a9e", "diamond"),
+)
+LINE = {"symbol": "line-ns-open", "size": 12, "color": "#8e4a9e", "line": {"width": 2}}
+PEAK = {"symbol": "circle-open", "size": 6, "color": MUTED, "line": {"width": 1.2}}
+SPECTRUM = ("#8d9aa7", "#b4bec8", "#d2d9df")  # of the first, second and third singular value
+COLUMNS = 500  # poles of one order nearer than a column of the whole band are one mark
+MOST = 4000  # marks of one kind of poles
+POINTS = 1500  # of a singular value
+WIDE = 20  # highest over lowest frequency, from where on the axis is logarithmic
+
+
+def pole_kinds(diagram: StableDiagram) -> Int:
+    """(k,) position in `POLES` of each pole."""
+    taken = diagram.cluster >= 0
+    return np.where(taken, 2, diagram.stable.astype(np.int64))
+
+
+def identification_figure(
+    shown: IdentificationDiagram, *, most: int = MOST, height: int = 700
+) -> go.Figure:
+    """Poles over frequency and order with three singular values behind and the modes on top;
+    below, damping over frequency.
+
+    Parameters
+    ----------
+    shown : IdentificationDiagram
+    most : int
+        Marks of one kind of poles; 0 leaves their traces empty, for a page that fills them.
+    height : int
+        Pixels.
+    """
+    low, high = shown.span
+    top = max((int(d.poles.order.max(initial=1)) for d in shown.diagrams), default=1)
+    fig = _axes(shown, top, height)
+    for k, color in reversed(tuple(enumerate(SPECTRUM))):
+        x, y = _singular_value(shown, k)
+        if x.size:
+            name = "singular values" if k == 0 else f"singular value {k + 1}"
+            line = {"width": 1, "color": color}
+            look = {"showlegend": k == 0, "legendgroup": "spectrum", "hoverinfo": "skip"}
+            fig.add_scatter(x=x, y=y, yaxis="y2", mode="lines", line=line, name=name, **look)
+    for k, (name, color, size) in enumerate(POLES):
+        frequency, order, damping = _poles(shown, k, most) if most else (np.empty(0),) * 3
+        for y, on, large in ((order, "y", size), (100 * damping, "y3", size - 1)):
+            fig.add_scatter(
+                x=frequency,
+                y=f32(y),
+                yaxis=on,
+                mode="markers",
+                marker={"color": color, "size": large},
+                name=name,
+                legendgroup=name,
+                showlegend=on == "y",
+                hoverinfo="skip",
+            )
+    _add_account(fig, shown, top)
+    _add_modes(fig, shown, top)
+    fig.update_xaxes(range=[np.log10(low), np.log10(high)] if _wide(shown) else [low, high])
+    return fig
+
+
+def _wide(shown: IdentificationDiagram) -> bool:
+    low, high = shown.span
+    return low > 0 and high / low > WIDE
+
+
+def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
+    """Orders and spectrum in the upper panel, damping in the lower one."""
+    frequency = axis("Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2})
+    if _wide(shown):
+        frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
+    std = np.nan_to_num(shown.uncertainty.damping)
+    highest = 100 * float((shown.modes.damping + std).max(initial=0.0))
+    order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
+    level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
+    level["tickmode"] = "auto"
+    ratio = axis("Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5)
+    fig = figure(height, xaxis=frequency, yaxis=order, yaxis2=level, yaxis3=ratio)
+    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 48})
+    return fig
+
+
+def _singular_value(shown: IdentificationDiagram, k: int) -> tuple[Float, Float]:
+    """One curve over all bands, each as far as the middle of what it shares with the next."""
+    parts = [d for d in shown.diagrams if d.level.shape[0] > k and d.freqs.size]
+    parts.sort(key=lambda d: float(d.freqs[-1]))
+    low, high = shown.span
+    x = []
+    y = []
+    for i, d in enumerate(parts):
+        start = low if i == 0 else _border(parts[i - 1], d)
+        end = high if i == len(parts) - 1 else _border(d, parts[i + 1])
+        at = (d.freqs > max(start, 0)) & (d.freqs <= end)
+        x.append(d.freqs[at])
+        y.append(d.level[k, at])
+    if not x:
+        return np.empty(0), np.empty(0)
+    freqs = np.concatenate(x)
+    level = np.concatenate(y)
+    freqs, level = thinned_log(freqs, level, POINTS)
+    return f32(freqs), f32(level)
+
+
+def _border(lower: StableDiagram, upper: StableDiagram) -> float:
+    """Where two bands part, Hz: the middle of what both have."""
+    return float(np.sqrt(lower.freqs[-1] * max(upper.freqs[0], 1e-300)))
+
+
+def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
+    """Frequency, order and damping of the poles of a kind, as many as can be told apart."""
+    sets = [(d.poles, pole_kinds(d) == kind) for d in shown.diagrams]
+    empty = np.empty(0)
+    f = np.concatenate([empty, *(p.frequencies[at] for p, at in sets)])
+    order = np.concatenate([empty, *(p.order[at] for p, at in sets)])
+    damping = np.concatenate([empty, *(p.damping[at] for p, at in sets)])
+    at = _apart(f, order, shown)
+    at = at[:: -(-at.size // most) or 1]
+    return f32(f[at]), f32(order[at]), f32(damping[at])
+
+
+def _apart(f: Float, order: Float, shown: IdentificationDiagram) -> Int:
+    """Positions of the poles that a mark does not hide."""
+    low, high = shown.span
+    place = np.log(np.maximum(f, low) / low) / np.log(high / low) if _wide(shown) else f / high
+    cells = np.stack([np.floor(COLUMNS * place), order])
+    _, first = np.unique(cells, axis=1, return_index=True)
+    return np.sort(first)
+
+
+def _add_account(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None:
+    """Lines of machines below the orders, unexplained peaks above them."""
+    peaks = shown.account.unexplained
+    lines = shown.account.lines
+    said = [
+        f"{p.frequency:.5g} Hz<br>{p.prominence:.0f} dB in singular value {p.value}" for p in peaks
+    ]
+    at = np.array([p.frequency for p in peaks])
+    for name, f, text, look, height in (
+        ("line of a machine", lines, [f"{f:.5g} Hz" for f in lines], LINE, 0.02),
+        ("unexplained peak", at, said, PEAK, 1.11),
+    ):
+        if len(f):
+            fig.add_scatter(
+                x=f,
+                y=np.full(len(f), height * top),
+                mode="markers",
+                marker=look,
+                name=name,
+                text=text,
+                hovertemplate="%{text}<extra>" + name + "</extra>",
+            )
+
+
+def _add_modes(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None:
+    """The modes of each class: above the orders, and with deviations in the panel of damping."""
+    text = mode_texts(shown)
+    for name, color, symbol in CLASSES:
+        at = [k for k, own in enumerate(shown.classes) if own == name]
+        if not at:
+            continue
+        form = symbol if name == "natural" else f"{symbol}-open"
+        mark = {
+            "symbol": [form] * len(at),
+            "size": 11,
+            "color": color,
+            "line": {"width": 1.5, "color": color},
+        }
+        std = 100 * shown.uncertainty.damping[at]
+        bar = {"array": f32(np.nan_to_num(std)), "thickness": 1, "width": 3, "color": color}
+        ratio = 100 * shown.modes.damping[at]
+        for y, on, bars in ((np.full(len(at), 1.06 * top), "y", None), (ratio, "y3", bar)):
+            fig.add_scatter(
+                x=shown.modes.frequencies[at],
+                y=f32(y),
+                yaxis=on,
+                error_y=bars,
+                mode="markers",
+                marker=mark if on == "y" else mark | {"size": 8},
+                name=f"{name} mode",
+                legendgroup=name,
+                showlegend=on == "y",
+                customdata=at,
+                text=[text[k] for k in at],
+                hovertemplate="%{text}<extra></extra>",
+            )
+
+
+def mode_texts(shown: IdentificationDiagram) -> list[str]:
+    """What a mark of each mode says on hover."""
+    out = []
+    modes = shown.modes
+    std = shown.uncertainty
+    for k, (kind, remark, mpc) in enumerate(
+        zip(shown.classes, shown.remarks, shown.mpc, strict=True)
+    ):
+        lines = [
+            f"<b>{kind} mode</b>",
+            f"{modes.frequencies[k]:.6g} Hz ± {std.frequency[k]:.1e}",
+            f"damping {100 * modes.damping[k]:.3g} ± {100 * std.damping[k]:.1g} %",
+            f"MPC {mpc:.2f}, confidence {modes.confidence[k]:.2f}",
+            *([remark] if remark else []),
+        ]
+        out.append("<br>".join(lines).replace("nan", "unknown"))
+    return out
+
+
+def auto_mac(shown: IdentificationDiagram, height: int = 0) -> go.Figure:
+    """The MAC among the modes of all classes."""
+    marks = {"natural": "", "doubtful": " ▽", "harmonic": " ◇"}
+    names = [
+        f"{label}{marks[kind]}"
+        for label, kind in zip(labels(shown.modes.frequencies), shown.classes, strict=True)
+    ]
+    side = MatrixSide(names, "Mode, Hz")
+    return matrix(shown.auto_mac, side, side, height=height, diagonal=False)
