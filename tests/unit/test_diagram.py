@@ -157,3 +157,24 @@ def test_an_ambient_result_draws_the_whole_band() -> None:
     first = next(t for t in fig.data if t.name == "singular values")
     peak = float(first.x[np.argmax(first.y)])
     assert min(abs(peak / f - 1) for f in found.frequencies) < 0.02
+
+
+def test_singular_values_of_two_bands_join_without_a_step() -> None:
+    """Both have the spectrum -10 dB a decade, with references of their own."""
+
+    def band(low: float, high: float, reference: float) -> StableDiagram:
+        nothing = PoleSet(np.empty(0, int), np.empty(0), np.empty((3, 0)), np.empty(0), np.empty(0))
+        lines = np.geomspace(low, high, 300)
+        level = reference - 10 * np.log10(lines) - np.array([[0.0], [6.0], [12.0]])
+        return StableDiagram(nothing, np.empty(0, bool), np.empty(0, int), lines, level)
+
+    natural = mode_set([2.0, 80.0], [[1, 0, 0], [1, 1, 0]])
+    parts = [band(8, 90, 0.0), band(1, 20, 35.0)]
+    found = identification_diagram(
+        parts, (natural, deviations(natural), ("", "")), OtherCandidates.none("abc")
+    )
+    lines, level = found.singular_value(1)
+    assert (np.diff(lines) > 0).all()
+    assert level == pytest.approx(-10 * np.log10(lines) - 6, abs=0.01)
+    assert lines[0] < 2.1
+    assert lines[-1] > 79

@@ -56,12 +56,14 @@ def identification_figure(
     top = max((int(d.poles.order.max(initial=1)) for d in shown.diagrams), default=1)
     fig = _axes(shown, top, height)
     for k, color in reversed(tuple(enumerate(SPECTRUM))):
-        x, y = _singular_value(shown, k)
+        x, y = thinned_log(*shown.singular_value(k), POINTS)
         if x.size:
             name = "singular values" if k == 0 else f"singular value {k + 1}"
             line = {"width": 1, "color": color}
             look = {"showlegend": k == 0, "legendgroup": "spectrum", "hoverinfo": "skip"}
-            fig.add_scatter(x=x, y=y, yaxis="y2", mode="lines", line=line, name=name, **look)
+            fig.add_scatter(
+                x=f32(x), y=f32(y), yaxis="y2", mode="lines", line=line, name=name, **look
+            )
     for k, (name, color, size) in enumerate(POLES):
         frequency, order, damping = _poles(shown, k, most) if most else (np.empty(0),) * 3
         for y, on, large in ((order, "y", size), (100 * damping, "y3", size - 1)):
@@ -99,34 +101,8 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     level["tickmode"] = "auto"
     ratio = axis("Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5)
     fig = figure(height, xaxis=frequency, yaxis=order, yaxis2=level, yaxis3=ratio)
-    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 48})
+    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 78})
     return fig
-
-
-def _singular_value(shown: IdentificationDiagram, k: int) -> tuple[Float, Float]:
-    """One curve over all bands, each as far as the middle of what it shares with the next."""
-    parts = [d for d in shown.diagrams if d.level.shape[0] > k and d.freqs.size]
-    parts.sort(key=lambda d: float(d.freqs[-1]))
-    low, high = shown.span
-    x = []
-    y = []
-    for i, d in enumerate(parts):
-        start = low if i == 0 else _border(parts[i - 1], d)
-        end = high if i == len(parts) - 1 else _border(d, parts[i + 1])
-        at = (d.freqs > max(start, 0)) & (d.freqs <= end)
-        x.append(d.freqs[at])
-        y.append(d.level[k, at])
-    if not x:
-        return np.empty(0), np.empty(0)
-    freqs = np.concatenate(x)
-    level = np.concatenate(y)
-    freqs, level = thinned_log(freqs, level, POINTS)
-    return f32(freqs), f32(level)
-
-
-def _border(lower: StableDiagram, upper: StableDiagram) -> float:
-    """Where two bands part, Hz: the middle of what both have."""
-    return float(np.sqrt(lower.freqs[-1] * max(upper.freqs[0], 1e-300)))
 
 
 def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
@@ -190,6 +166,9 @@ def _add_modes(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None:
         }
         std = 100 * shown.uncertainty.damping[at]
         bar = {"array": f32(np.nan_to_num(std)), "thickness": 1, "width": 3, "color": color}
+        sample = {**mark, "symbol": form}  # the legend keeps it where single marks change
+        look = {"name": f"{name} mode", "legendgroup": name, "marker": sample}
+        fig.add_scatter(x=[None], y=[None], mode="markers", **look)
         ratio = 100 * shown.modes.damping[at]
         for y, on, bars in ((np.full(len(at), 1.06 * top), "y", None), (ratio, "y3", bar)):
             fig.add_scatter(
@@ -201,7 +180,7 @@ def _add_modes(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None:
                 marker=mark if on == "y" else mark | {"size": 8},
                 name=f"{name} mode",
                 legendgroup=name,
-                showlegend=on == "y",
+                showlegend=False,
                 customdata=at,
                 text=[text[k] for k in at],
                 hovertemplate="%{text}<extra></extra>",

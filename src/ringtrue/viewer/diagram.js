@@ -10,7 +10,7 @@
   };
   const modeShape = new Float32Array(bytes(data.shape));
   const channels = data.channels.length, modes = data.modes, diagram = byId("figure-0");
-  const MOST = 4000, COLUMNS = 600; // marks of one kind in view; columns of the view within which poles of one order are one mark
+  const MOST = 2500, COLUMNS = 600; // marks of one kind in view; columns of the view within which poles of one order are one mark
 
   // ---------------------------------------------------------------- what is chosen
   const natural = (k) => modes[k].class === "natural";
@@ -23,14 +23,9 @@
     if (kind === "mode") taken[k] = on;
     else if (on) picked.add(k);
     else picked.delete(k);
-    refresh();
-  }
-
-  function click(kind, k) {
-    if (isIn(kind, k) && isShown(kind, k)) return put(kind, k, false);
-    put(kind, k, true);
     show(kind, k);
   }
+  const click = (kind, k) => put(kind, k, !(isIn(kind, k) && isShown(kind, k)));
 
   const number = (x) => String(Number(x.toPrecision(9)));
   function text() {
@@ -46,39 +41,48 @@
   const config = { responsive: true, displaylogo: false, doubleClick: "reset", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
   const figure = data.figures[0];
   figure.layout.yaxis.fixedrange = figure.layout.yaxis2.fixedrange = true;
-  const ring = { size: 12, symbol: "circle-open", color: "#d55e00", line: { width: 2 } };
-  figure.data.push({ x: [], y: [], mode: "markers", marker: ring, name: "picked pole", showlegend: false, hoverinfo: "skip" });
   const traces = (test) => figure.data.flatMap((t, i) => (test(t) ? [i] : []));
-  const marks = traces((t) => modes.some((m) => m.class === t.legendgroup));
+  const marks = traces((t) => t.customdata && modes.some((m) => m.class === t.legendgroup));
 
-  const view = () => {
-    const { range, type } = diagram._fullLayout.xaxis;
+  // The frequencies in view, once drawn or as the figure begins.
+  function view() {
+    const { range, type } = (diagram._fullLayout || figure.layout).xaxis;
     return range.map((v) => (type === "log" ? 10 ** v : v));
-  };
+  }
 
   // The poles of one kind in view: all of them, or one of those that a mark would hide.
   function inView(kind) {
-    const [low, high] = view(), scale = COLUMNS / Math.log(high / Math.max(low, 1e-9)), cells = new Set(), every = [], apart = [];
+    const [low, high] = view(), floor = Math.max(low, 1e-9), scale = COLUMNS / Math.log(high / floor), cells = new Set(), every = [], apart = [];
     for (let i = 0; i < poles.f.length; i++) if (poles.kind[i] === kind && poles.f[i] >= low && poles.f[i] <= high) every.push(i);
     if (every.length <= MOST) return every;
     for (const i of every) {
-      const cell = Math.floor(Math.log(poles.f[i] / Math.max(low, 1e-9)) * scale) * 65536 + poles.order[i];
+      const cell = Math.floor(Math.log(poles.f[i] / floor) * scale) * 65536 + poles.order[i];
       if (!cells.has(cell)) { cells.add(cell); apart.push(i); }
     }
     const step = Math.ceil(apart.length / MOST);
     return apart.filter((_, k) => k % step === 0);
   }
 
-  function fillPoles() {
+  // What the traces of poles hold in this view: over order, and over damping.
+  function poleTraces() {
+    const at = [], change = { x: [], y: [], customdata: [] };
     data.kinds.forEach((name, kind) => {
-      const at = inView(kind), x = at.map((i) => poles.f[i]);
-      const about = at.map((i) => [i, poles.order[i], 100 * poles.damping[i], Number.isFinite(poles.std[i]) ? poles.std[i].toExponential(1) : "unknown"]);
-      const hovertemplate = `%{x:.6g} Hz ± %{customdata[3]}<br>order %{customdata[1]}, damping %{customdata[2]:.3g} %<extra>${name}</extra>`;
+      const some = inView(kind), x = some.map((i) => poles.f[i]);
+      const about = some.map((i) => [i, poles.order[i], 100 * poles.damping[i], Number.isFinite(poles.std[i]) ? poles.std[i].toExponential(1) : "unknown"]);
       for (const i of traces((t) => t.name === name)) {
-        const y = figure.data[i].yaxis === "y3" ? about.map((a) => a[2]) : about.map((a) => a[1]);
-        Plotly.restyle(diagram, { x: [x], y: [y], customdata: [about], hovertemplate, hoverinfo: null }, [i]);
+        const y = about.map((a) => a[figure.data[i].yaxis === "y3" ? 2 : 1]);
+        at.push(i);
+        change.x.push(x);
+        change.y.push(y);
+        change.customdata.push(about);
       }
     });
+    return [change, at];
+  }
+
+  function fillPoles() {
+    const [change, at] = poleTraces();
+    Plotly.restyle(diagram, change, at);
   }
 
   // ---------------------------------------------------------------- shape of what was clicked
@@ -133,9 +137,16 @@
     shown = [kind, k];
     const f = kind === "mode" ? modes[k].f : poles.f[k], name = kind === "mode" ? `${modes[k].class} mode` : `pole of order ${poles.order[k]}`;
     draw(`Shape: ${name}, ${Number(f.toPrecision(5))} Hz`, "", shapeOf(kind, k));
-    const line = { type: "line", xref: "x", yref: "paper", x0: f, x1: f, y0: 0, y1: 1, layer: "below", line: { color: "#24527a", width: 1, dash: "dot" } };
-    Plotly.relayout(diagram, { shapes: [line] });
     refresh();
+  }
+
+  // Where the shown mode or pole lies, and rings around picked poles: shapes are redrawn without the poles.
+  function overlay() {
+    const f = shown && (shown[0] === "mode" ? modes[shown[1]].f : poles.f[shown[1]]);
+    const line = { type: "line", yref: "paper", y0: 0, y1: 1, layer: "below", line: { color: "#24527a", width: 1, dash: "dot" } };
+    const ring = { type: "circle", xsizemode: "pixel", ysizemode: "pixel", x0: -6, x1: 6, y0: -6, y1: 6, line: { color: "#d55e00", width: 2 } };
+    const rings = [...picked].map((i) => ({ ...ring, xanchor: poles.f[i], yanchor: poles.order[i] }));
+    return [...(shown ? [{ ...line, x0: f, x1: f }] : []), ...rings];
   }
 
   // ---------------------------------------------------------------- table
@@ -144,7 +155,7 @@
   const rows = modes.map((m, k) => {
     const row = document.createElement("tr"), box = document.createElement("input");
     Object.assign(box, { type: "checkbox", ariaLabel: `report the mode at ${m.f} Hz` });
-    box.onclick = (e) => { e.stopPropagation(); put("mode", k, box.checked); show("mode", k); };
+    box.onclick = (e) => { e.stopPropagation(); put("mode", k, box.checked); };
     const cell = (value, left) => Object.assign(document.createElement("td"), { textContent: value, className: left ? "l" : "" });
     const first = document.createElement("td"), kind = cell("", true), mark = Object.assign(document.createElement("span"), { className: "mark" });
     mark.style.color = data.colors[m.class];
@@ -157,19 +168,18 @@
     return { row, box, mark };
   });
 
+  let drawnSymbols = JSON.stringify(marks.map((i) => figure.data[i].marker.symbol));
   function refresh() {
     rows.forEach(({ row, box, mark }, k) => {
       box.checked = taken[k];
       mark.textContent = SYMBOL[modes[k].class][taken[k] ? 0 : 1];
       row.className = `${isShown("mode", k) ? "shown" : ""} ${taken[k] ? "" : "out"}`;
     });
-    for (const i of marks) {
-      const open = (symbol, k) => symbol.replace("-open", "") + (taken[k] ? "" : "-open");
-      const t = figure.data[i];
-      Plotly.restyle(diagram, { "marker.symbol": [t.customdata.map((k, j) => open(t.marker.symbol[j], k))] }, [i]);
-    }
-    const at = [...picked];
-    Plotly.restyle(diagram, { x: [at.map((i) => poles.f[i])], y: [at.map((i) => poles.order[i])] }, [figure.data.length - 1]);
+    const symbol = (t) => t.customdata.map((k, j) => t.marker.symbol[j].replace("-open", "") + (taken[k] ? "" : "-open"));
+    const now = marks.map((i) => symbol(figure.data[i]));
+    if (JSON.stringify(now) !== drawnSymbols) Plotly.restyle(diagram, { "marker.symbol": now }, marks);
+    drawnSymbols = JSON.stringify(now);
+    Plotly.relayout(diagram, { shapes: overlay() });
     const count = (kind) => modes.filter((m, k) => m.class === kind && (kind !== "natural" || taken[k])).length;
     const parts = ["natural", "doubtful", "harmonic"].map((kind) => `${count(kind)} ${kind}`);
     const extra = modes.filter((_, k) => taken[k] && !natural(k)).length + picked.size;
@@ -190,11 +200,13 @@
     figure.layout.margin.t = 120;
     config.displayModeBar = false;
   }
+  const [begin, at] = poleTraces();
+  at.forEach((i, k) => Object.assign(figure.data[i], { x: begin.x[k], y: begin.y[k], customdata: begin.customdata[k], hoverinfo: undefined,
+    hovertemplate: `%{x:.6g} Hz ± %{customdata[3]}<br>order %{customdata[1]}, damping %{customdata[2]:.3g} %<extra>${figure.data[i].name}</extra>` }));
   Plotly.newPlot(diagram, figure.data, figure.layout, config).then(() => {
-    fillPoles();
-    refresh();
     const first = modes.findIndex((_, k) => natural(k));
     if (modes.length) show("mode", Math.max(first, 0));
+    else refresh();
     diagram.on("plotly_click", (event) => {
       const about = event.points[0].customdata;
       if (Array.isArray(about)) click("pole", about[0]);

@@ -107,6 +107,42 @@ class IdentificationDiagram(Displayed):
         margin = max((f.max() / f.min()) ** MARGIN, 1.03)
         return float(f.min() / margin), float(f.max() * margin)
 
+    def singular_value(self, k: int) -> tuple[Float, Float]:
+        """One singular value over all bands: lines (f,), Hz, ascending, and level (f,), dB.
+
+        Each band has a reference of its own: the lower ones are shifted to the level that the first
+        value has in the next, and each goes as far as the middle of what both have.
+        """
+        parts = [d for d in self.diagrams if d.level.shape[0] > k and d.freqs.size]
+        parts.sort(key=lambda d: -float(d.freqs[-1]))
+        low, top = self.span
+        freqs = [np.empty(0)]
+        level = [np.empty(0)]
+        shift = 0.0
+        for upper, d, lower in zip([None, *parts], parts, [*parts[1:], None], strict=False):
+            if upper is not None:
+                shift += _step(d, upper)
+            bottom = low if lower is None else _border(lower, d)
+            at = (d.freqs >= bottom) & (d.freqs < top)
+            top = bottom
+            freqs.insert(0, d.freqs[at])
+            level.insert(0, d.level[k, at] + shift)
+        return np.concatenate(freqs), np.concatenate(level)
+
+
+def _border(lower: StableDiagram, upper: StableDiagram) -> float:
+    """Where two bands part, Hz: the middle of what both have."""
+    return float(np.sqrt(lower.freqs[-1] * max(upper.freqs[0], 1e-300)))
+
+
+def _step(lower: StableDiagram, upper: StableDiagram) -> float:
+    """By how much the first singular value of the upper band is higher where both have it, dB."""
+    both = (upper.freqs >= lower.freqs[0]) & (upper.freqs <= lower.freqs[-1])
+    if not both.any():
+        return 0.0
+    there = np.interp(upper.freqs[both], lower.freqs, lower.level[0])
+    return float(np.median(upper.level[0, both] - there))
+
 
 def shape_collinearity(modes: ModeSet) -> Float:
     """(m,) MPC of each mode; NaN where its shape is not known."""
