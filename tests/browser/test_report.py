@@ -18,11 +18,14 @@ import plotly.graph_objects as go
 import pytest
 from fake_study import study
 
+from ringtrue.core.modes import OtherCandidates
+from ringtrue.core.notes import Note
 from ringtrue.demos.lsf.demo import checks
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
 from ringtrue.report.parts import fixed, number
+from ringtrue.study.results import IdentifyStage
 
 PIXEL = (
     b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89\x00\x00\x00\r"
@@ -106,6 +109,31 @@ def test_leaves_out_what_was_not_run(
     there = set(ids(build({n: stages[n] for n in names}, tmp_path / "r.html", title="part")))
     assert present <= there
     assert not absent & there
+
+
+def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
+    identify = stages["identify"]
+    assert isinstance(identify, IdentifyStage)
+    ambient = identify.ambient
+    one = ambient.modes.take([0])
+    note = Note("candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10})
+    std = ambient.uncertainty.take([0])
+    others = OtherCandidates(one, std, ("doubtful",), (note,))
+    first = identify.records[0]
+    many = tuple(replace(first, name=f"h{k:02}") for k in range(62))
+    stage = replace(identify, ambient=replace(ambient, others=others), records=many)
+    page = build({"identify": stage}, tmp_path / "r.html", title="mast")
+    order = ids(page)
+    assert order[:4] == ["summary", "identification", "shapes", "diagrams"]
+    assert order[-1] == "signals"
+    text = page.read_text()
+    assert "Modal test report" in text
+    assert "▽ doubtful" in text
+    assert "3 of 10 model orders show it" in text
+    assert text.count("time preview and power spectral density") == 4
+    assert "Not drawn: h04" in text
 
 
 def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:

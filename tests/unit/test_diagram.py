@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import json
 import re
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -13,14 +15,20 @@ import ringtrue as rt
 from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.identification.ambient.spectral_bins import SpectrumPeak
 from ringtrue.identification.common.diagram import (
     IdentificationDiagram,
+    SpectrumAccount,
     identification_diagram,
 )
 from ringtrue.identification.common.merging import join_candidates
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
+from ringtrue.io import hdf5
 from ringtrue.plots.diagram import identification_figure
 from ringtrue.plots.picker import SHAPE_BYTES, picker_page
+from ringtrue.signal.machines import Machine
+from ringtrue.signal.tonal_lines import Harmonic
+from ringtrue.study.results import IdentifiedModes
 
 
 def mode_set(f: list[float], shapes: list[list[float]], channels: str = "abc") -> ModeSet:
@@ -178,3 +186,21 @@ def test_singular_values_of_two_bands_join_without_a_step() -> None:
     assert level == pytest.approx(-10 * np.log10(lines) - 6, abs=0.01)
     assert lines[0] < 2.1
     assert lines[-1] > 79
+
+
+def test_a_stored_study_has_all_classes_machines_and_unexplained_peaks(tmp_path: Path) -> None:
+    natural = mode_set([5.0], [[1, 1, 0]])
+    machine = Machine(np.arange(4.0), 6 * np.arange(4.0), np.array([1, 2, 5]), 3, 9, 0.1)
+    peak = SpectrumPeak(3.8, 0.05, 2, 12.0)
+    account = SpectrumAccount((Harmonic(50.0, "mains hum"),), (machine,), (peak,))
+    std = deviations(natural)
+    found = IdentifiedModes(
+        natural, std, remarks=("few",), others=candidates(10.0, [1, 0, 0]), account=account
+    )
+    with h5py.File(tmp_path / "s.h5", "w") as f:
+        hdf5.save(f.create_group("stage"), found)
+        again = hdf5.load(f["stage"])
+    assert again.diagram.classes == ("natural", "harmonic")
+    assert again.diagram.remarks == ("few", "line of a machine")
+    assert again.account.lines.tolist() == [6.0, 12.0, 30.0, 50.0]
+    assert again.account.unexplained == (peak,)

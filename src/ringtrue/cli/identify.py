@@ -84,7 +84,7 @@ WriteChoice = Annotated[
 ]
 Diagram = Annotated[
     Path | None,
-    file_to("--diagram", "Write the stabilisation diagrams as a page to pick poles on", ".html"),
+    file_to("--diagram", "Write the diagram as a page: a click takes a mode or pole up", ".html"),
 ]
 
 

@@ -94,8 +94,8 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     frequency = axis("Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2})
     if _wide(shown):
         frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
-    std = np.nan_to_num(shown.uncertainty.damping)
-    highest = 100 * float((shown.modes.damping + std).max(initial=0.0))
+    upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
+    highest = 100 * float(upper.max(initial=0.0))
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
     level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
     level["tickmode"] = "auto"

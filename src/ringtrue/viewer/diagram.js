@@ -151,6 +151,7 @@
 
   // ---------------------------------------------------------------- table
   const known = (x, digits) => (x === null ? "–" : Number(x.toPrecision(digits)).toString());
+  const percent = (x, digits) => known(x === null ? null : 100 * x, digits);
   const SYMBOL = { natural: ["▼", "▽"], doubtful: ["▼", "▽"], harmonic: ["◆", "◇"] };
   const rows = modes.map((m, k) => {
     const row = document.createElement("tr"), box = document.createElement("input");
@@ -161,7 +162,7 @@
     mark.style.color = data.colors[m.class];
     first.append(box);
     kind.append(mark, m.class);
-    row.append(first, cell(known(m.f, 6)), cell(known(m.std_f, 2)), cell(known(100 * m.damping, 4)), cell(m.std_damping === null ? "–" : known(100 * m.std_damping, 2)),
+    row.append(first, cell(known(m.f, 6)), cell(known(m.std_f, 2)), cell(percent(m.damping, 4)), cell(percent(m.std_damping, 2)),
       cell(m.mpc === null ? "–" : m.mpc.toFixed(2)), cell(m.confidence.toFixed(2)), kind, cell(m.remark, true));
     row.onclick = () => show("mode", k);
     byId("rows").append(row);

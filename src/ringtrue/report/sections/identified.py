@@ -153,7 +153,7 @@ def _numbers(shown: IdentificationDiagram, k: int, why: str) -> list[str | Cell]
         number(float(std.frequency[k]), 2),
         fixed(100 * modes.damping[k], 2),
         number(100 * float(std.damping[k]), 2),
-        fixed(float(shown.mpc[k]), 2),
+        fixed(None if modes.frequency_only else float(shown.mpc[k]), 2),
         Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
     ]
 
