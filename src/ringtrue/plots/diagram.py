@@ -197,13 +197,17 @@ def mode_texts(shown: IdentificationDiagram) -> list[str]:
     ):
         lines = [
             f"<b>{kind} mode</b>",
-            f"{modes.frequencies[k]:.6g} Hz ± {std.frequency[k]:.1e}",
-            f"damping {100 * modes.damping[k]:.3g} ± {100 * std.damping[k]:.1g} %",
-            f"MPC {mpc:.2f}, confidence {modes.confidence[k]:.2f}",
+            f"{modes.frequencies[k]:.6g} Hz ± {_known(std.frequency[k], '.1e')}",
+            f"damping {100 * modes.damping[k]:.3g} ± {_known(100 * std.damping[k], '.1g')} %",
+            f"MPC {_known(mpc, '.2f')}, confidence {modes.confidence[k]:.2f}",
             *([remark] if remark else []),
         ]
-        out.append("<br>".join(lines).replace("nan", "unknown"))
+        out.append("<br>".join(lines))
     return out
+
+
+def _known(x: float, form: str) -> str:
+    return format(x, form) if np.isfinite(x) else "unknown"
 
 
 def auto_mac(shown: IdentificationDiagram, height: int = 0) -> go.Figure:

@@ -80,7 +80,9 @@ class IdentificationDiagram(Displayed):
 
     @property
     def auto_mac(self) -> Float:
-        """(m, m) float64, 0..1; NaN of shapes that are not known."""
+        """(m, m) float64, 0..1; NaN of shapes that are not known. Channels without a reading count
+        as zero.
+        """
         shapes = self.modes.shapes
         values = mac(np.nan_to_num(shapes), np.nan_to_num(shapes))
         unknown = np.isnan(shapes).all(axis=0)
