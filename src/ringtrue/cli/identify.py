@@ -41,7 +41,6 @@ from ringtrue.io.modes import modes_to_json
 from ringtrue.io.setup_tables import WiredFile, read_setup_table
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.plots.picker import picker_page
-from ringtrue.shapes import mpc
 from ringtrue.signal.spectra import check_band
 
 Fmin = Annotated[
