@@ -45,6 +45,7 @@ RUNS = {  # name of the results: script and its options
     "ambient_short": "bench/ambient_families.py short",
     "ambient_machine": "bench/ambient_families.py machine",
     "ambient_decay": "bench/ambient_families.py decay",
+    "ambient_drops": "bench/ambient_families.py drops",
     "ambient_setups": "bench/ambient_families.py setups",
     "ambient_confidence": "bench/confidence.py",
     "records": "bench/records.py",

@@ -22,7 +22,7 @@ def inspect(
 ) -> int:
     """What is in a file, with shapes, units and rates, and which command takes it.
 
-    The content of a file tells what it is, not its name: decks, results of solvers, records, FRFs,
+    The content of a file says what it is, not its name: decks, results of solvers, records, FRFs,
     modes, sensor sheets, universal files, studies and choices.
 
     Example: ringtrue inspect record.mat model.txt

@@ -79,7 +79,7 @@ def frf_titles(path: Path) -> list[str]:
 def read_frf_columns(path: Path) -> tuple[list[str], Float]:
     """Titles of the columns of a text, each with name, part and unit, and numbers (column, row).
 
-    The rows above the numbers are told apart by what they hold: units, parts (`Real`, `Phase`) and
+    The rows above the numbers are known by what they hold: units, parts (`Real`, `Phase`) and
     names of FRFs, which count for the empty cells to their right. A column of counts is left out.
     Without a row of parts, a header that names an FRF, the unit of its axis and the parts gives the
     titles of one FRF. Titles are empty where there are none.
@@ -107,13 +107,10 @@ def _layout(path: Path, most: int | None) -> _Layout:
         titles = _by_keys(above, lines[top:], delimiter) or titles
     if not titles:
         titles = column_titles([split_cells(x, delimiter) for x in head], width, path)
-    counts = int(len(titles) > 1 and _COUNT.match(titles[0]) is not None and _leads(titles[1:]))
+    counted = len(titles) > 1 and _COUNT.match(titles[0]) and FREQUENCY.match(titles[1])
+    counts = 1 if counted else 0
     titles = _with_ends(titles[counts:], above)
     return _Layout(titles, counts, lines[top:], delimiter, comma)
-
-
-def _leads(titles: Sequence[str]) -> bool:
-    return FREQUENCY.match(titles[0]) is not None
 
 
 def _names_parts(cells: Sequence[str]) -> bool:
@@ -170,8 +167,8 @@ def _measures(cell: str) -> bool:
 
 
 def _named(row: Sequence[str], below: Sequence[Sequence[str]]) -> bool:
-    """Whether a row of the header has titles: the lowest one, or one that tells columns apart which
-    the one below it does not.
+    """Whether a row of the header has titles: the lowest one, or one that distinguishes columns
+    which the one below it does not.
     """
     if not below:
         return any(row)

@@ -106,7 +106,7 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
 
 
 def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
-    """Frequency, order and damping of the poles of a kind, as many as can be told apart."""
+    """Frequency, order and damping of the poles of a kind, as many as can be distinguished."""
     sets = [(d.poles, pole_kinds(d) == kind) for d in shown.diagrams]
     empty = np.empty(0)
     f = np.concatenate([empty, *(p.frequencies[at] for p, at in sets)])

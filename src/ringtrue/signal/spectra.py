@@ -386,7 +386,7 @@ def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
 
 def _drifts(data: Any_, degree: int) -> Bool:
     """(ch,) whether polynomials up to a `degree` hold more than half of the power of signals (ch,
-    sample): fitted to means over parts that are short beside them.
+    sample): fitted to means over parts that are short against them.
     """
     samples = data.shape[1]
     size = max(1, samples // (64 * (degree + 1)))

@@ -449,8 +449,8 @@ def _next_stretch(
 def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) -> float:
     """Mean share of the shapes that both records have in common, 1 where nothing is clear.
 
-    The least of two means: by the power of the lines, and of all lines alike with channels that
-    weigh the same. Sensors that stay may be most of the motion of the loudest mode, and one that
+    The least of two means: by the power of the lines, and of lines and channels of equal weight.
+    Sensors that stay may be most of the motion of the loudest mode, and one that
     measures nothing has noise alone to compare.
 
     Parameters
@@ -459,7 +459,7 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
         The bands of two records, of the same channels.
     """
     by_power = [(np.ones(1), np.full(1, np.finfo(np.float64).tiny))]
-    alike = [np.ones(0)]
+    common = [np.ones(0)]
     for a, b in zip(first, other, strict=True):
         if a.freqs.shape != b.freqs.shape or not a.freqs.size or a.cross.shape[1] < 3:
             continue  # any shape lies in a plane of two channels
@@ -473,9 +473,9 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
         by_power.append((share, power))
         level = 1 / np.sqrt(np.maximum(_channel_shares(one) + _channel_shares(two), 1e-12))
         balance = np.outer(level, level)
-        alike.append(_common_shapes(one * balance, two * balance)[0])
+        common.append(_common_shapes(one * balance, two * balance)[0])
     shares, weights = (np.concatenate(x) for x in zip(*by_power, strict=True))
-    lines = np.concatenate(alike)
+    lines = np.concatenate(common)
     return min(float(np.average(shares, weights=weights)), float(lines.mean()) if lines.size else 1)
 
 

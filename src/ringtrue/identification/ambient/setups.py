@@ -277,7 +277,7 @@ def _members(merged: Merged, setups: Sequence[IdentifiedSetup]) -> Int:
 
 def _joint_confidence(members: Int, found: Sequence[_AllCandidates]) -> Float:
     """(m,) mean over the setups of the probability that a candidate is a mode, 0 where a setup does
-    not show it: the references move in every setup alike.
+    not show it: the references move in every setup.
     """
     p = np.zeros(members.shape)
     for k, own in enumerate(members):

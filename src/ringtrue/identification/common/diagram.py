@@ -124,17 +124,14 @@ class IdentificationDiagram(Displayed):
         for upper, d, lower in zip([None, *parts], parts, [*parts[1:], None], strict=False):
             if upper is not None:
                 shift += _step(d, upper)
-            bottom = low if lower is None else _border(lower, d)
+            bottom = low
+            if lower is not None:  # the middle of what both bands have
+                bottom = float(np.sqrt(lower.freqs[-1] * max(d.freqs[0], 1e-300)))
             at = (d.freqs >= bottom) & (d.freqs < top)
             top = bottom
             freqs.insert(0, d.freqs[at])
             level.insert(0, d.level[k, at] + shift)
         return np.concatenate(freqs), np.concatenate(level)
-
-
-def _border(lower: StableDiagram, upper: StableDiagram) -> float:
-    """Where two bands part, Hz: the middle of what both have."""
-    return float(np.sqrt(lower.freqs[-1] * max(upper.freqs[0], 1e-300)))
 
 
 def _step(lower: StableDiagram, upper: StableDiagram) -> float:

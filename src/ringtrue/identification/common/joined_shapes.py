@@ -117,12 +117,12 @@ def _joined(
 ) -> tuple[Complex, Float]:
     """Shapes (n, m), largest component 1, and variances; NaN of channels without a scale.
 
-    `there` (record, n) tells the channels of each record, `common` (n,) those that scale.
+    `there` (record, n) says which channels each record has, `common` (n,) those that scale.
     """
     shape = np.array(joint.shapes)
     half = joint.frequencies * joint.damping
-    apart = np.abs(joint.frequencies[:, None] - joint.frequencies) / (half[:, None] + half)
-    share = 1 / np.maximum(apart, 1.0)
+    distance = np.abs(joint.frequencies[:, None] - joint.frequencies) / (half[:, None] + half)
+    share = 1 / np.maximum(distance, 1.0)
     for step in range(ROUNDS + 1):
         expected = share if step == ROUNDS else np.zeros(share.shape)
         total = np.zeros(shape.shape, dtype=np.complex128)

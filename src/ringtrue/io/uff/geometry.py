@@ -73,7 +73,10 @@ def read_geometry(path: str | Path) -> TestModel:
             raise DataError(f"{path}: no nodes (data set 15 or 2411), so no geometry; {held}")
         scale = next((1 / read_units(b).length for b in blocks if b.kind == 164), 1.0)
         frames = dict(pair for b in blocks if b.kind in (18, 2420) for pair in _frames(b))
-        place = [_placed(node, frames) for node in nodes.values()]
+        place = []
+        for node in nodes.values():
+            frame = _frame(node.definition, frames, f"the point {node.xyz.tolist()}")
+            place.append(frame.origin + node.xyz @ frame.axes)
         xyz = np.array(place) * scale
         if not np.isfinite(xyz).all():
             raise DataError("a coordinate is not finite")
@@ -126,9 +129,9 @@ def _frames(block: DataSet) -> Iterator[tuple[int, _Frame]]:
             yield number, _Frame(kind, matrix[3], matrix[:3])
             continue
         # origin, a point of the x axis and one of the plane of x and z
-        origin, along, beside = reals(body, (13,) * 6, 9).reshape(3, 3)
+        origin, along, across = reals(body, (13,) * 6, 9).reshape(3, 3)
         x = along - origin
-        y = np.cross(beside - origin, x)
+        y = np.cross(across - origin, x)
         if not (np.linalg.norm(x) > 0 and np.linalg.norm(y) > 0):
             raise DataError(f"data set 18: the three points of frame {number} are on one line")
         x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
@@ -146,11 +149,6 @@ def _frame(number: int, frames: Mapping[int, _Frame], what: str) -> _Frame:
             " only Cartesian ones are read: export the geometry in the global frame"
         )
     return found
-
-
-def _placed(node: _Node, frames: Mapping[int, _Frame]) -> Float:
-    frame = _frame(node.definition, frames, f"the point {node.xyz.tolist()}")
-    return np.asarray(frame.origin + node.xyz @ frame.axes)
 
 
 def _axis(node: _Node, direction: int, frames: Mapping[int, _Frame], number: int) -> Float:

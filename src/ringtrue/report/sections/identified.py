@@ -122,7 +122,8 @@ def _account(account: SpectrumAccount) -> list[Block]:
 def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
     """A row a mode of any class, ascending in frequency, and why some are not natural."""
     shown = found.diagram
-    natural = iter(enumerate(_padded(found.reasons, len(found)), start=1))
+    unnamed = [""] * (len(found) - len(found.reasons))
+    natural = iter(enumerate([*found.reasons, *unnamed], start=1))
     rows: list[Sequence[str | Cell]] = []
     for k, kind in enumerate(shown.classes):
         count, why = next(natural) if kind == "natural" else ("–", "")
@@ -137,11 +138,6 @@ def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
         reasons = [f"{number(f, 4)} Hz: {sentence(note_sentence(n))}" for f, n in both]
         out.append(Items(reasons, "Why these are not among the natural modes"))
     return out
-
-
-def _padded(reasons: Sequence[str], size: int) -> list[str]:
-    """A reason each; empty ones where none were given."""
-    return [*reasons, *[""] * (size - len(reasons))]
 
 
 def _numbers(shown: IdentificationDiagram, k: int, why: str) -> list[str | Cell]:
