@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 from test_cli import Capture, call, frf, parsed, refused
 
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
@@ -174,6 +175,13 @@ def test_sound_signals_with_large_steps_do_not_wrap() -> None:
         ]
     )
     assert "channel wraps" not in [n.code for n in check_channels(wrap(sound))]
+
+
+def test_an_array_of_samples_by_channels_is_refused() -> None:
+    data = np.random.default_rng(0).standard_normal((2000, 4))
+    channels = tuple(Channel(f"{k + 1}+X") for k in range(2000))
+    with pytest.raises(DataError, match="2000 channels of 4 samples.*transposed"):
+        identify_ambient(TimeHistory(data, 100.0, channels, "record"))
 
 
 def test_a_channel_of_noise_is_named() -> None:

@@ -338,6 +338,12 @@ def weighed_candidates(
 
 def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: bool) -> FirstStretch:
     """The usable channels of the first stretch, without what machines leave in it."""
+    channels, samples = first.data.shape
+    if channels > samples:
+        raise DataError(
+            f"{first.source}: {channels} channels of {samples} samples: rows are channels, columns "
+            "samples; try the transposed array"
+        )
     part, gaps = bridge_gaps(first)
     part, learned = with_learned_quantities(part)
     raw, states = usable(part)
