@@ -142,7 +142,6 @@ def test_a_load_on_the_projected_length(tmp_path: Path, scale: str, total: float
         ("PLOAD1,9,1,FQ,LE,0.,1.,1.,1.", "FQ; allowed are FX FY"),
         ("PLOAD1,9,1,FY,XX,0.,1.,1.,1.", "XX; allowed are LE FR LEPR FRPR"),
         ("PLOAD1,9,1,FY,FR,.7,1.,.5,1.", "must be 0 <= X1 <= X2"),
-        ("PLOAD1,9,1,FY,FR,0.,1.,1.", "P2"),
         ("PLOAD1,9,1,FYE,FRPR,0.,1.,1.,1.", "is read with FX, FY and FZ"),
     ],
 )

@@ -14,7 +14,14 @@ from ringtrue.eigen import lanczos
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, frequencies, polish
 from ringtrue.eigen.lanczos import rayleigh_ritz
 from ringtrue.eigen.pencil import SIZES, Pencil, refuse_negative_mass, spectrum
-from ringtrue.eigen.shift import EXTRA, find_shift, low_shift, start_shift, suitable_shift
+from ringtrue.eigen.shift import (
+    EXTRA,
+    find_shift,
+    low_shift,
+    rounding_shift,
+    start_shift,
+    suitable_shift,
+)
 from ringtrue.errors import InputError, NumericalError, SingularModel
 
 GAP = 1e-4  # a gap below this share of λ is too narrow for a count
@@ -87,14 +94,18 @@ def _most_of(pencil: Pencil, count: int) -> bool:
 
 def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
     shift = start_shift(pencil.stiffness, pencil.mass)
-    values, vectors = _first_definite(pencil, shift)
+    farthest = min(1e3 * shift, rounding_shift(pencil.stiffness, pencil.mass))
+    values, vectors = _first_definite(pencil, (shift, 1e3 * shift, farthest))
     for _ in range(4):  # each pass places the shift better
         n = min(count, values.size) if band is None else int((values <= eigenvalue(band[1])).sum())
         better = -suitable_shift(values[: max(n, 1)])
         if 0.1 < better / shift < 10:
             break
+        try:
+            values, vectors = _first_definite(pencil, (better, 1e3 * better))
+        except SingularModel:  # all that is asked for is rounding: the shift before is near enough
+            break
         shift = better
-        values, vectors = _first_definite(pencil, shift)
     if band is None:
         at = np.arange(min(count, values.size))
     else:
@@ -123,11 +134,14 @@ def _low(band: tuple[float, float]) -> float:
     return eigenvalue(band[0]) if band[0] > 0 else -np.inf
 
 
-def _first_definite(pencil: Pencil, shift: float) -> tuple[Float, Float]:
-    try:
-        return spectrum(pencil.stiffness, pencil.mass, shift, pencil.labels)
-    except SingularModel:  # a free structure with a shift too near to zero, or a real mechanism
-        return spectrum(pencil.stiffness, pencil.mass, 1e3 * shift, pencil.labels)
+def _first_definite(pencil: Pencil, shifts: tuple[float, ...]) -> tuple[Float, Float]:
+    """The solution from the first shift that is not too near to zero, as of a free structure."""
+    for shift in shifts[:-1]:
+        try:
+            return spectrum(pencil.stiffness, pencil.mass, shift, pencil.labels)
+        except SingularModel:
+            continue
+    return spectrum(pencil.stiffness, pencil.mass, shifts[-1], pencil.labels)  # or a mechanism
 
 
 def _lowest(
@@ -330,7 +344,7 @@ def _band(
     # then it is cheaper to take the lower ones along
     few = bottom.below <= 0.5 * wanted + 2 * lanczos.BLOCK
     if few:
-        sigma = shift if shift is not None else low_shift(band[1])
+        sigma = low_shift(pencil, band[1]) if shift is None else shift
         expected = top.below
     else:
         sigma = (low + high) / 2

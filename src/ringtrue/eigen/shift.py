@@ -86,15 +86,30 @@ SUBSPACE = SubspaceIteration()
 
 def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
     """A first guess from the diagonals, far below the first elastic mode or near it."""
+    return -1e-7 * float(np.median(_stiffness_per_mass(stiffness, mass))) or -1.0
+
+
+def rounding_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
+    """Below what rounding of the stiffest DOFs makes of rigid-body modes, where the usual ones are
+    so soft that `start_shift` is not.
+    """
+    return -1e3 * np.finfo(float).eps * float(_stiffness_per_mass(stiffness, mass).max())
+
+
+def _stiffness_per_mass(stiffness: sparse.csr_array, mass: sparse.csr_array) -> Float:
+    """|k| / m of the DOFs that have mass, (k,)."""
     k = stiffness.diagonal()
     m = mass.diagonal()
     massive = m > 1e-12 * m.max()
-    return -1e-7 * float(np.median(np.abs(k[massive]) / m[massive])) or -1.0
+    return np.asarray(np.abs(k[massive]) / m[massive])
 
 
-def low_shift(fmax: float) -> float:
-    """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)²."""
-    return -LOW * eigenvalue(fmax)
+def low_shift(pencil: Pencil, fmax: float) -> float:
+    """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)², beyond the rounding of
+    rigid-body modes.
+    """
+    rounding = SEARCH.rounding * start_shift(pencil.stiffness, pencil.mass)
+    return min(-LOW * eigenvalue(fmax), rounding)
 
 
 def suitable_shift(values: Float) -> float:

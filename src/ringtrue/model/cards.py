@@ -188,6 +188,7 @@ def _properties(t: Table, row: int) -> dict[str, Any]:
 _TEXT = r"""
 GRID    ID CP X1:f X2:f X3:f CD PS:c SEID
 SPOINT  *ID
+EPOINT  *ID
 CORD1R  CID G1 G2 G3
 CORD1C  CID G1 G2 G3
 CORD1S  CID G1 G2 G3
@@ -290,6 +291,7 @@ SPECIAL = {
     # the section at end A, at end B (a blank end B equals A), and at the stations between; nan: on
     # the straight line
     "PBEAM": "PID MID A:f I1:f I2:f I12:f J:f NSM:f K1:f=1.0 K2:f=1.0 S1:f S2:f NSIA:f NSIB:f "
+    "CWA:f=nan CWB:f=nan "  # nan: of a library section, which has its own
     "M1A:f M2A:f M1B:f M2B:f N1A:f N2A:f N1B:f N2B:f AB:f I1B:f I2B:f I12B:f JB:f NSMB:f "
     "*X:f *AX:f *I1X:f *I2X:f *I12X:f *JX:f *NSMX:f",
     # the dimensions behind a PBAR or PBEAM; end B of a beam where it has a section of its own

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.errors import UnsupportedError
-from ringtrue.model.model import Model
+from ringtrue.model.model import Model, stacked
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.model.references import unused
 
@@ -56,12 +56,13 @@ def left_out(model: Model) -> list[str]:
 
 def responding(model: Model) -> Model:
     """The model as it responds: K2PP, M2PP and B2PP are added to stiffness, mass and damping (SOL
-    108 and 111).
+    108 and 111), and extra points to the scalar points.
 
     Raises
     ------
     UnsupportedError
-        If PARAM CK2, CM2 or CB2 scale K2GG and its like, but not these.
+        If PARAM CK2, CM2 or CB2 scale K2GG and its like, but not these, or an extra point has mass
+        or damping without stiffness.
     """
     case = model.case
     for scale, more in (("CK2", case.k2pp), ("CM2", case.m2pp), ("CB2", case.b2pp)):
@@ -69,6 +70,7 @@ def responding(model: Model) -> Model:
             raise UnsupportedError(
                 f"PARAM,{scale} with {scale[1]}2PP: give the factor in case control, as in 1.5*KA"
             )
+    model = _with_extra_points(model)
     k = (*case.k2gg, *case.k2pp)
     m = (*case.m2gg, *case.m2pp)
     b = (*case.b2gg, *case.b2pp)
@@ -83,6 +85,39 @@ def responding(model: Model) -> Model:
             m2pp=(),
             b2pp=(),
         ),
+    )
+
+
+def _with_extra_points(model: Model) -> Model:
+    """EPOINT as SPOINT, of which AUTOSPC would hold those without stiffness."""
+    if "EPOINT" not in model:
+        return model
+    extra = model["EPOINT"]
+    points = extra.entries("ID")[0]
+    case = model.case
+    stiffened = _named_by(model, case.k2pp)
+    loose = np.intersect1d(points, _named_by(model, (*case.m2pp, *case.b2pp)))
+    loose = np.setdiff1d(loose, stiffened)
+    if loose.size:
+        raise UnsupportedError(
+            f"EPOINT {loose[0]} has mass or damping by M2PP or B2PP and no stiffness by K2PP: give "
+            "it one"
+        )
+    tables = {name: t for name, t in model.tables.items() if name != "EPOINT"}
+    made = replace(extra, card="SPOINT")
+    tables["SPOINT"] = stacked(tables["SPOINT"], made) if "SPOINT" in tables else made
+    return replace(model, tables=tables)
+
+
+def _named_by(model: Model, terms: tuple[tuple[float, str], ...]) -> Int:
+    """The points that chosen matrices name, (n,) int64."""
+    if "DMIG" not in model or not terms:
+        return np.empty(0, dtype=np.int64)
+    table = model["DMIG"]
+    names = np.char.upper(table["NAME"].astype(str))
+    taken = np.isin(names, [name for _, name in terms])
+    return np.unique(
+        np.concatenate([ids[taken[row]] for ids, row in map(table.entries, ("GJ", "GI"))])
     )
 
 

@@ -196,5 +196,7 @@ def missing(
         wrong = ~np.isin(ids, known[ref.of])
         if not ref.required:
             wrong &= ids > 0
+        if ref.card == "DMIG":  # of K2PP and its like
+            wrong &= ~np.isin(ids, known_ids(model, ("EPOINT",)))
         if wrong.any():
             yield Missing(ref, rows[wrong], ids[wrong])

@@ -183,9 +183,10 @@ def synthesised(
     out, into = (fe.shapes[[at[c] for c in side]] for side in (outputs, inputs))
     w = 2 * np.pi * fe.frequencies
     lam = w * np.abs(w)
-    shift = low_shift(fmax)  # that of the modes, whose factor is often there still
+    pencil = model.opened.analysis.pencil
+    shift = low_shift(pencil, fmax)  # that of the modes, whose factor is often there still
     load = at_channels(model.opened, observation, inputs).T.toarray()
-    moved = model.opened.analysis.pencil.at(shift).solve(load)
+    moved = pencil.at(shift).solve(load)
     whole = at_channels(model.opened, observation, outputs) @ moved
     rest = whole.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
     # an exponential window on the responses of the test damps them: s = iω + σ

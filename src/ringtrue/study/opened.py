@@ -225,7 +225,8 @@ def build(
     affine = observed_system(opened.model, system, parameters, observation, progress=early)
     count = len(opened.modes(fmax).modes)
     late = part(progress, 0.4, 1.0)
-    known = KnownModes(opened.analysis.pencil, shift=low_shift(fmax))
+    pencil = opened.analysis.pencil
+    known = KnownModes(pencil, shift=low_shift(pencil, fmax))
     return reduced_model(affine, count, known=known, progress=late)
 
 

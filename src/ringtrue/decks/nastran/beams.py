@@ -23,7 +23,7 @@ from ringtrue.model.sections import FALLBACK, SECTIONS
 BETWEEN = ("AX", "I1X", "I2X", "I12X", "JX", "NSMX")
 # behind the stations; CWA and CWB count with SA and SB of a CBEAM only
 BEAM_TAIL = (
-    *("K1", "K2", "S1", "S2", "NSIA", "NSIB"),
+    *("K1", "K2", "S1", "S2", "NSIA", "NSIB", "CWA", "CWB"),
     *("M1A", "M2A", "M1B", "M2B", "N1A", "N2A", "N1B", "N2B"),
 )
 _STATION = ("YES", "YESA", "NO")
@@ -68,8 +68,7 @@ def beam_stations(r: Reader) -> tuple[list[tuple[float, int]], int]:
 
 def beam_tail_place(field: str) -> int:
     """Number of a field behind the stations of a PBEAM, from the first of them on."""
-    place = BEAM_TAIL.index(field)
-    return place if place < 6 else place + 2  # CWA, CWB
+    return BEAM_TAIL.index(field)
 
 
 def _place(r: Reader, at: int) -> float:
@@ -120,6 +119,7 @@ def _lumped(r: Reader) -> Row:
         }
         row["A"] *= float(total)
     row |= {b: row[a] for a, b in zip(END_A, END_B, strict=True)}
+    row |= {"CWA": 0.0, "CWB": 0.0}
     return {**row, **{f"{n}{end}": float(v) for n, v in at.items() for end in "AB"}}
 
 

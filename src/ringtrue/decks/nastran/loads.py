@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from ringtrue.decks.nastran.lexer import Reader
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import PRELOADS
 
+log = logging.getLogger(__name__)
 LINE_KINDS = tuple(f"{what}{axis}{own}" for own in ("", "E") for what in "FM" for axis in "XYZ")
 LINE_SCALES = ("LE", "FR", "LEPR", "FRPR")
 Vector = tuple[float, float, float]
@@ -132,14 +134,28 @@ def load_cases(found: Cards) -> tuple[LoadCase, ...]:
     Raises
     ------
     DeckError
-        If there is none, a set is not in the deck, a field is no number, or subcases have other SPC
-        or MPC.
+        If there is none, or none of which the set is in the deck, a field is no number, or
+        subcases have other SPC or MPC.
     UnsupportedCard
         If a set has loads of other cards, such as ACCEL1 or RFORCE.
     """
     if not (asked := load_sets(found.deck.top)):
         raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
-    return tuple(LoadCase(name, _of_set(found, number)) for name, number in asked)
+    out = []
+    absent = list[_AbsentSet]()
+    for name, number in asked:
+        try:
+            out.append(LoadCase(name, _of_set(found, number)))
+        except _AbsentSet as e:
+            absent.append(e)
+            log.warning("%s is left out: %s", name, e)
+    if not out:
+        raise absent[0]
+    return tuple(out)
+
+
+class _AbsentSet(DeckError):
+    """A load set that is not in the deck: its subcase is left out, the others are not."""
 
 
 def _of_set(found: Cards, number: int) -> tuple[AnyLoad, ...]:
@@ -171,7 +187,7 @@ def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
                 raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
             out += _READ[name](r)
     if not out:
-        raise DeckError(f"load set {number} is not in the deck", path=found.deck.files[0])
+        raise _AbsentSet(f"load set {number} is not in the deck", path=found.deck.files[0])
     return tuple(out)
 
 
@@ -261,7 +277,7 @@ def _pload4(r: Reader) -> list[AnyLoad]:
 
 
 def _pload1(r: Reader) -> list[AnyLoad]:
-    """PLOAD1: SID EID TYPE SCALE X1 P1 X2 P2."""
+    """PLOAD1: SID EID TYPE SCALE X1 P1 X2 P2; a blank P2 is 0."""
     kind = r.text(2).upper()
     scale = r.text(3).upper()
     if kind not in LINE_KINDS:
@@ -278,7 +294,7 @@ def _pload1(r: Reader) -> list[AnyLoad]:
     projected = scale.endswith("PR")
     if projected and not single and (kind.endswith("E") or kind[0] == "M"):
         raise r.fail("SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}")
-    sizes = (size, size if single else r.real(7, "P2"))
+    sizes = (size, size if single else r.real(7, "P2", 0.0))
     eid = r.whole(1, "EID")
     load = LineLoad(
         place=_place(r),

@@ -47,7 +47,7 @@ from ringtrue.model.references import Missing, missing
 
 log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
-    ("SPC", "SPC1", "MPC", "SPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+    ("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
 )
 _ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
     ("MAT1", "MAT2", "MAT8", "MAT9"),

@@ -208,7 +208,7 @@ def _pbeam(row: Row) -> list[Value]:
     for station in _terms(row, *along):
         fields += ["NO", *map(_real, station)]
     fields += ["YES", 1.0, *ends_b, *blank]
-    return [*fields, *tail[:6], None, None, *tail[6:]]
+    return [*fields, *map(_real, tail)]
 
 
 def _pbend(row: Row) -> list[Value]:

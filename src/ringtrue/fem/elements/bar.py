@@ -278,8 +278,9 @@ def section(t: CardRows) -> tuple[Isotropic, BeamSection]:
     polar = np.zeros(x.shape)
     neutral = nsm_at = np.zeros((len(t), 2, 2))
     if beam:
-        warping = t.stack("SA", "SB").any(axis=1)
-        t.refuse_unsupported(warping, "has warping points SA, SB; leave them out")
+        warping = t.stack("SA", "SB").any(axis=1) & (p.stack("CWA", "CWB") != 0).any(axis=1)
+        why = "has warping points SA, SB and a section that resists warping; leave SA and SB out"
+        t.refuse_unsupported(warping, why)
         polar = _between(p["NSIA"], p["NSIB"], x)
         neutral, nsm_at = (
             p.stack(f"{c}1A", f"{c}2A", f"{c}1B", f"{c}2B").reshape(-1, 2, 2) for c in "NM"

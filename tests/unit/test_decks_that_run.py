@@ -1,0 +1,128 @@
+"""Decks that Nastran runs: what is unusual in them stops neither the reading nor the solution."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ringtrue as rt
+from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck
+from ringtrue.errors import DeckError, UnsupportedCard, UnsupportedError
+
+BEAM = """GRID,1,,0.,0.,0.
+GRID,2,,{l},0.,0.
+GRID,3,,{ll},0.,0.
+CBAR,1,1,1,2,0.,1.,0.
+CBAR,2,1,2,3,0.,1.,0.
+PBAR,1,1,{a},{i},{i},{i}
+MAT1,1,{e},,.3,{rho}
+"""
+METRES = {"l": "1.", "ll": "2.", "a": "1.-4", "i": "1.-8", "e": "2.+11", "rho": "7800."}
+MILLIMETRES = {"l": "1.+3", "ll": "2.+3", "a": "1.+2", "i": "1.+4", "e": "2.+5", "rho": "7.8-9"}
+
+
+def deck(folder: Path, case: str, bulk: str) -> Path:
+    path = folder / "d.bdf"
+    path.write_text(f"SOL 103\nCEND\n{case}\nBEGIN BULK\n{bulk}ENDDATA\n")
+    return path
+
+
+def test_a_matrix_on_an_extra_point_leaves_the_modes_alone_and_acts_on_responses(
+    tmp_path: Path,
+) -> None:
+    """A spring 500 and a mass 2 on an extra point, as a spring and mass on a scalar point."""
+    held = BEAM.format(**METRES) + "SPC1,1,123456,1\n"
+    matrices = (
+        "DMIG,KE,0,6,1,0\nDMIG,KE,100,,,100,,500.\n,2,2,-500.\nDMIG,KE,2,2,,2,2,500.\n"
+        "DMIG,ME,0,6,1,0\nDMIG,ME,100,,,100,,2.\n"
+    )
+    springs = "CELAS2,9,500.,2,2,100\nCMASS2,10,2.,100\n"
+    plain = rt.solve_modes(read_deck(deck(tmp_path, "SPC=1", held)), count=4)
+    extra = deck(tmp_path, "SPC=1\nK2PP=KE\nM2PP=ME", f"{held}EPOINT,100\n{matrices}")
+    modes = rt.solve_modes(read_deck(extra), count=4)
+    np.testing.assert_allclose(modes.frequencies, plain.frequencies, rtol=1e-12)
+    asked = {"forces": "3+Y", "damping": 0.01}
+    found = rt.frf(extra, [2.0, 3.0, 12.0], **asked).data
+    want = rt.frf(
+        deck(tmp_path, "SPC=1", f"{held}SPOINT,100\n{springs}"), [2.0, 3.0, 12.0], **asked
+    )
+    np.testing.assert_allclose(found, want.data, rtol=1e-9)
+
+
+def test_an_extra_point_of_mass_alone_is_refused_for_responses(tmp_path: Path) -> None:
+    mass = "EPOINT,100\nDMIG,ME,0,6,1,0\nDMIG,ME,100,,,100,,2.\n"
+    path = deck(tmp_path, "M2PP=ME", BEAM.format(**METRES) + mass)
+    with pytest.raises(UnsupportedError, match="EPOINT 100"):
+        rt.frf(path, [2.0], forces="3+Y", damping=0.01)
+
+
+@pytest.mark.parametrize("units", [METRES, MILLIMETRES], ids=["m", "mm"])
+@pytest.mark.parametrize("method", ["EIGRL,1,0.,10.", "EIGR,1,LAN,0.,10.", "EIGRL,1,,1."])
+def test_a_band_that_holds_rigid_body_modes_alone(
+    tmp_path: Path, units: dict[str, str], method: str
+) -> None:
+    path = deck(tmp_path, "METHOD=1", f"{method}\n{BEAM.format(**units)}")
+    found = rt.solve_modes(read_deck(path))
+    assert found.complete
+    assert found.frequencies.size == 5  # a line of bars without torsional inertia
+    assert np.abs(found.frequencies).max() < 1e-3
+
+
+@pytest.mark.parametrize("soft", ["1.-6", "1."])
+def test_a_stiff_structure_with_many_soft_springs(tmp_path: Path, soft: str) -> None:
+    """60 oscillators on a short free beam: the median of stiffness over mass says nothing of it."""
+    stiff = METRES | {"l": ".001", "ll": ".002", "a": "1.-2", "i": "1.-5"}
+    many = "".join(
+        f"GRID,{i},,0.,0.,0.\nCELAS2,{i},{soft},1,2,{i},2\nCONM2,{i + 100},{i},,1.\n"
+        for i in range(300, 360)
+    )
+    found = rt.solve_modes(read_deck(deck(tmp_path, "", BEAM.format(**stiff) + many)), count=60)
+    own = np.sqrt(float(soft.replace("-", "e-"))) / (2 * np.pi)
+    assert found.complete
+    assert np.isclose(found.frequencies, own, rtol=1e-6).sum() >= 50
+
+
+def test_a_blank_size_at_the_end_of_a_line_load_is_nothing(tmp_path: Path) -> None:
+    """As MSC Nastran has it: the load falls to 0 at X2."""
+    held = BEAM.format(**METRES) + "SPC1,1,123456,1\n"
+    path = deck(tmp_path, "SPC=1\nLOAD=1", held + "PLOAD1,1,1,FY,FR,.5,10.,1.\n")
+    blank = rt.static(path, responses=["3+Y"]).values
+    path = deck(tmp_path, "SPC=1\nLOAD=1", held + "PLOAD1,1,1,FY,FR,.5,10.,1.,0.\n")
+    np.testing.assert_allclose(blank, rt.static(path, responses=["3+Y"]).values, rtol=1e-12)
+    assert abs(blank).max() > 0
+
+
+def test_a_load_set_that_is_not_there_leaves_the_other_subcases(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    case = "SPC=1\nSUBCASE 1\nLOAD=1\nSUBCASE 2\nLOAD=7\nSUBCASE 3\nLOAD=3"
+    held = BEAM.format(**METRES) + "SPC1,1,123456,1\n"
+    path = deck(tmp_path, case, held + "FORCE,1,3,,1.,0.,1.\nFORCE,3,3,,2.,0.,1.\n")
+    with caplog.at_level(logging.WARNING):
+        found = rt.static(path, responses=["3+Y"])
+    assert found.cases == ("SUBCASE 1", "SUBCASE 3")
+    assert found.values[1] == pytest.approx(2 * found.values[0])
+    assert "SUBCASE 2 is left out" in caplog.text
+    with pytest.raises(DeckError, match="load set 1 is not in the deck"):
+        read_loaded_deck(deck(tmp_path, case, held))
+
+
+def test_warping_points_of_a_section_without_warping_stiffness(tmp_path: Path) -> None:
+    """SA and SB do nothing where CW is 0; where it is not the beam is refused."""
+    text = (
+        "SPOINT,11,12\nGRID,1,,0.,0.,0.,,123456\nGRID,2,,1.,0.,0.\nMAT1,1,2.+11,,.3,7800.\n"
+        "CBEAM,1,1,1,2,0.,1.,0.\n,,,,,,,,\n,{points}\nPBEAM,1,1,1.-4,1.-8,2.-8,,1.-8\n"
+        ",NO,1.\n,,,,,,,{cw}\n"
+    )
+    plain = rt.solve_modes(read_deck(deck(tmp_path, "", text.format(points="", cw=""))))
+    path = deck(tmp_path, "", text.format(points="11,12", cw=""))
+    found = rt.solve_modes(read_deck(path))
+    np.testing.assert_allclose(found.frequencies, plain.frequencies, rtol=1e-12)
+    path = deck(tmp_path, "", text.format(points="11,12", cw="1.-12"))
+    model = read_deck(path)
+    assert model["PBEAM"]["CWA"].tolist() == [1e-12]
+    with pytest.raises(UnsupportedCard, match="resists warping"):
+        rt.solve_modes(model)
