@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 import ringtrue as rt
+from ringtrue.checks.deck import check_deck
+from ringtrue.cli.main import run
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck
 from ringtrue.errors import DeckError, UnsupportedCard, UnsupportedError
 
@@ -126,3 +129,61 @@ def test_warping_points_of_a_section_without_warping_stiffness(tmp_path: Path) -
     assert model["PBEAM"]["CWA"].tolist() == [1e-12]
     with pytest.raises(UnsupportedCard, match="resists warping"):
         rt.solve_modes(model)
+
+
+@pytest.mark.parametrize("ratio", ["2.+11,,.7", "2.+11,1.+9"])
+def test_poissons_ratio_that_nothing_takes_is_no_error(tmp_path: Path, ratio: str) -> None:
+    """Of a material that nothing is of, and of bars, which take E and G as they are given."""
+    bulk = BEAM.format(**METRES).replace("2.+11,,.3", ratio)
+    told = [
+        f for f in check_deck(read_deck(deck(tmp_path, "", bulk))).findings if "Poiss" in f.text
+    ]
+    assert [f.severity for f in told] == ["warning"]
+    used = bulk + "GRID,4,,0.,1.,0.\nCTRIA3,9,9,1,2,4\nPSHELL,9,1,.01,1\n"
+    told = [
+        f for f in check_deck(read_deck(deck(tmp_path, "", used))).findings if "Poiss" in f.text
+    ]
+    assert [f.severity for f in told] == ["error"]
+
+
+def test_check_shows_what_is_read_beside_cards_that_are_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The mass of the bars, a finding, and a line for each card that is not read."""
+    unread = (
+        "CBUSH2D,77,1,1,2\nCQUADX,78,2,1,2,3,1\nRSSCON,79,GRID,1,2,3\nCBAR,80,80,1,2,0.,1.,0.\n"
+        "PBMSECT,80,1,OP\nRFORCE,3,1\nMAT1,9,2.+11,,.7,7800.\n"
+    )
+    path = deck(tmp_path, "", BEAM.format(**METRES) + unread)
+    target = tmp_path / "check.json"
+    assert run(["check", str(path), "--json", str(target)]) == 1
+    found = json.loads(target.read_text())
+    assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
+    assert found["centre_of_gravity"] == pytest.approx([1, 0, 0])
+    assert found["lacking"] == {
+        "CBUSH2D": ["stiffness"],
+        "CQUADX": ["mass", "stiffness"],
+        "RSSCON": ["constraints"],
+        "PBMSECT": ["mass", "stiffness"],
+    }
+    text = capsys.readouterr().out
+    assert "mass of what is read 1.56" in text
+    assert "Poisson's ratio 0.7" in text
+    assert "RFORCE: loads that are not read" in text
+    lines = [line for line in text.splitlines() if line.startswith("unsupported CBUSH2D")]
+    assert len(lines) == 1
+    assert lines[0].endswith("lacking without it: stiffness")
+
+
+def test_check_goes_on_where_assembly_refuses_a_card(tmp_path: Path) -> None:
+    """A beam with warping stiffness is left out of the mass, and named."""
+    beam = (
+        "CBEAM,5,5,2,3,0.,1.,0.\n,,,,,,,,\n,11,12\nPBEAM,5,1,1.-4,1.-8,2.-8,,1.-8\n,NO,1.\n"
+        ",,,,,,,1.-12\nSPOINT,11,12\n"
+    )
+    path = deck(tmp_path, "", BEAM.format(**METRES) + beam)
+    target = tmp_path / "check.json"
+    assert run(["check", str(path), "--json", str(target)]) == 1
+    found = json.loads(target.read_text())
+    assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
+    assert "resists warping" in found["unsupported"]["CBEAM"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -21,7 +21,8 @@ from ringtrue.checks.elements import (
 from ringtrue.checks.materials import body_findings, check_materials, check_units, wide_findings
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.case import empty_choices
-from ringtrue.model.cards import TABLES, columns
+from ringtrue.decks.nastran.loads import STATIC_LOADS
+from ringtrue.model.cards import PRELOADS, TABLES, columns, is_unsupported
 from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
@@ -54,42 +55,61 @@ class DeckReport:
         return all(f.severity != "error" for f in self.findings)
 
 
-def check_deck(model: Model, units: str = "") -> DeckReport:
+def readable(model: Model) -> Model:
+    """The model without cards that are not read, without the rows that name what is not in it, and
+    without those that name them in turn.
+    """
+    kept = {card: n for card, n in model.kept.items() if not is_unsupported(card)}
+    model = replace(model, kept=kept)
+    while lost := list(missing(model)):
+        tables = dict(model.tables)
+        for card in {m.reference.card for m in lost}:
+            rows = np.concatenate([m.rows for m in lost if m.reference.card == card])
+            keep = np.setdiff1d(np.arange(len(tables[card])), rows)
+            tables[card] = tables[card].take(keep)
+        model = replace(model, tables={card: t for card, t in tables.items() if len(t)})
+    return model
+
+
+def check_deck(model: Model, units: str = "", *, partial: bool = False) -> DeckReport:
     """Check connections, shapes, coincidence, leftovers and units of a model.
 
     Parameters
     ----------
     units : str
         The unit system that the deck is said to be in, "" if unknown; see `checks.materials`.
+    partial : bool
+        The deck has cards that are not read: nothing is said of what these may connect, name or
+        define.
 
     Raises
     ------
     InputError
         If the unit system is not known.
     """
-    checks = list(_missing(model))
-    if "GRID" in model:
+    checks = [] if partial else list(_missing(model))
+    if "GRID" not in model:
+        checks.append(Finding("error", "the deck has no GRID"))
+    elif not partial:
         alone = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
         checks += at_rows(model, "GRID", alone, "warning", "no element is connected to it")
-    else:
-        checks.append(Finding("error", "the deck has no GRID"))
     checks += _shared_numbers(model)
     lost = [missing_one.reference for missing_one in missing(model)]
     if not any(r.of == FRAMES or r.card in FRAMES for r in lost):  # positions are known
         checks += check_geometry(model)
-        checks += _coincident(model)
+        checks += [] if partial else _coincident(model)
         checks += check_units(model, units)
-        checks += hinge_findings(model)
+        checks += [] if partial else hinge_findings(model)
         checks += wide_findings(model)
         checks += stiff_findings(model)
-    for card, rows in sorted(unused(model).items()):
+    for card, rows in [] if partial else sorted(unused(model).items()):
         checks += at_rows(model, card, rows, "info", "nothing uses it")
     checks += _unchosen(model)
     checks += _lost_sets(model)
     checks += unapplied(model)
     checks += check_materials(model)
     checks += body_findings(model)
-    checks += edge_findings(model)
+    checks += [] if partial else edge_findings(model)
     checks += double_findings(model)
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
@@ -255,6 +275,10 @@ def unapplied(model: Model) -> Iterator[Finding]:
         found = [card for card in cards if card in model.kept]
         if found:
             yield Finding("info", f"{', '.join(found)}: {what}")
+    loads = [c for c in sorted(model.kept) if c.startswith(PRELOADS) and c not in STATIC_LOADS]
+    if loads:
+        what = "loads that are not read: ringtrue static refuses a set with them; modes stay"
+        yield Finding("info", f"{', '.join(loads)}: {what}")
     if "GRID" in model:
         rows = np.flatnonzero(model["GRID"]["SEID"] > 0)
         yield from at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")

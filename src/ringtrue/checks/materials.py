@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.checks import Finding, Severity, at_rows
-from ringtrue.core.arrays import Bool, Float, FrozenArrays
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.errors import InputError, NumericalError, did_you_mean
@@ -25,6 +25,7 @@ from ringtrue.fem.negative_stiffness import (
 )
 from ringtrue.model.frames import extent
 from ringtrue.model.model import Model, Table
+from ringtrue.model.references import unused
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,7 +314,9 @@ def _negative(model: Model) -> Iterator[Finding]:
 
 
 def _poisson(model: Model) -> Iterator[Finding]:
-    """Poisson's ratio, given or from E and G, must lie between -1 and 0.5."""
+    """Poisson's ratio, given or from E and G, must lie between -1 and 0.5 where shells or solids
+    take it; bars and rods take E and G.
+    """
     if "MAT1" not in model:
         return
     table = model["MAT1"]
@@ -322,8 +325,15 @@ def _poisson(model: Model) -> Iterator[Finding]:
     ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
     rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
     if rows.size:
-        what = f"Poisson's ratio {ratio[rows[0]]:g}"
-        yield from at_rows(model, "MAT1", rows, "error", what)
+        taken = np.isin(table.ids[rows], _continua(model))
+        wrong = rows[taken]
+        harmless = rows[~taken]
+        if wrong.size:
+            what = f"Poisson's ratio {ratio[wrong[0]]:g}"
+            yield from at_rows(model, "MAT1", wrong, "error", what)
+        if harmless.size:
+            what = f"Poisson's ratio {ratio[harmless[0]]:g}, which no shell or solid takes"
+            yield from at_rows(model, "MAT1", harmless, "warning", what)
     one = np.flatnonzero(np.isnan(table["NU"]) & (np.isnan(table["E"]) ^ np.isnan(table["G"])))
     what = "NU and one of E and G are blank: both are 0 then, as in Nastran"
     yield from at_rows(model, "MAT1", one, "info", what)
@@ -338,6 +348,22 @@ def _poisson(model: Model) -> Iterator[Finding]:
             "shear take G"
         )
         yield from at_rows(model, "MAT1", rows, "warning", what)
+
+
+def _continua(model: Model) -> Int:
+    """Ids of the materials that shells and solids are of, (n,) int64."""
+    fields = {
+        "PSHELL": ("MID1", "MID2", "MID4"),
+        **dict.fromkeys(("PCOMP", "PCOMPG", "PSOLID"), ("MID",)),
+    }
+    idle = unused(model)
+    named = [np.empty(0, dtype=np.int64)]
+    for card in fields.keys() & model.tables.keys():
+        used = np.setdiff1d(np.arange(len(model[card])), idle.get(card, ()))
+        for name in fields[card]:
+            ids, row = model[card].entries(name)
+            named.append(ids[np.isin(row, used)])
+    return np.unique(np.concatenate(named))
 
 
 def _orthotropic(model: Model) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 from ringtrue.api.measurements import write_modes
 from ringtrue.api.models import read_deck, solve_modes
 from ringtrue.checks import Finding
-from ringtrue.checks.deck import check_deck
+from ringtrue.checks.deck import check_deck, readable
 from ringtrue.checks.elements import free_edges_in_words, shell_edges
 from ringtrue.checks.materials import (
     DIRECTIONS,
@@ -27,9 +28,11 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import Survey, survey
-from ringtrue.errors import ConfigError, DeckError, RingtrueError
+from ringtrue.errors import ConfigError, DeckError, RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.io.modes import WRITTEN, dump_modes
+from ringtrue.model.cards import effects
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesResult
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 
@@ -168,21 +171,19 @@ def check(
     """
     found = survey(deck)
     findings = _findings(found, units)
-    sound = not found.unsupported and not any(f.severity == "error" for f in findings)
+    unsupported = dict(found.unsupported)
+    model = readable(found.model) if unsupported else found.model
+    rigid: dict[str, Any] = {}
+    if "GRID" in model and len(model["GRID"]):
+        rigid = _rigid_of_readable(model, findings, unsupported)
     summary: dict[str, Any] = {
         "deck": str(deck),
         "cards": dict(found.cards),
         "kept": dict(found.model.kept),
+        "unsupported": unsupported,
+        "lacking": {card: list(effects(card)) for card in unsupported},
+        **rigid,
     }
-    summary["unsupported"] = dict(found.unsupported)
-    try:
-        summary |= (
-            _rigid(found, findings)
-            if sound and "GRID" in found.model and len(found.model["GRID"])
-            else {}
-        )
-    except RingtrueError as e:  # the rest of the check is worth more than the mass
-        findings.append(Finding("error", str(e)))
     summary["findings"] = [
         {"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings
     ]
@@ -190,16 +191,14 @@ def check(
         write_json(summary, json)
     if json != "-":
         _print_check(deck, summary)
-    return 0 if sound and not any(f.severity == "error" for f in findings) else 1
+    sound = not unsupported and not any(f.severity == "error" for f in findings)
+    return 0 if sound else 1
 
 
 def _findings(found: Survey, units: str) -> list[Finding]:
-    """What is wrong with the deck; where cards are not read, only what it refers to can be
-    judged.
-    """
-    if found.unsupported:
-        return [_lost(f) for f in found.faults]
-    findings = list(check_deck(found.model, units).findings)
+    """What is wrong with the deck, as far as it is read."""
+    partial = bool(found.unsupported)
+    findings = list(check_deck(found.model, units, partial=partial).findings)
     extra = {(f.file, f.line) for f in findings}
     return [_lost(f) for f in found.faults if (str(f.path), f.line) not in extra] + findings
 
@@ -209,18 +208,40 @@ def _lost(fault: DeckError) -> Finding:
     return Finding("error", str(fault).removeprefix(place), str(fault.path), fault.line or 0)
 
 
-def _rigid(found: Survey, findings: list[Finding]) -> dict[str, Any]:
-    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added
-    to the findings.
+def _rigid_of_readable(
+    model: Model, findings: list[Finding], unsupported: dict[str, str]
+) -> dict[str, Any]:
+    """`_rigid` without the cards that assembly refuses, which are added to the unsupported; nothing
+    where it is not possible, with a finding of the reason unless others say what is wrong.
     """
-    held = assemble(found.model)
-    findings += autospc_findings(held)
-    system = assemble(unconstrained(found.model))
+    try:
+        return _rigid(model, findings, partial=bool(unsupported))
+    except UnsupportedCard as e:
+        if e.card not in model:
+            findings.append(Finding("error", str(e)))
+            return {}
+        place = f"{e.path}:{e.line}" if e.line else ""
+        unsupported[e.card] = ": ".join(t for t in (place, e.why) if t)
+        rest = {card: t for card, t in model.tables.items() if card != e.card}
+        return _rigid_of_readable(readable(replace(model, tables=rest)), findings, unsupported)
+    except RingtrueError as e:  # the rest of the check is worth more than the mass
+        if not any(f.severity == "error" for f in findings):
+            findings.append(Finding("error", str(e)))
+        return {}
+
+
+def _rigid(model: Model, findings: list[Finding], *, partial: bool) -> dict[str, Any]:
+    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added
+    to the findings, but of what cards that are not read may hold.
+    """
+    held = assemble(model)
+    system = assemble(unconstrained(model))
     ground = ground_check(system)
-    findings += ground_findings(found.model, ground)
-    free = free_edges_in_words(shell_edges(found.model))
-    energy = dict(zip(DIRECTIONS, ground.energy.tolist(), strict=True))
     mass = mass_properties(system)
+    findings += [] if partial else autospc_findings(held)
+    findings += ground_findings(model, ground)
+    free = "" if partial else free_edges_in_words(shell_edges(model))
+    energy = dict(zip(DIRECTIONS, ground.energy.tolist(), strict=True))
     return {
         "mass": mass.mass,
         "centre_of_gravity": mass.cg.tolist(),
@@ -245,7 +266,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
     rows(f"{deck}: cards", ("card", "number"), sorted(summary["cards"].items()))
     if "mass" in summary:
         cg = ", ".join(f"{x:.4g}" for x in _clean(summary["centre_of_gravity"]))
-        out.print(f"mass {summary['mass']:.6g}, centre of gravity ({cg})")
+        read = " of what is read" if summary["unsupported"] else ""
+        out.print(f"mass{read} {summary['mass']:.6g}, centre of gravity ({cg})")
         # what is taken off to be about it
         moved = summary["mass"] * sum(x * x for x in summary["centre_of_gravity"])
         for row in _clean(summary["inertia"], moved):
@@ -255,7 +277,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
         if summary["free_edges"]:
             out.print(f"edges    {summary['free_edges']}")
     for card, place in summary["unsupported"].items():
-        out.print(f"unsupported {card}: {place}")
+        lacking = ", ".join(summary["lacking"][card])
+        out.print(f"unsupported {card}: {place}; lacking without it: {lacking}")
     for f in summary["findings"]:
         out.print(str(Finding(**f)))
     if not summary["findings"] and not summary["unsupported"]:

@@ -410,6 +410,18 @@ _REASONS = (  # what cards have in common that are not read, and how their names
       "CTWIST", "CWEDGE", "CHEXA1", "CHEXA2", "CIHEX", "CIS2D8", "CELBOW", "CTRIARG", "CTRAPRG", "CTORDRG")),
     ("sections by their outline: give PBEAM, or PBEAML with one of the sections", ("PBMSECT", "PBRSECT")),
 )  # fmt: skip
+# what an answer lacks without a card that is not read, and how the names of such cards begin
+_EFFECTS = (
+    (("constraints",),
+     ("RBE", "RSSCON", "RBAX", "SPCAX", "MPCAX", "MPCD", "GMBC", "GMSPC", "GMBND", "SEBNDRY", "JOINTG", "RBODY")),
+    (("stiffness", "constraints"),
+     ("BLSEG", "BC", "BG", "BSCONP", "SLBLOAD", "CSEAM", "PSEAM", "TIE", "CONTACT", "BOLT")),
+    (("stiffness",), ("CBUSH2D", "PBUSH2D", "CRAC", "MATT", "PRETENS", "SPCR")),
+    (("stiffness", "loads"), PRELOADS),
+    (("nothing",), ("CDAMP5", "PDAMP5", "CHBDY")),
+    (("mass",), ("CFLUID", "CHAC", "MFLUID", "CAABSF")),
+    (("mass", "stiffness", "constraints", "loads"), ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "SKIPON", "/")),
+)  # fmt: skip
 TABLES = (
     "PBUSHT",
     "PDAMPT",
@@ -435,3 +447,11 @@ def is_unsupported(card: str) -> bool:
 def reason(card: str) -> str:
     """What a card that is not read is about and what to do, "" where there is nothing to say."""
     return next((text for text, names in _REASONS if card.startswith(names)), "")
+
+
+def effects(card: str) -> tuple[str, ...]:
+    """What an answer lacks without a card that is not read: mass, stiffness, constraints, loads or
+    nothing.
+    """
+    found = (lacks for lacks, names in _EFFECTS if card.startswith(names))
+    return next(found, ("mass", "stiffness"))

@@ -40,6 +40,12 @@ class Ragged:
         """From its rows, one or more."""
         return cls(np.concatenate(rows), np.cumsum([0, *(r.size for r in rows)]))
 
+    def take(self, rows: Int) -> Ragged:
+        """Rows (k,) in this order."""
+        if not rows.size:
+            return Ragged(self.values[:0], np.zeros(1, dtype=np.int64))
+        return Ragged.of([self.row(i) for i in rows.tolist()])
+
     @property
     def owner(self) -> Int:
         """The row that each value belongs to, (k,) int64."""
@@ -108,6 +114,13 @@ class Table:
         order = np.argsort(mine, kind="stable")
         at = np.searchsorted(mine[order], want).clip(max=mine.size - 1)
         return np.where(mine[order[at]] == want, order[at], -1)
+
+    def take(self, rows: Int) -> Table:
+        """The rows (k,) of the table, in this order."""
+        columns: dict[str, NDArray[Any] | Ragged] = {}
+        for name, column in self.columns.items():
+            columns[name] = column.take(rows) if isinstance(column, Ragged) else column[rows]
+        return replace(self, columns=columns, file=self.file[rows], line=self.line[rows])
 
     def with_column(self, name: str, values: NDArray[Any]) -> Table:
         """A copy with one column replaced."""

@@ -328,3 +328,4 @@ _READ: Mapping[str, Callable[[Reader], list[AnyLoad]]] = {
     "PLOAD4": _pload4,
     "SPCD": _spcd,
 }
+STATIC_LOADS = frozenset((*_READ, "LOAD"))  # cards of static loads that are read
