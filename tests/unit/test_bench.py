@@ -28,6 +28,7 @@ import identification_system as system
 import kernels
 import localisation
 import modes
+import nastran_corpus
 import numpy as np
 import outcome
 import pytest
@@ -242,6 +243,21 @@ ALIKE = durability.Faults(100, 100, 100, 100)
 FLIPS = durability.Flips(named=8, refused=1, anew=20, alike=20)
 
 # script: what judges its answers, answers that are right, and wrong ones
+DECK = nastran_corpus.Case("", "deck.bdf", "deck.op2", 1.0)
+
+
+def recorded_modes(found: Any) -> Check:
+    """Free modes of a deck against those that are recorded."""
+    return nastran_corpus.near(DECK, nastran_corpus.modes_off(found, FREE))
+
+
+def recorded_moves(factor: float) -> Check:
+    """Two load cases against what is recorded, one of them off by a factor."""
+    moved = [np.eye(3), 2.0 * np.eye(3)]
+    off = nastran_corpus.displacements_off([moved[0], factor * moved[1]], moved)
+    return nastran_corpus.near(DECK, off)
+
+
 JUDGED: list[
     tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...], list[tuple[Any, ...]]]
 ] = [
@@ -288,6 +304,8 @@ JUDGED: list[
             (deck_reading.made(81), square()),
         ],
     ),
+    ("nastran_corpus", recorded_modes, (FREE,), [(FREE * 1.02,), (FREE[:-1],), (FREE * np.nan,)]),
+    ("nastran_corpus", recorded_moves, (1.0,), [(1.02,), (0.0,), (np.nan,)]),
     (
         "identification_ambient",
         identification_ambient.accurate,
