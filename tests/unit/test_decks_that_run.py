@@ -187,3 +187,17 @@ def test_check_goes_on_where_assembly_refuses_a_card(tmp_path: Path) -> None:
     found = json.loads(target.read_text())
     assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
     assert "resists warping" in found["unsupported"]["CBEAM"]
+
+
+def test_a_free_point_that_is_displaced_is_held_in_its_own_subcase(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A cantilever of length 2 whose tip is moved by 1 mm bends by x²(3L - x)/2L³ of it."""
+    held = BEAM.format(**METRES) + "SPC1,1,123456,1\n"
+    case = "SPC=1\nSUBCASE 1\nLOAD=1\nSUBCASE 2\nLOAD=2"
+    path = deck(tmp_path, case, held + "SPCD,1,3,2,.001\nFORCE,2,3,,6.,0.,1.\n")
+    found = rt.static(path, responses=["2+Y", "3+Y"])
+    np.testing.assert_allclose(found.values[0], [0.001 * 5 / 16, 0.001], rtol=1e-9)
+    np.testing.assert_allclose(found.values[1, 1], 6 * 2**3 / (3 * 2e11 * 1e-8), rtol=1e-9)
+    assert found.held == ()
+    assert "node 3 component 2, which no SPC holds" in caplog.text

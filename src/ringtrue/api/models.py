@@ -29,7 +29,12 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.registry import EMBEDDED, solver
-from ringtrue.study.loads import load_vectors, refuse_displaced, support_motions
+from ringtrue.study.loads import (
+    held_by_displacing,
+    load_vectors,
+    refuse_displaced,
+    support_motions,
+)
 from ringtrue.study.opened import Opened, make_scene, scene_modes
 
 
@@ -500,25 +505,37 @@ def static(
         model = replace(model, units=units)
     unit = UNIT_SYSTEMS[model.units]
     progress(0.3, "solving")
-    with EmbeddedSolver().open(model) as analysis:
-        if given:
-            refuse_displaced(model)
+    if given:
+        refuse_displaced(model)
+        with EmbeddedSolver().open(model) as analysis:
             newtons = np.array(list(given.values()))
             per_newton = into.per_length(unit.length) / unit.force
             acting = _unit_loads(analysis, into) * (newtons * per_newton)
-            carried: Float = np.zeros((len(analysis.dofs), 1))
-        else:
-            drawn, carried = support_motions(model, analysis.dofs, cases)
-            acting = load_vectors(model, analysis.dofs, cases) + drawn
-        held = held_points(analysis, out, into, moved=carried)
-        found = analysis.static(acting) + carried
-        moved = (_unit_loads(analysis, out).T @ found).T
+            held = held_points(analysis, out, into)
+            moved = (_unit_loads(analysis, out).T @ analysis.static(acting)).T
+    else:
+        moved, held = _under_loads(model, cases, out)
     names = tuple(
         f"{p}={n:g}" for p, n in zip(into.labels(), given.values(), strict=True)
     ) or tuple(c.name for c in cases)
     return Deflections(
         names, out.labels(), moved * (unit.length * out.per_length(unit.length)), model, held
     )
+
+
+def _under_loads(model: Model, cases: Sequence[Any], out: DofSet) -> tuple[Float, tuple[str, ...]]:
+    """Motions (case, point) under the load cases of a deck, and the points that move in none."""
+    moved = np.zeros((len(cases), len(out)))
+    held: set[str] = set(out.labels())
+    for supported, at in held_by_displacing(model, cases):
+        with EmbeddedSolver().open(supported) as analysis:
+            mine = [cases[j] for j in at]
+            drawn, carried = support_motions(supported, analysis.dofs, mine)
+            acting = load_vectors(supported, analysis.dofs, mine) + drawn
+            held &= set(held_points(analysis, out, moved=carried))
+            found = analysis.static(acting) + carried
+            moved[list(at)] = (_unit_loads(analysis, out).T @ found).T
+    return moved, tuple(point for point in out.labels() if point in held)
 
 
 def _unit_loads(analysis: EmbeddedAnalysis, at: DofSet) -> Float:

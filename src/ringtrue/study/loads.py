@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +24,7 @@ from ringtrue.model.case_control import taken_sets
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, card_error
 
+log = logging.getLogger(__name__)
 _Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
 
 
@@ -60,6 +63,39 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
     if gravity.any():
         whole = assemble(unconstrained(model))
         out += whole.local.T @ (whole.mass @ (whole.rigid_body()[:, :3] @ gravity))
+    return out
+
+
+def held_by_displacing(
+    model: Model, cases: Sequence[LoadCase]
+) -> list[tuple[Model, tuple[int, ...]]]:
+    """The model as it is held in load cases, and which these are.
+
+    An SPCD at a component of a node that nothing else holds holds it, in its load case alone.
+    """
+    grid = model["GRID"]
+    m = mesh(model)
+    held = supports(m)
+    groups: dict[frozenset[tuple[int, int]], list[int]] = {}
+    for j, case in enumerate(cases):
+        free = set()
+        for ld in (ld for ld in case.loads if isinstance(ld, Moved)):
+            row = int(m.dofs.find(np.array([ld.node]), np.array([ld.component]))[0])
+            if row >= 0 and not held[row] and ld.component:
+                free.add((ld.node, ld.component))
+        groups.setdefault(frozenset(free), []).append(j)
+    out = []
+    for free_dofs, at in groups.items():
+        ps = grid["PS"].astype(object)
+        for node, component in sorted(free_dofs):
+            ps[grid.find(np.array([node]))[0]] += str(component)
+            names = ", ".join(cases[j].name for j in at)
+            log.warning(
+                "%s: SPCD displaces node %d component %d, which no SPC holds: held in this case",
+                *(names, node, component),
+            )
+        tables = {**model.tables, "GRID": grid.with_column("PS", ps.astype(str))}
+        out.append((replace(model, tables=tables) if free_dofs else model, tuple(at)))
     return out
 
 
