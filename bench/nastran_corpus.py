@@ -5,28 +5,35 @@
 Every deck of the data beside the clone that has recorded natural frequencies or displacements is
 read and solved as it is. Modes are compared one by one in ascending order; a static solution by the
 largest difference of a translation over the largest recorded one, the worst load case counting.
-`CASES` has the limit of each deck: 1 % or less, or more with its reason. MYSTRAN, where it is
-installed, solves the same decks for modes, and its deviation stands beside. Not covered: what
-`LEFT_OUT` names, statics by MYSTRAN, and CalculiX, which reads no Nastran decks.
+`CASES` has the limit of each deck: 1 % or less, or more with its reason. Where they are installed,
+MYSTRAN solves the same decks for modes, and CalculiX those of solids and shells that
+calculix_input.py translates; their deviations stand beside. Not covered: what `LEFT_OUT` names, and
+statics by MYSTRAN.
 """
 
 from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import calculix_input
 import h5py
 import numpy as np
-from outcome import ROOT, Check, Peer, Report, arguments, at_most
+from outcome import ROOT, Check, Peer, Report, arguments, at_most, peer_program
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck
 from ringtrue.decks.nastran.results.op2 import Op2Table, read_op2, read_tables
 from ringtrue.errors import RingtrueError, SolverMissing
+from ringtrue.fem.element_cards import mesh
 from ringtrue.model.frames import axes, positions
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.mystran import MystranSolver, find_mystran
@@ -34,6 +41,8 @@ from ringtrue.study.loads import load_vectors, support_motions
 
 DATA = ROOT.parent / "shared" / "data" / "fe"
 RIGID = 1e-3  # of the highest recorded frequency of a deck: below is a rigid-body mode
+ROUNDING = 1e-9  # of the largest recorded displacement of a deck: a load case that moves nothing
+SINGULAR = 1e6  # %: what rounding makes of a mechanism
 DIGITS = 1e-4  # %: recorded with seven digits and more
 NOTHING = 1e-6  # %: less is not told apart
 SINGLE = "corpus/unit"
@@ -113,7 +122,6 @@ LEFT_OUT = {
     "8 decks of superelements": "BEGIN SUPER and SEBULK are refused",
     "cbar_orientation, cquad4, ctria3 of corpus/unit": "all recorded displacements are 0",
     "modes_elements, static_elements of corpus/elements": "mechanisms, without AUTOSPC",
-    "CalculiX": "it reads no Nastran decks",
 }
 
 
@@ -204,30 +212,38 @@ def solved_frequencies(deck: Path, solver: ModalSolver, count: int) -> Float:
         return analysis.modes(ModesRequest(count)).modes.frequencies[:count]
 
 
+def compared(
+    model: Model, names: Sequence[str], recorded: dict[int, tuple[Int, Float]]
+) -> Iterator[tuple[int, Int, Float]]:
+    """The load cases that are recorded and move: which, the rows of the nodes in the table of GRID
+    (n,), and their translations (n, 3) in basic.
+    """
+    grid = model["GRID"]
+    largest = max(np.abs(motion).max() for _, motion in recorded.values())
+    for j, name in enumerate(names):
+        number = int(name.split()[-1]) if name != "LOAD" else min(recorded)
+        if number not in recorded:
+            continue
+        if np.abs(recorded[number][1]).max() <= ROUNDING * largest:
+            continue
+        nodes, motion = recorded[number]
+        row = grid.find(nodes)
+        there = row >= 0
+        turn = axes(model, grid["CD"][row[there]], positions(model)[row[there]])
+        yield j, row[there], np.einsum("nji,nj->ni", turn, motion[there])
+
+
 def solved_displacements(
     deck: Path, recorded: dict[int, tuple[Int, Float]]
 ) -> tuple[list[Float], list[Float]]:
     """Translations (node, 3) in basic of each load case that moves, and those recorded."""
     model, cases = read_loaded_deck(deck)
-    grid = model["GRID"]
     with EmbeddedSolver().open(model) as analysis:
         drawn, carried = support_motions(model, analysis.dofs, cases)
         moved = analysis.static(load_vectors(model, analysis.dofs, cases) + drawn) + carried
-    found = []
-    told = []
-    for j, case in enumerate(cases):
-        number = int(case.name.split()[-1]) if case.name != "LOAD" else min(recorded)
-        if number not in recorded:
-            continue
-        nodes, motion = recorded[number]
-        at = grid.find(nodes)
-        there = at >= 0
-        row = at[there]
-        turn = axes(model, grid["CD"][row], positions(model)[row])
-        if motion.any():
-            found.append(moved[: 6 * len(grid), j].reshape(-1, 6)[row, :3])
-            told.append(np.einsum("nij,nj->ni", turn.swapaxes(1, 2), motion[there]))
-    return found, told
+    grids = moved[: 6 * len(model["GRID"])].reshape(-1, 6, len(cases))
+    told = list(compared(model, [c.name for c in cases], recorded))
+    return [grids[row, :3, j] for j, row, _ in told], [motion for _, _, motion in told]
 
 
 def deviation(case: Case) -> tuple[str, Deviation]:
@@ -243,9 +259,17 @@ def deviation(case: Case) -> tuple[str, Deviation]:
         return str(e), Deviation(np.nan, 0)
 
 
-def of_mystran(report: Report, case: Case) -> list[Peer]:
-    """The deviation of MYSTRAN's modes, or of half of them where its solver leaves so few DOFs that
-    it cannot find all; none where it does not solve the deck.
+class NotRun(Exception):
+    """A deck that another program does not solve, and why."""
+
+
+def of_mystran(case: Case) -> Peer:
+    """The deviation of MYSTRAN's modes, or of half of them where it finds no more.
+
+    Raises
+    ------
+    NotRun
+        Where it stops.
     """
     deck = DATA / case.folder / case.deck
     want = recorded_frequencies(deck.with_name(case.results))[: case.first or None]
@@ -258,10 +282,75 @@ def of_mystran(report: Report, case: Case) -> list[Peer]:
             continue
         off = modes_off(found, want[:count])
         if np.isfinite(off.percent):
-            return [Peer(f"MYSTRAN, lowest {count}", {"%": max(off.percent, NOTHING)})]
+            return Peer(f"MYSTRAN, lowest {count}", {"%": max(off.percent, NOTHING)})
         said = "fewer modes than asked for"
-    report.not_run(f"MYSTRAN on {case.folder}/{case.deck}", said.strip()[:120])
-    return []
+    raise NotRun(f"{case.deck}: {said.strip()[:60]}")
+
+
+def of_calculix(case: Case, program: str) -> Peer:
+    """The deviation of CalculiX, of half of the modes where it finds no more.
+
+    Raises
+    ------
+    NotRun
+        Where the deck is not translated, or CalculiX ends without results.
+    """
+    deck = DATA / case.folder / case.deck
+    results = deck.with_name(case.results)
+    recorded = recorded_displacements(results)
+    want = np.zeros(0) if recorded else recorded_frequencies(results)[: case.first or None]
+    name = "CalculiX"
+    off = Deviation(np.nan, 0)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            if recorded:
+                off = _calculix_statics(Path(folder), program, deck, recorded)
+            for count in () if recorded else (want.size, max(want.size // 2, 1)):
+                if not np.isfinite(off.percent):
+                    text = calculix_input.written(read_deck(deck))
+                    text += calculix_input.frequency_step(count)
+                    found = calculix_input.frequencies(
+                        calculix_input.run(program, Path(folder), text)
+                    )
+                    off = modes_off(found[:count], want[:count])
+                    name = f"CalculiX, lowest {count}"
+    except calculix_input.OtherDeck as e:
+        raise NotRun(f"{case.deck}: {e}") from None
+    if not np.isfinite(off.percent):
+        raise NotRun(f"{case.deck}: it ended without these results")
+    if off.percent > SINGULAR:
+        raise NotRun(f"{case.deck}: a mechanism with its elements")
+    return Peer(name, {"%": max(off.percent, NOTHING)})
+
+
+def _calculix_statics(
+    folder: Path, program: str, deck: Path, recorded: dict[int, tuple[Int, Float]]
+) -> Deviation:
+    model, cases = read_loaded_deck(deck)
+    acting = load_vectors(model, mesh(model).dofs, cases)
+    text = calculix_input.written(model)
+    text += calculix_input.static_steps(model, acting)
+    results = calculix_input.run(program, folder, text)
+    found = calculix_input.displacements(results, model["GRID"].ids)
+    told = list(compared(model, [c.name for c in cases], recorded))
+    if len(found) != len(cases):
+        return Deviation(np.nan, len(told))
+    return displacements_off([found[j][row] for j, row, _ in told], [u for _, _, u in told])
+
+
+def installed(report: Report) -> dict[str, Callable[[Case], Peer]]:
+    """The other programs that are here."""
+    found: dict[str, Callable[[Case], Peer]] = {}
+    try:
+        find_mystran()
+        found["MYSTRAN"] = of_mystran
+    except SolverMissing:
+        report.not_run("MYSTRAN", "not installed")
+    if calculix := peer_program("ccx", "ccx") or shutil.which("ccx"):
+        found["CalculiX"] = partial(of_calculix, program=calculix)
+    else:
+        report.not_run("CalculiX", "not installed")
+    return found
 
 
 def main() -> None:
@@ -273,18 +362,23 @@ def main() -> None:
         report.end()
     for name, why in LEFT_OUT.items():
         report.not_run(name, why)
-    try:
-        find_mystran()
-        installed = True
-    except SolverMissing:
-        report.not_run("MYSTRAN", "not installed")
-        installed = False
+    programs = installed(report)
+    left: dict[str, list[str]] = {name: [] for name in programs}
     for case in CASES:
         what, off = deviation(case)
-        peers = of_mystran(report, case) if installed and what == "modes" else []
+        peers = []
+        for name, of_program in programs.items():
+            if name == "MYSTRAN" and what != "modes":
+                continue
+            try:
+                peers.append(of_program(case))
+            except NotRun as e:
+                left[name].append(str(e))
         cost = {"%": max(off.percent, NOTHING)}
-        name = f"{case.folder.removesuffix('/nastran_runs')}/{case.deck}: {what}"
-        report.row(name, cost, [near(case, off)], peers)
+        deck = f"{case.folder.removesuffix('/nastran_runs')}/{case.deck}"
+        report.row(f"{deck}: {what}", cost, [near(case, off)], peers)
+    for name, decks in left.items():
+        report.not_run(f"{name} on {len(decks)} decks", "; ".join(decks))
     report.end()
 
 

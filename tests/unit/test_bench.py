@@ -49,7 +49,13 @@ from outcome import (
 )
 
 BENCH = Path(__file__).parents[2] / "bench"
-SHARED = {"outcome.py", "write_docs.py", "identification_system.py", "concrete_frame.py"}
+SHARED = {
+    "outcome.py",
+    "write_docs.py",
+    "identification_system.py",
+    "concrete_frame.py",
+    "calculix_input.py",
+}
 SCRIPTS = sorted(p for p in BENCH.glob("*.py") if p.name not in SHARED)
 
 
