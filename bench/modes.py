@@ -28,6 +28,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import calculix_input
 import numpy as np
 from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
 
@@ -208,8 +209,7 @@ def timed(command: list[str], folder: Path, threads: int) -> tuple[float, float]
 
 def calculix_frequencies(folder: Path) -> np.ndarray:
     """From the table of the .dat file, Hz."""
-    rows = (line.split() for line in (folder / "m.dat").read_text().splitlines())
-    return np.array([float(r[3]) for r in rows if len(r) == 5 and r[0].isdigit()])
+    return calculix_input.frequencies((folder / "m.dat").read_text())
 
 
 def mystran_frequencies(folder: Path) -> np.ndarray:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import ambient_families
+import calculix_input
 import concrete_frame
 import confidence
 import correlation
@@ -47,6 +48,8 @@ from outcome import (
     share_at_most,
     within,
 )
+
+from ringtrue.decks.nastran.reader import read_deck
 
 BENCH = Path(__file__).parents[2] / "bench"
 SHARED = {
@@ -532,6 +535,23 @@ def test_a_wrong_answer_is_found(
     assert right(judge(*good))
     for wrong in bad:
         assert not right(judge(*wrong))
+
+
+def test_a_deck_as_input_of_calculix(tmp_path: Path) -> None:
+    """Nodes between the ends of a wedge stand behind those of the far end; what CalculiX would take
+    otherwise is not translated.
+    """
+    nodes = "".join(f"GRID,{i},,{i % 3}.,{i % 5}.,{i % 7}.\n" for i in range(1, 16))
+    wedge = "CPENTA,1,1,1,2,3,4,5,6\n,7,8,9,10,11,12,13,14\n,15\n"
+    materials = "PSOLID,1,1\nMAT1,1,2.+11,,.3,7800.\nSPC1,1,13,2\n"
+    path = tmp_path / "d.bdf"
+    path.write_text(f"BEGIN BULK\n{nodes}{wedge}{materials}")
+    text = calculix_input.written(read_deck(path))
+    assert "*ELEMENT,TYPE=C3D15,ELSET=CPENTA01\n1,1,2,3,4,5,6,7,8,9,13,14,15,10,11,\n12\n" in text
+    assert "*BOUNDARY\n2,1\n*BOUNDARY\n2,3\n" in text
+    path.write_text(f"BEGIN BULK\n{nodes}{wedge}{materials}CELAS2,2,1.,1,1\n")
+    with pytest.raises(calculix_input.OtherDeck, match="CELAS2"):
+        calculix_input.written(read_deck(path))
 
 
 def test_every_script_has_been_fed_a_wrong_answer() -> None:

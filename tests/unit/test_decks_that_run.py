@@ -169,7 +169,7 @@ def test_check_shows_what_is_read_beside_cards_that_are_not(
     text = capsys.readouterr().out
     assert "mass of what is read 1.56" in text
     assert "Poisson's ratio 0.7" in text
-    assert "RFORCE: loads that are not read" in text
+    assert "RFORCE: loads that are not read: ringtrue static" in text
     lines = [line for line in text.splitlines() if line.startswith("unsupported CBUSH2D")]
     assert len(lines) == 1
     assert lines[0].endswith("lacking without it: stiffness")

@@ -277,7 +277,7 @@ def unapplied(model: Model) -> Iterator[Finding]:
             yield Finding("info", f"{', '.join(found)}: {what}")
     loads = [c for c in sorted(model.kept) if c.startswith(PRELOADS) and c not in STATIC_LOADS]
     if loads:
-        what = "loads that are not read: ringtrue static refuses a set with them; modes stay"
+        what = "loads that are not read: ringtrue static refuses a set with them; no mode changes"
         yield Finding("info", f"{', '.join(loads)}: {what}")
     if "GRID" in model:
         rows = np.flatnonzero(model["GRID"]["SEID"] > 0)

@@ -326,6 +326,8 @@ def _poisson(model: Model) -> Iterator[Finding]:
     rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
     if rows.size:
         taken = np.isin(table.ids[rows], _continua(model))
+        made_of = ~np.isin(rows, unused(model).get("MAT1", ()))
+        taken |= made_of & np.isnan(table["G"][rows]) & (ratio[rows] <= -1)  # G has no value then
         wrong = rows[taken]
         harmless = rows[~taken]
         if wrong.size:

@@ -416,9 +416,9 @@ _EFFECTS = (
      ("RBE", "RSSCON", "RBAX", "SPCAX", "MPCAX", "MPCD", "GMBC", "GMSPC", "GMBND", "SEBNDRY", "JOINTG", "RBODY")),
     (("stiffness", "constraints"),
      ("BLSEG", "BC", "BG", "BSCONP", "SLBLOAD", "CSEAM", "PSEAM", "TIE", "CONTACT", "BOLT")),
-    (("stiffness",), ("CBUSH2D", "PBUSH2D", "CRAC", "MATT", "PRETENS", "SPCR")),
-    (("stiffness", "loads"), PRELOADS),
-    (("nothing",), ("CDAMP5", "PDAMP5", "CHBDY")),
+    # loads are not read where they are a preload
+    (("stiffness",), ("CBUSH2D", "PBUSH2D", "CRAC", "MATT", "PRETENS", "SPCR", *PRELOADS)),
+    (("nothing",), ("CDAMP5", "PDAMP5")),
     (("mass",), ("CFLUID", "CHAC", "MFLUID", "CAABSF")),
     (("mass", "stiffness", "constraints", "loads"), ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "SKIPON", "/")),
 )  # fmt: skip

@@ -86,15 +86,14 @@ def held_by_displacing(
         groups.setdefault(frozenset(free), []).append(j)
     out = []
     for free_dofs, at in groups.items():
-        ps = grid["PS"].astype(object)
+        names = ", ".join(cases[j].name for j in at)
+        ps = grid["PS"].tolist()
         for node, component in sorted(free_dofs):
-            ps[grid.find(np.array([node]))[0]] += str(component)
-            names = ", ".join(cases[j].name for j in at)
-            log.warning(
-                "%s: SPCD displaces node %d component %d, which no SPC holds: held in this case",
-                *(names, node, component),
-            )
-        tables = {**model.tables, "GRID": grid.with_column("PS", ps.astype(str))}
+            ps[int(grid.find(np.array([node]))[0])] += str(component)
+            what = f"SPCD displaces node {node} component {component}, which no SPC holds"
+            log.warning("%s: %s: it is held there", names, what)
+        held_there = grid.with_column("PS", np.array(ps, dtype=str))
+        tables = {**model.tables, "GRID": held_there}
         out.append((replace(model, tables=tables) if free_dofs else model, tuple(at)))
     return out
 
