@@ -438,6 +438,6 @@ def test_a_suspension_is_tuned_to_the_modes_below_the_stated_frequency(
 
 def test_an_unreadable_record_is_named(tmp_path: Path) -> None:
     study = small_study.write_study(tmp_path, small_study.TEST, hammer=False)
-    (tmp_path / "data/ambient.h5").write_bytes(b"no")
+    (tmp_path / "data/ambient.h5").write_bytes(b"\x89HDF\r\n\x1a\nno")
     with pytest.raises(DataError, match=r"ambient\.h5: not a readable HDF5 file"):
         run_study(study)
