@@ -174,6 +174,48 @@ def test_output4(tmp_path: Path, dense: bool, big: bool) -> None:
     assert np.allclose(read_matrices(path)["KAA"].toarray(), A, rtol=1e-7)  # single precision
 
 
+ROWS = 10_000_005  # more than fit into eight characters beside a sign
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_output4_of_ten_million_rows(tmp_path: Path, big: bool) -> None:
+    """The head has numbers of sixteen characters; row numbers stand side by side with others."""
+    value = f"{-2.5:23.16E}{3.5:23.16E}"
+    row = ROWS - 1
+    rows = -ROWS if big else ROWS
+    lines = [f"{2:16d}{rows:16d}{2:8d}{2:8d}{'WIDE':8s}1P,3E23.16|I16"]
+    if big:
+        lines += [f"{2:8d}{0:8d}{6:8d}", f"{5:8d}{row:8d}", value]
+    else:
+        lines += [f"{2:8d}{row:8d}{2:8d}", value]
+    (tmp_path / "k.op4").write_text("\n".join([*lines, f"{3:8d}{1:8d}{1:8d}", " 1.0", ""]))
+    found = read_matrices(tmp_path / "k.op4")["WIDE"]
+    assert found.shape == (ROWS, 2)
+    assert [found[row - 1, 1], found[row, 1], found.nnz] == [-2.5, 3.5, 2]
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_output4_of_words_of_eight_bytes(tmp_path: Path, order: str) -> None:
+    """Four characters of the name stand in each word."""
+
+    def record(*parts: bytes) -> bytes:
+        body = b"".join(parts)
+        mark = np.array([len(body)], f"{order}i4").tobytes()
+        return mark + body + mark
+
+    def ints(*values: int) -> bytes:
+        return np.array(values, f"{order}i8").tobytes()
+
+    def reals(*values: float) -> bytes:
+        return np.array(values, f"{order}f8").tobytes()
+
+    records = [record(ints(1, 3, 2, 2), b"SE_S    TART    "), record(ints(1, 2, 2), reals(5, 6))]
+    records.append(record(ints(2, 1, 1), reals(1)))
+    (tmp_path / "k.op4").write_bytes(b"".join(records))
+    found = read_matrices(tmp_path / "k.op4")
+    assert found["SE_START"].toarray().ravel().tolist() == [0, 5, 6]
+
+
 def test_broken_files(tmp_path: Path) -> None:
     for name, content in (
         ("k.op4", _op4_binary(False, False, "<", False)[:-40]),

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,16 +78,24 @@ class _Text:
 
     def header(self) -> tuple[list[int], str]:
         line = self._line()
-        given = _FORMAT.match(line[40:].strip().upper())
+        # columns and rows take sixteen characters where eight are too few
+        cuts = (0, 16, 32, 40, 48, 56) if line.rstrip().endswith("|I16") else (0, 8, 16, 24, 32, 40)
+        given = _FORMAT.match(line[cuts[-1] :].strip().upper())
         self.per_line, self.width = (int(given[1]), int(given[2])) if given else (5, 16)
-        return [int(line[i : i + 8]) for i in range(0, 32, 8)], line[32:40]
+        cells = [line[a:b] for a, b in pairwise(cuts)]
+        return [int(x) for x in cells[:4]], cells[4]
 
     def column(self) -> list[int]:
         line = self._line()
         return [int(line[i : i + 8]) for i in range(0, 24, 8)]
 
     def integers(self, count: int) -> list[int]:
-        return [int(x) for x in self._line().split()[:count]]
+        """The numbers of a line; those of eight digits stand side by side without a blank."""
+        line = self._line()
+        cells = line.split()
+        if len(cells) < count:
+            cells = [line[8 * k : 8 * k + 8] for k in range(count)]
+        return [int(x) for x in cells[:count]]
 
     def reals(self, words: int, size: int, dense: bool) -> Float:
         count = words if dense else words // size
@@ -127,7 +136,11 @@ class _Binary:
 
     def header(self) -> tuple[list[int], str]:
         self._record()
-        return self.integers(4), self.record[self.place :].decode("ascii")
+        head = self.integers(4)
+        name = self.record[self.place :]
+        if self.wide:  # four characters in a word of eight bytes
+            name = b"".join(name[i : i + 4] for i in range(0, len(name), 8))
+        return head, name.decode("ascii")
 
     def column(self) -> list[int]:
         self._record()

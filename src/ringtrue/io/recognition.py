@@ -192,7 +192,10 @@ _MARKS = {  # of the text as a whole
         r"|-----   DESIGN VARIABLES   -----)",
         re.M,
     ),
-    Format.OP4: re.compile(r"\A[ \d-]{32}[A-Za-z]\w{0,7} *(?:1P,?)?(?:\d+[ED]\d+\.\d+)? *$", re.M),
+    Format.OP4: re.compile(
+        r"\A[ \d-]{32}(?:[ \d-]{16})?[A-Za-z]\w{0,7} *(?:1P,?)?(?:\d+[ED]\d+\.\d+(?:\|I16)?)? *$",
+        re.M,
+    ),
     Format.HARWELL_BOEING: re.compile(
         r"\A.*\n(?: +\d+){4,5} *\n[RCPI][SUHZR][AE] +\d+ +\d+", re.IGNORECASE
     ),
