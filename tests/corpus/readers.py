@@ -8,13 +8,16 @@ traceback, each named after its fault.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ringtrue.api.inspection import inspect_file
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.decks.nastran.results.geometry import read_recorded_model
 from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
+from ringtrue.errors import DataError
 from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
@@ -39,6 +42,17 @@ def _record_with_gaps(path: Path) -> Any:
     return read_record(path, check=False, gaps=True)
 
 
+def _results(path: Path) -> Any:
+    """Modes, or the deck of an OP2 that has none; both are tried of one that has the two."""
+    try:
+        deck = read_recorded_model(path).deck()
+    except DataError:
+        return read_recorded(path)
+    with suppress(DataError):
+        read_recorded(path)
+    return deck
+
+
 _OF_KIND: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "choice": (read_choice,),
     "deck": (read_deck,),
@@ -47,7 +61,7 @@ _OF_KIND: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "matrices": (read_matrices,),
     "modes": (read_modes, read_std),
     "record": (_record, _record_with_gaps, read_runs),
-    "results": (read_recorded,),
+    "results": (_results,),
     "sensitivity": (read_sensitivities,),
     "sensors": (read_sensor_sheet,),
     "statics": (read_statics,),

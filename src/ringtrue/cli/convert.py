@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +11,12 @@ import typer
 from ringtrue.api.measurements import read_modes, read_sensors, write_modes
 from ringtrue.api.models import read_deck
 from ringtrue.cli.show import out
+from ringtrue.decks.nastran.results.geometry import read_recorded_model
 from ringtrue.decks.nastran.results.modes import is_solver_result
 from ringtrue.errors import DataError, InputError
+from ringtrue.io.files import atomic_write
+
+DECKS = (".bdf", ".dat", ".nas")
 
 
 def convert(
@@ -22,7 +27,12 @@ def convert(
             "or study.h5: the modes merged in a study."
         ),
     ],
-    target: Annotated[Path, typer.Argument(help="What to write: .h5 .json .uff .csv.")],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            help="What to write: .h5 .json .uff .csv; .bdf .dat .nas: the deck in an .op2."
+        ),
+    ],
     deck: Annotated[
         Path | None,
         typer.Option(
@@ -34,12 +44,15 @@ def convert(
         typer.Option(help="Sensor sheet: its points and lines go into a .uff with the modes."),
     ] = None,
 ) -> int:
-    """Modes from one format to another: results of Nastran or MYSTRAN to a mode set.
+    """Modes from one format to another: results of Nastran or MYSTRAN to a mode set; or the deck
+    that an OP2 holds.
 
-    Example: ringtrue convert modes.op2 modes.h5 --deck wing.bdf
+    Example: ringtrue convert modes.op2 modes.h5
     """
     if deck is not None and (not is_solver_result(source)):
         raise InputError(f"--deck {deck}: {source} is no results file of a solver")
+    if target.suffix.lower() in DECKS:
+        return _deck(source, target)
     found = read_modes(source, deck=read_deck(deck) if deck else None)
     if not len(found):
         raise DataError(f"{source}: no modes")
@@ -47,4 +60,17 @@ def convert(
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
     out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")
+    return 0
+
+
+def _deck(source: Path, target: Path) -> int:
+    found = read_recorded_model(source)
+    text = found.deck()
+    with atomic_write(target) as new:
+        new.write_text(text, encoding="ascii")
+    counts = Counter({card: len(table) for card, table in found.model.tables.items()})
+    counts.update(card.split(maxsplit=1)[0].rstrip("*") for card in found.texts)
+    out.print(f"{target}: {', '.join(f'{n} {card}' for card, n in counts.items())}")
+    for name, words in found.missing.items():
+        out.print(f"not rebuilt: {name}, {words} words")
     return 0

@@ -10,6 +10,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
+from ringtrue.decks.nastran.results.geometry import held_model
 from ringtrue.decks.nastran.results.op2 import read_op2
 from ringtrue.decks.nastran.results.printed import read_f06, read_punch
 from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered, to_mode_set
@@ -134,7 +135,7 @@ def read_nastran_modes(
         OP2, F06, punch or HDF5 (of MSC Nastran).
     model : Model, optional
         The deck of the run: turns shapes from the displacement frames (CD) and knows how they were
-        scaled.
+        scaled. Without it the one that an OP2 holds (GEOM1, DYNAMICS) counts.
     mass_normalised : bool
         The shapes have unit modal mass although the file does not say so.
 
@@ -144,6 +145,8 @@ def read_nastran_modes(
         If the file is missing, damaged, holds no real modes or is of another model.
     """
     found = read_recorded(path)
+    if model is None and format_of(path) is Format.OP2:
+        model = held_model(path, found.nodes[~found.scalar])
     try:
         known = mass_normalised or (model is not None and asks_for_unit_mass(model))
         return to_mode_set(found, model, mass_normalised=known, source=str(path))

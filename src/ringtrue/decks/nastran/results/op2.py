@@ -6,7 +6,7 @@ item is announced by a key, a record of one integer word.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,12 @@ class Op2Table:
         """The words as reals, (k,) float64."""
         return self._words(data, "f", self.word).astype(np.float64)
 
+    def decimals(self, data: bytes) -> Float:
+        """The words as reals, each the shortest decimal that names it, (k,) float64: 0.3 and not
+        0.30000001192.
+        """
+        return self._words(data, "f", self.word).astype(np.str_).astype(np.float64)
+
     def doubles(self, data: bytes) -> Float:
         """Double-precision reals, (k,) float64."""
         return self._words(data, "f", 8).astype(np.float64)
@@ -116,13 +122,13 @@ class _Op2File:
             "damaged"
         )
 
-    def block(self) -> bytes:
-        """The data of one Fortran record."""
+    def block(self, read: bool = True) -> bytes:
+        """The data of one Fortran record; nothing of one that is passed over."""
         n = self._length(self.at)
         end = self.at + 4 + n
         if n < 0 or end + 4 > self.data.size or self._length(end) != n:
             raise self.fail("a record without its end")
-        out = self.data[self.at + 4 : end].tobytes()
+        out = self.data[self.at + 4 : end].tobytes() if read else b""
         self.at = end + 4
         return out
 
@@ -153,8 +159,16 @@ class _Op2File:
         return data.decode("latin-1").strip("\x00 ")
 
 
-def read_tables(path: str | Path) -> Iterator[Op2Table]:
+def read_tables(
+    path: str | Path, wanted: Callable[[str], bool] | None = None
+) -> Iterator[Op2Table]:
     """The tables and matrices of an OP2 file in their order.
+
+    Parameters
+    ----------
+    path : path
+    wanted : callable, optional
+        Whether a table of that name is read; those that are not have no records.
 
     Raises
     ------
@@ -174,7 +188,7 @@ def read_tables(path: str | Path) -> Iterator[Op2Table]:
     while key:
         if key != 2:
             raise file.fail(f"a table name of {key} words")
-        yield _table(file)
+        yield _table(file, wanted)
         key = file.key() if file.at < file.data.size else 0
 
 
@@ -192,8 +206,9 @@ def _name(file: _Op2File) -> str:
     return name
 
 
-def _table(file: _Op2File) -> Op2Table:
+def _table(file: _Op2File, wanted: Callable[[str], bool] | None) -> Op2Table:
     name = _name(file)
+    read = wanted is None or wanted(name)
     file.expect(7)
     trailer = file.integers(7)
     records = []
@@ -205,8 +220,8 @@ def _table(file: _Op2File) -> Op2Table:
         flag = file.key()
         blocks = []
         while (key := file.key()) > 0:
-            blocks.append(file.block())
-        if blocks:
+            blocks.append(file.block(read))
+        if blocks and read:
             records.append(LogicalRecord(flag, tuple(blocks)))
     return Op2Table(name, trailer, tuple(records), file.order, file.word)
 
@@ -227,7 +242,9 @@ def read_op2(path: str | Path) -> RecordedModes:
     shapes: list[Op2Table] = []
     frames: dict[int, int] = {}
     others: list[str] = []
+    held: dict[str, str] = {}
     for table in read_tables(path):
+        held[table.name] = held.get(table.name) or _about(table)
         if table.name in _LAMA:
             lama = lama or _lama(table)
         elif table.name in _GEOMETRY:
@@ -245,11 +262,39 @@ def read_op2(path: str | Path) -> RecordedModes:
             named = ", ".join(dict.fromkeys(others))
             but = f" but those of {named}, which are not of the whole structure"
         raise DataError(
-            f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; "
+            f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; the file "
+            f"holds {', '.join(name + what for name, what in held.items()) or 'nothing'}; "
             "ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1"
         )
     with about(path), door(path, "OP2 file"):
         return _gather(shapes, lama, frames)
+
+
+_APPROACHES = {
+    1: "statics",
+    2: "modes",
+    5: "frequency response",
+    6: "transient response",
+    8: "buckling",
+    9: "complex modes",
+    10: "nonlinear statics",
+}
+_QUANTITIES = {1: "displacements", 7: "eigenvectors", 10: "velocities", 11: "accelerations"}
+
+
+def _about(table: Op2Table) -> str:
+    """What a table of motions says that it holds, in brackets: the approach code, the table code
+    with its sort code, and the words of a node.
+    """
+    bodies = table.bodies()[:1]
+    words = table.ints(bodies[0]) if bodies else np.empty(0, dtype=np.int64)
+    if not table.name.lstrip("BRT").startswith(("OUG", "OPH")) or words.size < 10:
+        return ""
+    sort, code = divmod(int(words[1]), 1000)
+    quantity = _QUANTITIES.get(code, f"table code {code}")
+    approach = _APPROACHES.get(int(words[0]) // 10, f"approach code {words[0] // 10}")
+    form = "" if words[9] == _REAL else "complex "
+    return f" ({form}{quantity} of {approach}{', SORT2' if sort >= 2 else ''})"
 
 
 def _gather(
