@@ -32,6 +32,7 @@ RUNS = {  # name of the results: script and its options
     "elements": "bench/elements.py",
     "deck_reading": "bench/deck_reading.py",
     "nastran_corpus": "bench/nastran_corpus.py",
+    "results_files": "bench/results_files.py",
     "ssi_one_band": "bench/identification_peers.py one",
     "ssi_many_channels": "bench/identification_peers.py many",
     "ssi_automatic": "bench/identification_peers.py automatic",

@@ -34,6 +34,7 @@ import numpy as np
 import outcome
 import pytest
 import records
+import results_files
 import uncertainty
 import updating
 import write_docs
@@ -463,6 +464,18 @@ JUDGED: list[
         ],
     ),
     ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    (
+        "results_files",
+        results_files.same_modes,
+        ((FREE, FREE), (SLOPES, SLOPES)),
+        [((1.01 * FREE, FREE), (SLOPES, SLOPES)), ((FREE, FREE), (SLOPES[:-1], SLOPES))],
+    ),
+    (
+        "results_files",
+        results_files.same_deck,
+        ({7: "CBAR"}, {7: "CBAR"}, 0.0),
+        [({7: "CBAR"}, {8: "CBAR"}, 0.0), ({7: "CBAR"}, {7: "CBAR"}, 0.1)],
+    ),
     (
         "records",
         records.checks,

@@ -74,8 +74,9 @@ def _domains(domains: Any, used: Int) -> Any:
     ]
     if not found.size:
         raise DataError("no domain of real modes")
-    found = found[found["SUBCASE"] == found["SUBCASE"].min()]
+    # each superelement may have a subcase of its own: the residual structure is 0
     found = found[found["SE"] == found["SE"].min()]
+    found = found[found["SUBCASE"] == found["SUBCASE"].min()]
     found = found[np.argsort(found["MODE"], kind="stable")]
     if np.unique(found["MODE"]).size != found.size:
         raise DataError("a mode occurs twice in one subcase")

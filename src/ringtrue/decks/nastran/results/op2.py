@@ -244,7 +244,7 @@ def read_op2(path: str | Path) -> RecordedModes:
     others: list[str] = []
     held: dict[str, str] = {}
     for table in read_tables(path):
-        held[table.name] = held.get(table.name) or _about(table)
+        held[table.name] = held.get(table.name) or described(table)
         if table.name in _LAMA:
             lama = lama or _lama(table)
         elif table.name in _GEOMETRY:
@@ -282,19 +282,19 @@ _APPROACHES = {
 _QUANTITIES = {1: "displacements", 7: "eigenvectors", 10: "velocities", 11: "accelerations"}
 
 
-def _about(table: Op2Table) -> str:
-    """What a table of motions says that it holds, in brackets: the approach code, the table code
-    with its sort code, and the words of a node.
-    """
+def described(table: Op2Table) -> str:
+    """What a table of motions holds by its codes, " (displacements of statics)"; "" of another."""
     bodies = table.bodies()[:1]
     words = table.ints(bodies[0]) if bodies else np.empty(0, dtype=np.int64)
     if not table.name.lstrip("BRT").startswith(("OUG", "OPH")) or words.size < 10:
         return ""
     sort, code = divmod(int(words[1]), 1000)
-    quantity = _QUANTITIES.get(code, f"table code {code}")
-    approach = _APPROACHES.get(int(words[0]) // 10, f"approach code {words[0] // 10}")
+    approach = int(words[0]) // 10
+    if code not in _QUANTITIES or approach not in _APPROACHES:
+        return ""
     form = "" if words[9] == _REAL else "complex "
-    return f" ({form}{quantity} of {approach}{', SORT2' if sort >= 2 else ''})"
+    by = ", SORT2" if sort >= 2 else ""
+    return f" ({form}{_QUANTITIES[code]} of {_APPROACHES[approach]}{by})"
 
 
 def _gather(
