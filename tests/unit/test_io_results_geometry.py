@@ -27,12 +27,13 @@ def station(x: float, area: float) -> list[float]:
     return [0.0, x, area, 2.0, 3.0, 0.0, 4.0, 0.0, *[0.0] * 8]
 
 
-def write_model(path: Path, order: str = "<", word: int = 4) -> None:
-    """Four nodes with a plate of five plies, a beam, a spring, rigid elements and all kinds of
-    lists.
+def write_model(path: Path, order: str = "<", word: int = 4, post: int = -1) -> None:
+    """Four nodes with a plate of two plies, a beam, a spring, rigid elements and all kinds of
+    lists. POST 1 has qualifiers behind each name, POST -4 no header.
     """
-    w = Op2Writer(order, word)
-    w.head()
+    w = Op2Writer(order, word, enhanced=post == 1)
+    if post != -4:
+        w.head()
     w.table("PVT0", [[b"WTMA", b"SS  ", 2, 0.5, b"AUTO", b"SPC ", 3, b"YES ", b"    "]])
     w.table("CASECC", [[1, 7, 6, 9, 5, *[0] * 595]])
     nodes = [v for n in range(4) for v in (n + 1, 0, float(n % 2), n / 3, 0.1, 2, 0, 0)]
@@ -82,10 +83,11 @@ def write_model(path: Path, order: str = "<", word: int = 4) -> None:
     w.write(path)
 
 
+@pytest.mark.parametrize("post", [-1, 1, -4])
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("word", [4, 8])
-def test_deck_of_made_file(tmp_path: Path, order: str, word: int) -> None:
-    write_model(tmp_path / "m.op2", order, word)
+def test_deck_of_made_file(tmp_path: Path, order: str, word: int, post: int) -> None:
+    write_model(tmp_path / "m.op2", order, word, post)
     found = read_recorded_model(tmp_path / "m.op2")
     assert list(found.missing.values()) == [3, 3]
     assert [name.split(" (")[0] for name in found.missing] == ["GEOM2 PLOTEL", "DYNAMICS FREQ2"]
@@ -114,6 +116,15 @@ def test_deck_of_made_file(tmp_path: Path, order: str, word: int) -> None:
     text = deck.read_text()
     assert "LOAD*                  9             1.5             2.0               8" in text
     assert "$ GEOM2 PLOTEL (5201, 52, 11), 3 words" in text
+
+
+def test_the_deck_is_found_by_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_model(tmp_path / "m.op2")
+    assert run(["inspect", str(tmp_path / "m.op2")]) == 0
+    said = capsys.readouterr().out
+    assert "deck: 4 nodes, 3 elements" in said
+    assert "convert" in said
+    assert "model.bdf" in said
 
 
 @pytest.mark.parametrize("rows", [1, 8, 11])

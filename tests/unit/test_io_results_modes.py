@@ -416,6 +416,16 @@ def test_empty_foreign_and_missing_files(tmp_path: Path, ext: str) -> None:
 
 
 @pytest.mark.data
+def test_superelements_are_left_to_the_residual_structure() -> None:
+    """Each superelement has a subcase of its own in front of that of the residual structure."""
+    folder = "msc2019/superelements/cantilever_bar/part_super_cb"
+    h5 = read_recorded(recorded(f"{folder}/cbSuper2Modes.h5"))
+    f06 = read_recorded(recorded(f"{folder}/cbsuper2modes.f06"))
+    assert h5.nodes.tolist() == f06.nodes.tolist()
+    np.testing.assert_allclose(h5.motion, f06.motion, atol=1e-6 * np.abs(h5.motion).max())
+
+
+@pytest.mark.data
 def test_reduced_runs_keep_their_shapes() -> None:
     """Craig-Bampton with enough modes is near the full model: the same lowest shapes in both HDF5
     files.

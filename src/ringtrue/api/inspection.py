@@ -16,6 +16,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.deck import other_program
 from ringtrue.decks.nastran.reader import survey
+from ringtrue.decks.nastran.results.geometry import read_recorded_model
 from ringtrue.decks.nastran.results.modes import is_nastran_h5, read_recorded
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError, InputError, UnsupportedError
@@ -125,19 +126,44 @@ def inspect_file(path: str | Path) -> FileContents:
 def _deck(path: Path) -> list[FilePart]:
     found = survey(path)
     name = quote(str(path))
-    cards = found.cards
-    values = {
-        "nodes": cards.get("GRID", 0),
-        "elements": sum(n for card, n in cards.items() if card[0] == "C" and card[:4] != "CORD"),
-        "cards": dict(sorted(cards.items(), key=lambda item: -item[1])),
-        "not read": sorted(found.unsupported),
-    }
+    values = _counts(found.cards) | {"not read": sorted(found.unsupported)}
     commands = (f"ringtrue check {name} --units SI", f"ringtrue modes {name} --band 0 HZ")
     return [FilePart("deck", values, commands)]
 
 
 def _results(path: Path) -> list[FilePart]:
-    """Modes, or the sensitivities of a SOL 200."""
+    """Modes, or the sensitivities of a SOL 200; and the deck in an OP2."""
+    decks = _held_deck(path) if format_of(path) is Format.OP2 else []
+    try:
+        return [*_solved(path, bool(decks)), *decks]
+    except DataError:
+        if decks:
+            return decks
+        raise
+
+
+def _held_deck(path: Path) -> list[FilePart]:
+    try:
+        found = read_recorded_model(path)
+    except DataError:
+        return []
+    values = _counts({card: len(table) for card, table in found.model.tables.items()})
+    if not values["elements"]:
+        return []
+    values["not read"] = list(found.missing)
+    return [FilePart("deck", values, (f"ringtrue convert {quote(str(path))} model.bdf",))]
+
+
+def _counts(cards: Mapping[str, int]) -> dict[str, Any]:
+    """Nodes, elements and cards of a deck."""
+    return {
+        "nodes": cards.get("GRID", 0),
+        "elements": sum(n for card, n in cards.items() if card[0] == "C" and card[:4] != "CORD"),
+        "cards": dict(sorted(cards.items(), key=lambda item: -item[1])),
+    }
+
+
+def _solved(path: Path, with_deck: bool) -> list[FilePart]:
     try:
         found = read_recorded(path)
     except DataError as exc:
@@ -149,7 +175,9 @@ def _results(path: Path) -> list[FilePart]:
         return [FilePart("sensitivities", sizes)]
     f = np.sqrt(np.abs(found.eigenvalues)) / (2 * np.pi)
     values = {"modes": f.size, "nodes": found.nodes.size, "band_hz": _band(f)}
-    command = f"ringtrue convert {quote(str(path))} modes.h5 --deck MODEL.bdf"
+    command = f"ringtrue convert {quote(str(path))} modes.h5"
+    if not with_deck:
+        command += " --deck MODEL.bdf"
     return [FilePart("results", values, (command,))]
 
 

@@ -239,10 +239,10 @@ class _Found:
         self.missing[named] = self.missing.get(named, 0) + words.ints.size - 3
 
     def _rows(self, card: str, rows: list[Row]) -> None:
-        if card in MADE:
-            self.sections[MADE[card]] = [row["PID"] for row in rows]
         if card in MADE or card == "LOAD":
             self.texts += [large_card(card, row["FIELDS"]) for row in rows]
+            if card in MADE:
+                self.sections[MADE[card]] = [row["PID"] for row in rows]
         elif rows:
             self.through += [row for row in rows if "THRU" in row]
             rows = [row for row in rows if "THRU" not in row]
@@ -267,9 +267,11 @@ class _Found:
         out = dict(self.tables)
         made = dict(self.sections)
         laminates = [out[c].ids for c in ("PCOMP", "PCOMPG") if c in out]
+        of_nastran = {"GRID": ("ID", "CP", "CD"), "CORD2R": ("CID",)}
         if laminates:
             made["PSHELL"] = np.concatenate(laminates).tolist()
-        for card, *fields in (("GRID", "ID", "CP", "CD"), ("CORD2R", "CID"), ("MAT2", "MID")):
+            of_nastran["MAT2"] = ("MID",)
+        for card, fields in of_nastran.items():
             if card in out:
                 own = (out[card].stack(*fields) > _OWN).any(axis=1)
                 made[card] = out[card].ids[own].tolist()
@@ -316,7 +318,7 @@ def _columns(layout: Layout, words: _Words) -> Columns | None:
     made: Columns = {}
     for k, word in enumerate(layout.words):
         if word.kind == "f":
-            if not _are_reals(real[:, k]) and word.name not in ("X1", "THETA"):
+            if not _are_reals(real[:, k]) and word.name != "X1":
                 return None
             made[word.name] = words.reals[3 + k :: width]
         elif word.kind == "t":
