@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +199,15 @@ class _Words:
         self.block = block
         self.body = body
         self.ints = block.ints(body)
-        self.reals = np.where(self.ints == _BLANK, np.nan, block.decimals(body))
+
+    @cached_property
+    def reals(self) -> Float:
+        """The words as reals, nan for blank ones."""
+        return self.decimals(self.block.floats(self.body), self.ints)
+
+    def decimals(self, values: Float, words: Int) -> Float:
+        """Reals as a deck has them, nan for those whose words are blank; all (k,)."""
+        return np.where(words == _BLANK, np.nan, self.block.decimals(values))
 
     def text(self, at: int, count: int = 1) -> str:
         """The text of words."""
@@ -320,7 +329,7 @@ def _columns(layout: Layout, words: _Words) -> Columns | None:
         if word.kind == "f":
             if not _are_reals(real[:, k]) and word.name != "X1":
                 return None
-            made[word.name] = words.reals[3 + k :: width]
+            made[word.name] = words.decimals(real[:, k], whole[:, k])
         elif word.kind == "t":
             rows = range(whole.shape[0])
             made[word.name] = np.array([words.text(3 + i * width + k) for i in rows])
@@ -355,8 +364,8 @@ def _double(layout: Layout, words: _Words) -> Columns | None:
     made = {w.name: rows[w.name] for w in layout.words if w.name != "_"}
     real = all(_are_reals(made[w.name]) for w in layout.words if w.kind == "f")
     first = made[layout.words[0].name]
-    good = real and (first > 0).all() and (first <= _MOST).all() and np.unique(first).size
-    if not good or np.unique(first).size != first.size:
+    numbers = (first > 0).all() and (first <= _MOST).all()
+    if not real or not numbers or np.unique(first).size != first.size:
         return None
     if not len(body) % single:  # both widths fit: the one whose other integers are numbers counts
         others = [made[w.name] for w in layout.words if w.kind != "f" and w.name != "_"]

@@ -26,6 +26,7 @@ _REAL = 8
 # table codes
 _EIGENVALUES = 6
 _EIGENVECTORS = 7
+_PIECE = 100_000  # numbers that are text at once
 _GRID_KEY = (4501, 45)
 # The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
 # GEOM1EX are others.
@@ -76,11 +77,17 @@ class Op2Table:
         """The words as reals, (k,) float64."""
         return self._words(data, "f", self.word).astype(np.float64)
 
-    def decimals(self, data: bytes) -> Float:
-        """The words as reals, each the shortest decimal that names it, (k,) float64: 0.3 and not
+    def decimals(self, values: Float) -> Float:
+        """Reals of the file, (k,) float64, each the shortest decimal that names it: 0.3 and not
         0.30000001192.
         """
-        return self._words(data, "f", self.word).astype(np.str_).astype(np.float64)
+        if self.word == 8:
+            return values
+        out = np.empty_like(values)
+        for start in range(0, values.size, _PIECE):  # as text a number takes 128 bytes
+            part = values[start : start + _PIECE].astype(np.float32)
+            out[start : start + _PIECE] = part.astype(np.str_).astype(np.float64)
+        return out
 
     def doubles(self, data: bytes) -> Float:
         """Double-precision reals, (k,) float64."""
