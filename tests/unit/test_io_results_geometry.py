@@ -127,6 +127,21 @@ def test_the_deck_is_found_by_inspect(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "model.bdf" in said
 
 
+def test_convert_writes_the_deck_and_names_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(tmp_path / "m.op2")
+    words = ["convert", str(tmp_path / "m.op2"), str(tmp_path / "m.bdf")]
+    assert run(words) == 0
+    said = capsys.readouterr().out
+    assert "4 GRID" in said
+    assert "not rebuilt: GEOM2 PLOTEL (5201, 52, 11), 3 words" in said
+    assert len(read_deck(tmp_path / "m.bdf")["CQUAD4"]) == 1
+    other = str(tmp_path / "other.bdf")
+    assert run([*words[:2], other, "--deck", str(tmp_path / "m.bdf")]) == 2
+    assert "belong to modes" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("rows", [1, 8, 11])
 def test_coordinates_of_double_precision(tmp_path: Path, rows: int) -> None:
     """GRID of eleven words; with 8 rows the length is that of 11 rows of eight words, too."""

@@ -52,6 +52,8 @@ def convert(
     if deck is not None and (not is_solver_result(source)):
         raise InputError(f"--deck {deck}: {source} is no results file of a solver")
     if target.suffix.lower() in DECKS:
+        if deck is not None or sensors is not None:
+            raise InputError(f"{target}: --deck and --sensors belong to modes, and this is a deck")
         return _deck(source, target)
     found = read_modes(source, deck=read_deck(deck) if deck else None)
     if not len(found):
