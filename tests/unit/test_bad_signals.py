@@ -180,7 +180,7 @@ def test_sound_signals_with_large_steps_do_not_wrap() -> None:
 def test_an_array_of_samples_by_channels_is_refused() -> None:
     data = np.random.default_rng(0).standard_normal((2000, 4))
     channels = tuple(Channel(f"{k + 1}+X") for k in range(2000))
-    with pytest.raises(DataError, match="2000 channels of 4 samples.*transposed"):
+    with pytest.raises(DataError, match=r"2000 channels of 4 samples.*transposed"):
         identify_ambient(TimeHistory(data, 100.0, channels, "record"))
 
 
