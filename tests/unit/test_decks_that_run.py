@@ -160,7 +160,7 @@ def test_check_shows_what_is_read_beside_cards_that_are_not(
     found = json.loads(target.read_text())
     assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
     assert found["centre_of_gravity"] == pytest.approx([1, 0, 0])
-    assert found["lacking"] == {
+    assert found["missing"] == {
         "CBUSH2D": ["stiffness"],
         "CQUADX": ["mass", "stiffness"],
         "RSSCON": ["constraints"],
@@ -172,7 +172,7 @@ def test_check_shows_what_is_read_beside_cards_that_are_not(
     assert "RFORCE: loads that are not read: ringtrue static" in text
     lines = [line for line in text.splitlines() if line.startswith("unsupported CBUSH2D")]
     assert len(lines) == 1
-    assert lines[0].endswith("lacking without it: stiffness")
+    assert lines[0].endswith("missing without it: stiffness")
 
 
 def test_check_goes_on_where_assembly_refuses_a_card(tmp_path: Path) -> None:

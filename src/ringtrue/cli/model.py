@@ -181,7 +181,7 @@ def check(
         "cards": dict(found.cards),
         "kept": dict(found.model.kept),
         "unsupported": unsupported,
-        "lacking": {card: list(effects(card)) for card in unsupported},
+        "missing": {card: list(effects(card)) for card in unsupported},
         **rigid,
     }
     summary["findings"] = [
@@ -277,8 +277,8 @@ def _print_check(deck: Path, summary: dict[str, Any]) -> None:
         if summary["free_edges"]:
             out.print(f"edges    {summary['free_edges']}")
     for card, place in summary["unsupported"].items():
-        lacking = ", ".join(summary["lacking"][card])
-        out.print(f"unsupported {card}: {place}; lacking without it: {lacking}")
+        missing = ", ".join(summary["missing"][card])
+        out.print(f"unsupported {card}: {place}; missing without it: {missing}")
     for f in summary["findings"]:
         out.print(str(Finding(**f)))
     if not summary["findings"] and not summary["unsupported"]:

@@ -112,7 +112,9 @@ def read_matrices(path: str | Path) -> MatrixFile:
         Format.TEXT: _abaqus,
         Format.NPZ: _scipy,
         Format.HARWELL_BOEING: _harwell_boeing,
-        Format.MATRIX_MARKET: _matrix_market,
+        Format.MATRIX_MARKET: lambda path: _one(
+            path, read_apart("matrix market", path, "MatrixMarket file")
+        ),
     }
     if held not in readers:
         refuse_format(path, "matrices", (Format.HDF5, *readers))
@@ -124,10 +126,6 @@ def read_matrices(path: str | Path) -> MatrixFile:
 
 def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> MatrixFile:
     return MatrixFile({path.stem: matrix}, {}, dofs)
-
-
-def _matrix_market(path: Path) -> MatrixFile:
-    return _one(path, read_apart("matrix market", path, "MatrixMarket file"))
 
 
 def _matlab(path: Path) -> MatrixFile:

@@ -194,11 +194,15 @@ def identify_setups(
     members = _members(merged, setups)[:, natural]
     frequency, damping = _by_setup(members, found)
     modes = merged.modes.take(natural)
+    remarks = []
+    for of_mode in frequency.T:
+        count, spread = _scatter(of_mode)
+        remarks.append(f"{count}/{len(setups)} setups, f ±{spread:.2g} %")
     return SetupsResult(
         modes=replace(modes, confidence=joint[natural], source=f"{len(setups)} setups: SSI-cov"),
         uncertainty=merged.uncertainty.take(natural),
         reasons=tuple(map(_reason, frequency.T, damping.T)),
-        remarks=tuple(map(_remark, frequency.T)),
+        remarks=tuple(remarks),
         others=others,
         notes=(*_notes(setups), *merged.notes),
         setups=tuple(x.name for x in setups),
@@ -348,11 +352,6 @@ def _scatter(values: Float) -> tuple[int, float]:
     if known.size < 2:
         return known.size, np.nan
     return known.size, float(100 * known.std(ddof=1) / known.mean())
-
-
-def _remark(frequency: Float) -> str:
-    count, spread = _scatter(frequency)
-    return f"{count}/{frequency.size} setups, f ±{spread:.2g} %"
 
 
 def _reason(frequency: Float, damping: Float) -> str:

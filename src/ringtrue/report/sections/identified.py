@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ringtrue.core.modes import ModeClass
 from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.identification.common.diagram import IdentificationDiagram, SpectrumAccount
 from ringtrue.plots import diagram as plots
@@ -127,7 +126,9 @@ def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
     rows: list[Sequence[str | Cell]] = []
     for k, kind in enumerate(shown.classes):
         count, why = next(natural) if kind == "natural" else ("–", "")
-        rows.append((str(count), *_numbers(shown, k, why), _mark(kind), shown.remarks[k]))
+        name, tone = MARKS[kind]  # as in the diagram
+        mark = Cell(f"{name} {kind}", tone)
+        rows.append((str(count), *_numbers(shown, k, why), mark, shown.remarks[k]))
     heads = ("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "MPC", "Confidence, %", "|Class", "|Remark")
     table = ReportTable(heads, rows, f"{caption}.")
     if not any(shown.remarks) and not len(found.others):
@@ -152,12 +153,6 @@ def _numbers(shown: IdentificationDiagram, k: int, why: str) -> list[str | Cell]
         fixed(None if modes.frequency_only else float(shown.mpc[k]), 2),
         Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
     ]
-
-
-def _mark(kind: ModeClass) -> Cell:
-    """The mark that the class has in the diagram, too."""
-    name, tone = MARKS[kind]
-    return Cell(f"{name} {kind}", tone)
 
 
 def _by_record(data: Stages) -> Block:

@@ -30,6 +30,7 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model, Table, stacked, table, taken
 from ringtrue.model.sections import SECTIONS
 
+_WANTED = ("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", "BGPDT", "EQEXIN")
 _BLOCK = re.compile(r"(GEOM[1-4]|EPT|MPT|DYNAMICS?)[SN]?")
 _END = 65535
 _BLANK = 0x22002739  # a real field that is blank
@@ -157,9 +158,9 @@ def held_model(path: str | Path, nodes: Int) -> Model | None:
 
 
 def _read(path: Path, refuse: bool = True) -> RecordedModel:
-    found = _Found()
+    found = _RecordedDeck()
     held: list[str] = []
-    for block in read_tables(path, _is_wanted):
+    for block in read_tables(path, lambda name: name.startswith(_WANTED)):
         held.append(block.name)
         kind = _BLOCK.fullmatch(block.name)
         if kind and kind[1] not in found.blocks:
@@ -170,7 +171,9 @@ def _read(path: Path, refuse: bool = True) -> RecordedModel:
             for body in block.bodies():
                 found.params |= _params(_Words(block, body))
         elif block.name.startswith("CASECC") and not found.subcases:
-            found.subcases = [_subcase(block.ints(body)) for body in block.bodies()]
+            for body in block.bodies():
+                id_, mpc, spc, load, method = block.ints(body)[:5].tolist()
+                found.subcases.append(Subcase(id_, mpc, spc, load, method))
         elif block.name.startswith(("BGPDT", "EQEXIN")):
             name = block.name.rstrip("S")
             found.places.setdefault(name, [_Words(block, b) for b in block.bodies()])
@@ -186,10 +189,6 @@ def _read(path: Path, refuse: bool = True) -> RecordedModel:
     model = Model(given, found.params, files=(str(path),))
     subcases = tuple(s for s in found.subcases if s.id <= _MOST)
     return RecordedModel(model, tuple(found.texts), subcases, found.missing)
-
-
-def _is_wanted(name: str) -> bool:
-    return name.startswith(("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", "BGPDT", "EQEXIN"))
 
 
 class _Words:
@@ -216,7 +215,7 @@ class _Words:
         return b"".join(words).decode("ascii").strip("\x00 ")
 
 
-class _Found:
+class _RecordedDeck:
     def __init__(self) -> None:
         self.blocks: set[str] = set()
         self.tables: dict[str, Table] = {}
@@ -720,11 +719,6 @@ def _params(w: _Words) -> dict[str, int | float | str]:
             break
         at += 4 if kind in (1, 2) else 5
     return out
-
-
-def _subcase(words: Int) -> Subcase:
-    id_, mpc, spc, load, method = words[:5].tolist()
-    return Subcase(id_, mpc, spc, load, method)
 
 
 def _grids(places: dict[str, list[_Words]]) -> dict[str, Table]:
