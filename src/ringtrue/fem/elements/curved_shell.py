@@ -156,8 +156,13 @@ def law(s: ShellSection, w: Any_, corner: Any_) -> Any_:
 
 def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
     """Rows (e, p, 8, 6k) of (ε, κ, γ) in the local axes over (u, θ) of each node."""
+    shear = back @ _carried(rule.shear, tied_shear(rule, x, n))
+    return np.concatenate([plane_strains(rule, x, n, back), shear], axis=2)
+
+
+def plane_strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
+    """Rows (e, p, 6, 6k) of (ε, κ) in the local axes over (u, θ) of each node."""
     plane = rule.plane
-    shear = rule.shear
     _, d, xd, arms = _along(rule, plane, x, n)
     nd = np.einsum("kn,ena->eka", d, n)
     u, bent, turn = (d[..., None] * v for v in (xd[:, :, None], nd[:, :, None], arms))
@@ -168,11 +173,16 @@ def strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
         (q1**2, q2**2, q1 * q2),
         (2 * p1 * q1, 2 * p2 * q2, p1 * q2 + p2 * q1),
     )
-    N, d, _, arms = _along(rule, shear, x, n)
+    return np.concatenate([T @ _carried(plane, rows) for rows in (membrane, curvature)], axis=2)
+
+
+def tied_shear(rule: ShellRule, x: Any_, n: Any_) -> Any_:
+    """Rows (e, k, 6k) of the covariant transverse shear where it is sampled, over (u, θ) of each
+    node.
+    """
+    N, d, _, arms = _along(rule, rule.shear, x, n)
     across = np.einsum("kn,ena->eka", N, n)
-    sampled = _rows(d[..., None] * across[:, :, None], N[..., None] * arms)
-    inside = [T @ _carried(plane, rows) for rows in (membrane, curvature)]
-    return np.concatenate([*inside, back @ _carried(shear, sampled)], axis=2)
+    return _rows(d[..., None] * across[:, :, None], N[..., None] * arms)
 
 
 def _carried(s: Samples, rows: Any_) -> Any_:
