@@ -274,7 +274,15 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     ],
 )
 def test_options_that_would_change_nothing_are_refused(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    told: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        Path(f"{name}.json").write_text("{}")
+        Path(f"{name}.bdf").write_text("GRID,1\n")
     assert run(["correlate", *words]) == 2
     assert re.search(told, " ".join(capsys.readouterr().err.split()))

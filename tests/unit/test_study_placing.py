@@ -223,6 +223,7 @@ def test_a_deck_is_held_against_one_of_another_mesh(
     pairs = json.loads(out)["pairs"]
     assert [(p["test_mode"], p["fe_mode"]) for p in pairs[:6]] == [(k, k + 6) for k in range(1, 7)]
     assert all(p["mac_percent"] > 97 for p in pairs[:6])  # the coarse mesh has six elements
+    (tmp_path / "modes.json").write_text("{}")
     assert run(["correlate", str(decks[0]), str(tmp_path / "modes.json")]) == 2
     assert "is a deck: name the modes of the test first" in capsys.readouterr().err
     large = _plate(tmp_path / "mm.bdf", 9, 5001, size=1e3)

@@ -130,7 +130,8 @@ def build(
         stages["model"] = replace(model, scene=thinned(model.scene, most))
     accepted = acceptance or Acceptance()
     data = Stages(title, system_text, accepted, checks, photos, **stages)
-    order = SECTIONS if data.model is not None else TEST_SECTIONS
+    of_test = data.model is None and data.identify is not None
+    order = TEST_SECTIONS if of_test else SECTIONS
     sections = [s for s in (make(data) for make in order) if s is not None]
     page = _render(data, sections)
     with atomic_write(out) as part:

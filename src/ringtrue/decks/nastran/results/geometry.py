@@ -610,9 +610,7 @@ def _pbeaml(w: _Words) -> Iterator[Row]:
 
 
 def _pbeam(w: _Words) -> Iterator[Row]:
-    """Eleven stations of sixteen words, two of them the ends; blank ones hold zeros. In the tail
-    two words of warping stand behind the sixth.
-    """
+    """Eleven stations of sixteen words, two of them the ends; blank ones hold zeros."""
     size = 5 + 11 * 16 + 16
     if (w.ints.size - 3) % size:
         raise ValueError("not of eleven stations")
@@ -627,7 +625,7 @@ def _pbeam(w: _Words) -> Iterator[Row]:
         row |= dict(zip(END_A, first[1:].tolist(), strict=True))
         row |= dict(zip(END_B, (last[0] if last.size else first)[1:].tolist(), strict=True))
         row |= dict(zip(("X", *BETWEEN), inside.T.tolist(), strict=True))
-        row |= dict(zip(BEAM_TAIL, np.delete(tail, (6, 7)).tolist(), strict=True))
+        row |= dict(zip(BEAM_TAIL, tail.tolist(), strict=True))
         yield row
 
 

@@ -132,6 +132,7 @@ OTHERS = {
     ("DYNAMICS", 1007, 10): "FREQ1",
     ("DYNAMICS", 1307, 13): "FREQ",
     ("DYNAMICS", 307, 3): "EIGR",
+    ("DYNAMICS", 707, 7): "EPOINT",
     ("DYNAMICS", 2107, 21): "TABDMP1",
     ("DYNAMICS", 5107, 51): "RLOAD1",
     ("DYNAMICS", 5207, 52): "RLOAD2",
