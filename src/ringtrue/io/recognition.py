@@ -10,6 +10,7 @@ import re
 import struct
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 from typing import NoReturn
 
@@ -74,6 +75,13 @@ def format_of(path: str | Path) -> Format:
         If there is no such file, or it is binary and of no format that is known.
     """
     path = existing(path)
+    state = path.stat()
+    return _format(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=64)
+def _format(path: Path, changed: int, size: int) -> Format:
+    """The format of a file as it was when it was last `changed`: several readers ask for it."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if not head:
