@@ -257,20 +257,6 @@ def stacked(a: Table, b: Table) -> Table:
     )
 
 
-def taken(a: Table, rows: Int) -> Table:
-    """The table of some of the rows (k,) int64, in their order."""
-    columns: dict[str, NDArray[Any] | Ragged] = {}
-    for name, column in a.columns.items():
-        if isinstance(column, Ragged):
-            parts = [column.row(i) for i in rows.tolist()]
-            columns[name] = (
-                Ragged.of(parts) if parts else Ragged(column.values[:0], np.zeros(1, int))
-            )
-        else:
-            columns[name] = column[rows]
-    return replace(a, columns=columns, file=a.file[rows], line=a.line[rows])
-
-
 def _behind(a: NDArray[Any] | Ragged, b: NDArray[Any] | Ragged) -> NDArray[Any] | Ragged:
     if isinstance(a, Ragged) and isinstance(b, Ragged):
         return Ragged(

@@ -27,7 +27,7 @@ from ringtrue.io.foreign.door import door
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.model.cards import CARDS, END_A, END_B, MADE, SPECIAL, columns
 from ringtrue.model.case_control import METHODS
-from ringtrue.model.model import Model, Table, stacked, table, taken
+from ringtrue.model.model import Model, Table, stacked, table
 from ringtrue.model.sections import SECTIONS
 
 _WANTED = ("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", "BGPDT", "EQEXIN")
@@ -287,7 +287,7 @@ class _RecordedDeck:
             made["PCOMP"] = out["PCOMPG"].ids.tolist()
         for card, ids in made.items():
             if card in out:
-                out[card] = taken(out[card], np.flatnonzero(~np.isin(out[card].ids, ids)))
+                out[card] = out[card].take(np.flatnonzero(~np.isin(out[card].ids, ids)))
         return {card: t for card, t in out.items() if len(t)}
 
     def _fixed(self, key: Key, words: _Words) -> bool:
