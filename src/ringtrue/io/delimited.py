@@ -167,12 +167,14 @@ def column_titles(head: Sequence[Sequence[str]], width: int, path: Path) -> list
     # units
     if units[0].lower() not in OF_FREQUENCY and not all(map(is_unit, units[1:])):
         return fit[-1]
-    titles = []
-    for name, unit in zip(fit[-2], units, strict=True):
-        own = BRACKETED_UNIT.match(name)
-        bare = unit.strip("-")
-        titles.append(f"{name} [{bare}]" if bare and not (own and is_unit(own[2])) else name)
-    return titles
+    return [with_unit(name, unit) for name, unit in zip(fit[-2], units, strict=True)]
+
+
+def with_unit(title: str, unit: str) -> str:
+    """A title with its unit in brackets behind it, unless it has one already or `unit` is none."""
+    own = BRACKETED_UNIT.match(title)
+    bare = unit.strip("-")
+    return f"{title} [{bare}]" if bare and not (own and is_unit(own[2])) else title
 
 
 def unbracketed(cell: str) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.io.delimited import (
-    BRACKETED_UNIT,
     OF_FREQUENCY,
     column_titles,
     header_rows,
@@ -22,6 +21,7 @@ from ringtrue.io.delimited import (
     read_lines,
     split_cells,
     unbracketed,
+    with_unit,
 )
 from ringtrue.io.labview import lvm_spectra
 
@@ -159,7 +159,7 @@ def _joined(rows: Sequence[list[str]]) -> list[str]:
         titles = [axis if again else title for again, title in zip(own, titles, strict=True)]
     if not units:
         return titles
-    return [_with_unit(title, unit) for title, unit in zip(titles, units, strict=True)]
+    return [with_unit(title, unit) for title, unit in zip(titles, units, strict=True)]
 
 
 def _measures(cell: str) -> bool:
@@ -182,12 +182,6 @@ def _spread(row: Sequence[str]) -> list[str]:
     for cell in row[1:]:
         out.append(cell or out[-1])
     return out
-
-
-def _with_unit(title: str, unit: str) -> str:
-    own = BRACKETED_UNIT.match(title)
-    bare = unit.strip("-")
-    return f"{title} [{bare}]" if bare and not (own and is_unit(own[2])) else title
 
 
 def _by_keys(head: Sequence[str], rows: Sequence[str], delimiter: str) -> list[str]:
