@@ -720,6 +720,7 @@ def identify_ambient_setups(
     fmin: float | None = None,
     fmax: float | None = None,
     merge: MergeMethod = "poser",
+    progress: Progress = quiet,
 ) -> TestModes:
     """Modes from ambient records of several setups: some sensors stay, the others move.
 
@@ -775,12 +776,23 @@ def identify_ambient_setups(
     check_band(fmin, fmax)
     merge = merge_method(merge)
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
-    if not isinstance(setups, str | Path):
-        return of_setups(identify_setups(setups, settings, references=references, merge=merge))
-    files = read_setup_table(setups)
-    given = tuple(references) or references_of(files)
-    histories = (file.wired(read_record(file.path, rate=rate)) for file in files)
-    return of_setups(identify_setups(histories, settings, references=given, merge=merge))
+    histories: Iterable[TimeHistory]
+    if isinstance(setups, str | Path):
+        files = read_setup_table(setups)
+        references = tuple(references) or references_of(files)
+        histories = (file.wired(read_record(file.path, rate=rate)) for file in files)
+    else:
+        histories = setups
+    found = identify_setups(
+        histories, settings, references=references, merge=merge, progress=progress
+    )
+    return TestModes(
+        modes=found.modes,
+        uncertainty=found.uncertainty,
+        reasons=found.reasons,
+        notes=found.notes,
+        result=found,
+    )
 
 
 def merge_method(name: str) -> MergeMethod:
@@ -794,17 +806,6 @@ def merge_method(name: str) -> MergeMethod:
 def references_of(files: Sequence[WiredFile]) -> tuple[str, ...]:
     """The channels that a wiring table marks as references."""
     return tuple(dict.fromkeys(name for file in files for name in file.references))
-
-
-def of_setups(found: SetupsResult) -> TestModes:
-    """The modes of several setups."""
-    return TestModes(
-        modes=found.modes,
-        uncertainty=found.uncertainty,
-        reasons=found.reasons,
-        notes=found.notes,
-        result=found,
-    )
 
 
 def _of_decays(

@@ -28,8 +28,7 @@ from ringtrue.cli.show import Json, file_to, progress
 from ringtrue.errors import ConfigError, about
 from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.records import read_runs
-from ringtrue.io.setup_tables import read_setup_table
+from ringtrue.io.setup_tables import WiredFile, read_setup_table
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import ForceRecordFormat
@@ -94,25 +93,21 @@ def ema(
     --write-frfs frfs.h5
     """
     check_band(fmin, fmax)
-    names: tuple[tuple[str, ...], ...] = ()
+    wiring: tuple[WiredFile, ...] = ()
     if setups is not None:
         given = {"FILES": files, "--force": force, "--struck": struck}
         if twice := [name for name, value in given.items() if value]:
             raise ConfigError(f"{twice[0]} does not go with --setups, whose table says it")
-        table = read_setup_table(setups)
-        files = [file.path for file in table]
-        names = tuple(
-            file.force_names([c.id for c in read_runs(file.path, rate)[0].channels])
-            for file in table
-        )
-        force = [next(n for n in own if n.startswith("F:")) for own in names]
+        wiring = read_setup_table(setups)
+        files = [file.path for file in wiring]
+        force = ["F:*"]
     if not files:
         raise ConfigError("a file is missing; several setups are given by --setups table.csv")
     check_each_once(files)
     by_hand = choice_of(choice, files[0])
     sheet = read_sensors(sensors) if sensors else None
     reading = ForceRecordFormat(
-        channels=names,
+        wiring=wiring,
         force=tuple(force or ()),
         struck=tuple(struck or ()),
         leave_out=tuple(leave_out or ()),

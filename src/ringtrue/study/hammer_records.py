@@ -15,6 +15,7 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.recognition import Format, format_of
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
+from ringtrue.io.setup_tables import WiredFile
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import clipping, explain_clipping
 from ringtrue.signal.frf import estimate_columns, shaker_frfs
@@ -46,6 +47,8 @@ class ForceRecordFormat:
         The group of a `.tdms` or HDF5 file that is meant.
     channels : tuple of tuple of str
         Names in place of those of the file (`renamed`), one set for all files or one a file.
+    wiring : tuple of WiredFile
+        The files of a wiring table, which names their channels; empty without one.
     sheet : SensorSheet, optional
         Tells units and sensitivities where the files do not.
     """
@@ -57,14 +60,15 @@ class ForceRecordFormat:
     rate: float | None = None
     group: str = ""
     channels: tuple[tuple[str, ...], ...] = ()
+    wiring: tuple[WiredFile, ...] = ()
     sheet: SensorSheet | None = None
 
     def of(self, k: int) -> ForceRecordFormat:
         """How file k is to be read."""
         force, struck = (x[k : k + 1] or x[:1] for x in (self.force, self.struck))
-        return replace(
-            self, force=force, struck=struck, channels=self.channels[k : k + 1] or self.channels[:1]
-        )
+        channels = self.channels[k : k + 1] or self.channels[:1]
+        wiring = self.wiring[k : k + 1]
+        return replace(self, force=force, struck=struck, channels=channels, wiring=wiring)
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
@@ -190,6 +194,8 @@ def read_file(path: Path, how: ForceRecordFormat) -> ForceRecords:
     """
     runs = read_runs(path, how.rate, group=how.group)
     names = how.channels[0] if how.channels else ()
+    if how.wiring:
+        names = how.wiring[0].force_names([c.id for c in runs[0].channels])
     records = []
     notes: list[str] = []
     channels: set[str] = set()
