@@ -182,6 +182,34 @@ class Uncertainty(FrozenArrays):
         )
 
 
+def joined_modes(parts: Sequence[tuple[ModeSet, Uncertainty]]) -> tuple[ModeSet, Uncertainty]:
+    """The modes of one or more sets, one behind the other; those of different sets are not
+    correlated.
+
+    Labels, norm and source are those of the first set.
+
+    Raises
+    ------
+    InputError
+        If the sets have different channels.
+    """
+    first = parts[0][0]
+    sets = [modes.rows(first.channels) for modes, _ in parts]
+    modes = replace(
+        first,
+        frequencies=np.concatenate([x.frequencies for x in sets]),
+        damping=np.concatenate([x.damping for x in sets]),
+        shapes=np.concatenate([x.shapes for x in sets], axis=1),
+        confidence=np.concatenate([x.confidence for x in sets]),
+    )
+    deviations = Uncertainty.independent(
+        np.concatenate([std.frequency for _, std in parts]),
+        np.concatenate([std.damping for _, std in parts]),
+        np.concatenate([std.shape for _, std in parts], axis=1),
+    )
+    return modes, deviations
+
+
 ModeClass = Literal["natural", "doubtful", "harmonic"]
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.modes import ModeSet, Uncertainty
+from ringtrue.core.modes import ModeSet, Uncertainty, joined_modes
 from ringtrue.core.notes import sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, did_you_mean
@@ -190,27 +190,17 @@ def _in_bands(
 
 def _each_once(found: Sequence[Found]) -> Found:
     """All modes ascending; of two in overlapping bands that are one, that of more confidence."""
-    f = np.concatenate([modes.frequencies for modes, _ in found])
-    damping = np.concatenate([modes.damping for modes, _ in found])
-    shapes = np.concatenate([modes.shapes for modes, _ in found], axis=1)
-    confidence = np.concatenate([modes.confidence for modes, _ in found])
-    std_f = np.concatenate([std.frequency for _, std in found])
-    std_damping = np.concatenate([std.damping for _, std in found])
+    modes, std = joined_modes(found)
+    f = modes.frequencies
+    confidence = modes.confidence
     band = np.repeat(np.arange(len(found)), [len(modes) for modes, _ in found])
     # one mode in two overlapping bands
     same = (np.abs(f[:, None] / f - 1) < 0.01) & (band[:, None] != band)
     if f.size:
-        same &= mac(shapes, shapes) > 0.8
+        same &= mac(modes.shapes, modes.shapes) > 0.8
     equal = confidence[None] == confidence[:, None]
     better = (confidence[None] > confidence[:, None]) | (equal & (band[None] < band[:, None]))
     keep = np.flatnonzero(~(same & better).any(axis=1))
     keep = keep[np.argsort(f[keep], kind="stable")]
-    modes = ModeSet(
-        frequencies=f[keep],
-        damping=damping[keep],
-        shapes=shapes[:, keep],
-        labels=found[0][0].channels,
-        confidence=confidence[keep],
-    )
-    unknown = np.full(modes.shapes.shape, np.nan)
-    return modes, Uncertainty.independent(std_f[keep], std_damping[keep], unknown)
+    kept = modes.take(keep)
+    return kept, replace(std.take(keep), shape=np.full(kept.shapes.shape, np.nan))

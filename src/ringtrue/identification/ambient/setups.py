@@ -17,7 +17,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import SHOWN
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty, joined_modes
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
@@ -106,20 +106,9 @@ class _AllCandidates:
     def of(cls, result: AmbientResult) -> _AllCandidates:
         others = result.others
         weak = np.array([note.code in DOUBTS for note in others.notes], dtype=np.bool_)
-        sets = (result.modes, others.modes)
-        stds = (result.uncertainty, others.uncertainty)
-        counted = (result.modes.confidence, np.where(weak, others.modes.confidence, 0.0))
-        modes = ModeSet(
-            np.concatenate([x.frequencies for x in sets]),
-            np.concatenate([x.damping for x in sets]),
-            np.concatenate([x.shapes for x in sets], axis=1),
-            result.modes.labels,
-            confidence=np.concatenate(counted),
-        )
-        std = Uncertainty.independent(
-            np.concatenate([x.frequency for x in stds]),
-            np.concatenate([x.damping for x in stds]),
-            np.concatenate([x.shape for x in stds], axis=1),
+        counted = replace(others.modes, confidence=np.where(weak, others.modes.confidence, 0.0))
+        modes, std = joined_modes(
+            [(result.modes, result.uncertainty), (counted, others.uncertainty)]
         )
         natural: list[ModeClass] = ["natural"] * len(result.modes)
         physical = [None if note.code in DOUBTS else note for note in others.notes]

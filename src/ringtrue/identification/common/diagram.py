@@ -9,7 +9,13 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed
-from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.modes import (
+    ModeClass,
+    ModeSet,
+    OtherCandidates,
+    Uncertainty,
+    joined_modes,
+)
 from ringtrue.core.notes import summary
 from ringtrue.errors import InputError
 from ringtrue.identification.ambient.spectral_bins import SpectrumPeak
@@ -169,22 +175,8 @@ def identification_diagram(
         std = others.uncertainty.take([])
     elif not len(others):
         others = OtherCandidates.none(modes.channels)
-    both = np.concatenate([modes.frequencies, others.modes.frequencies])
-    rank = np.argsort(both, kind="stable")
-    joined = ModeSet(
-        both,
-        np.concatenate([modes.damping, others.modes.damping]),
-        np.concatenate([modes.shapes, others.modes.rows(modes.channels).shapes], axis=1),
-        modes.channels,
-        norm=modes.norm,
-        source=modes.source,
-        confidence=np.concatenate([modes.confidence, others.modes.confidence]),
-    )
-    deviations = Uncertainty.independent(
-        np.concatenate([std.frequency, others.uncertainty.frequency]),
-        np.concatenate([std.damping, others.uncertainty.damping]),
-        np.concatenate([std.shape, others.uncertainty.shape], axis=1),
-    )
+    joined, deviations = joined_modes([(modes, std), (others.modes, others.uncertainty)])
+    rank = np.argsort(joined.frequencies, kind="stable")
     natural_ones: list[ModeClass] = ["natural"] * len(modes)
     kinds = [*natural_ones, *others.classes]
     texts = [*remarks, *map(summary, others.notes)]

@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float
-from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.arrays import Bool, Complex, Float
+from ringtrue.core.modes import ModeSet, OtherCandidates, Uncertainty, joined_modes
 from ringtrue.errors import InputError
 from ringtrue.shapes import mac
 
@@ -388,48 +388,44 @@ def join_candidates(records: Sequence[OtherCandidates], merged: ModeSet) -> Othe
         return records[0]
     channels = merged.channels if len(merged) else ()
     channels = channels or tuple(dict.fromkeys(c for r in records for c in r.modes.channels))
+    every, std = joined_modes([_widened(r, channels) for r in records])
+    classes = [kind for r in records for kind in r.classes]
+    notes = [note for r in records for note in r.notes]
     frequency = merged.frequencies.tolist()
     shapes = list(merged.shapes.T) if frequency else []
-    kept: list[tuple[int, int]] = []
-    every = [(r, k) for r, record in enumerate(records) for k in range(len(record))]
-    every.sort(key=lambda x: -float(records[x[0]].modes.confidence[x[1]]))
-    wide = [_widened(r.modes.shapes, r.modes.channels, channels) for r in records]
-    for r, k in every:  # a few
-        f = float(records[r].modes.frequencies[k])
-        half = max(float(records[r].modes.damping[k]), LIMITS.spread) * f
-        shape = wide[r][:, k]
+    kept: list[int] = []
+    for k in np.argsort(-every.confidence, kind="stable").tolist():  # a few
+        f = float(every.frequencies[k])
+        half = max(float(every.damping[k]), LIMITS.spread) * f
+        shape = every.shapes[:, k]
         near = [s for g, s in zip(frequency, shapes, strict=True) if abs(g - f) <= half]
         if all(_common_mac(shape, s) <= LIMITS.mac for s in near):
-            kept.append((r, k))
+            kept.append(k)
             frequency.append(f)
             shapes.append(shape)
-    kept.sort(key=lambda x: float(records[x[0]].modes.frequencies[x[1]]))
-    std = [_widened(r.uncertainty.shape, r.modes.channels, channels) for r in records]
-    empty = np.zeros((len(channels), 0))
-    modes = ModeSet(
-        np.array([records[r].modes.frequencies[k] for r, k in kept]),
-        np.array([records[r].modes.damping[k] for r, k in kept]),
-        np.concatenate([empty, *(wide[r][:, [k]] for r, k in kept)], axis=1),
-        channels,
-        confidence=np.array([records[r].modes.confidence[k] for r, k in kept]),
+    kept.sort(key=lambda k: float(every.frequencies[k]))
+    return OtherCandidates(
+        every.take(kept),
+        std.take(kept),
+        tuple(classes[k] for k in kept),
+        tuple(notes[k] for k in kept),
     )
-    deviations = Uncertainty.independent(
-        np.array([records[r].uncertainty.frequency[k] for r, k in kept]),
-        np.array([records[r].uncertainty.damping[k] for r, k in kept]),
-        np.concatenate([empty, *(std[r][:, [k]] for r, k in kept)], axis=1),
-    )
-    classes = tuple(records[r].classes[k] for r, k in kept)
-    return OtherCandidates(modes, deviations, classes, tuple(records[r].notes[k] for r, k in kept))
 
 
-def _widened(values: Any_, own: Sequence[str], channels: Sequence[str]) -> Any_:
-    """Rows (channel, m) in the order of `channels`, NaN where `own` has none of the name."""
-    out = np.full((len(channels), values.shape[1]), np.nan, dtype=values.dtype)
-    here = {c: k for k, c in enumerate(own)}
-    for k, c in enumerate(channels):
-        if c in here:
-            out[k] = values[here[c]]
-    return out
+def _widened(own: OtherCandidates, channels: Sequence[str]) -> tuple[ModeSet, Uncertainty]:
+    """Candidates with rows as in `channels`, NaN where a row is not among theirs."""
+    here = {c: k for k, c in enumerate(own.modes.channels)}
+    there = [k for k, c in enumerate(channels) if c in here]
+    at = [here[channels[k]] for k in there]
+    shapes = np.full((len(channels), len(own)), np.nan, dtype=np.complex128)
+    shapes[there] = own.modes.shapes[at]
+    deviations = np.full(shapes.shape, np.nan)
+    deviations[there] = own.uncertainty.shape[at]
+    std = own.uncertainty
+    return (
+        replace(own.modes, shapes=shapes, labels=tuple(channels), source=""),
+        Uncertainty.independent(std.frequency, std.damping, deviations),
+    )
 
 
 def _common_mac(a: Complex, b: Complex) -> float:
