@@ -23,6 +23,7 @@ CLASSES = (
     ("doubtful", "#b07800", "triangle-down"),
     ("harmonic", "#8e4a9e", "diamond"),
 )
+GLYPHS = {"natural": "▼", "doubtful": "▽", "harmonic": "◇"}  # of the classes, in texts
 LINE = {"symbol": "line-ns-open", "size": 12, "color": "#8e4a9e", "line": {"width": 2}}
 PEAK = {"symbol": "circle-open", "size": 6, "color": MUTED, "line": {"width": 1.2}}
 SPECTRUM = ("#8d9aa7", "#b4bec8", "#d2d9df")  # of the first, second and third singular value
@@ -212,9 +213,8 @@ def _known(x: float, form: str) -> str:
 
 def auto_mac(shown: IdentificationDiagram, height: int = 0) -> go.Figure:
     """The MAC among the modes of all classes."""
-    marks = {"natural": "", "doubtful": " ▽", "harmonic": " ◇"}
     names = [
-        f"{label}{marks[kind]}"
+        label if kind == "natural" else f"{label} {GLYPHS[kind]}"
         for label, kind in zip(labels(shown.modes.frequencies), shown.classes, strict=True)
     ]
     side = MatrixSide(names, "Mode, Hz")

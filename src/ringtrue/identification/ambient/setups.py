@@ -16,6 +16,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import SHOWN
+from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty, joined_modes
 from ringtrue.core.notes import Note, sentence
@@ -118,12 +119,15 @@ class _AllCandidates:
 
 
 def identified_setup(
-    history: TimeHistory, settings: AmbientSettings, report: Progress = quiet
+    stretches: Iterable[TimeHistory],
+    settings: AmbientSettings,
+    name: str,
+    choice: Choice | None = None,
 ) -> IdentifiedSetup:
-    """One setup by itself, as `identify_ambient` does it."""
-    weighed = weighed_candidates((history,), settings, None, report)
-    result = modes_of_record(weighed, settings, report)
-    return IdentifiedSetup(history.source, result, RecordCorrelations.of(weighed))
+    """One setup by itself, as `identify_stretches` does it."""
+    weighed = weighed_candidates(stretches, settings, choice, quiet)
+    result = modes_of_record(weighed, settings, quiet)
+    return IdentifiedSetup(name, result, RecordCorrelations.of(weighed))
 
 
 def identify_setups(
@@ -158,7 +162,7 @@ def identify_setups(
     kept: list[TimeHistory] = []
     for history in histories:
         report(0.0, f"setup {len(setups) + 1}: {history.source}")
-        setups.append(identified_setup(history, settings))
+        setups.append(identified_setup((history,), settings, history.source))
         if merge == "preger":
             kept.append(history.pick(references) if references else history)
     _refuse_unconnected(setups, references)

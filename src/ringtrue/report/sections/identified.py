@@ -26,8 +26,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
-# the mark of each class, as in the diagram, and the tone of its cell
-MARKS = {"natural": ("▼", ""), "doubtful": ("▽", "warn"), "harmonic": ("◇", "chip")}
+TONES = {"natural": "", "doubtful": "warn", "harmonic": "chip"}  # of cells, by class
 DRAWN = 1500  # poles of one kind in a diagram: a report has several
 PEAKS = 15  # unexplained peaks in a table
 
@@ -126,8 +125,7 @@ def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
     rows: list[Sequence[str | Cell]] = []
     for k, kind in enumerate(shown.classes):
         count, why = next(natural) if kind == "natural" else ("–", "")
-        name, tone = MARKS[kind]  # as in the diagram
-        mark = Cell(f"{name} {kind}", tone)
+        mark = Cell(f"{plots.GLYPHS[kind]} {kind}", TONES[kind])
         rows.append((str(count), *_numbers(shown, k, why), mark, shown.remarks[k]))
     heads = ("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "MPC", "Confidence, %", "|Class", "|Remark")
     table = ReportTable(heads, rows, f"{caption}.")

@@ -16,7 +16,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.choice import Choice
-from ringtrue.core.iterate import Progress, part, quiet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import Uncertainty
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -25,10 +25,9 @@ from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
-    modes_of_record,
-    weighed_candidates,
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.ambient.setups import identified_setup
 from ringtrue.identification.ambient.shape_reading import RecordCorrelations
 from ringtrue.identification.common.diagram import SpectrumAccount
 from ringtrue.identification.common.joined_shapes import with_joined_shapes
@@ -286,8 +285,8 @@ def ambient(
         low = max(first.low, settings.ambient_fmin or 0.0)
         band = AmbientSettings(fmin=low or None, fmax=settings.ambient_fmax)
         with about(record.path):
-            weighed = weighed_candidates(parts, band, campaign.choice.of(record.name), quiet)
-            result = modes_of_record(weighed, band, quiet)
+            setup = identified_setup(parts, band, record.name, campaign.choice.of(record.name))
+        result = setup.result
         found.append(
             IdentifiedRecord(
                 modes=result.modes,
@@ -300,7 +299,7 @@ def ambient(
                 record=record.name,
             )
         )
-        correlations.append(RecordCorrelations.of(weighed))
+        correlations.append(setup.correlations)
         shown.append(_as_one(mine, result))
     return found, shown, correlations
 
