@@ -431,7 +431,7 @@ def _next_stretch(
     events = events_of(part, gaps)
     out = stretch_sums(sums, part.data, part.rate, events)
     same = shared_shapes([x.spectra for x in sums], [x.spectra for x in out])
-    if same < 0.9:  # of one setup 0.98 and more, of moved sensors 0.8 at most
+    if same < 0.9:  # of one setup nearer to 1, of moved sensors far less
         raise DataError(
             f"{coming.source}: it moves in other shapes than the record before it (they have "
             f"{100 * same:.0f} % in common): sensors that were moved make setups, not one record. "
