@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,6 +147,14 @@ def test_poissons_ratio_that_nothing_takes_is_no_error(tmp_path: Path, ratio: st
     assert [f.severity for f in told] == ["error"]
 
 
+def failing_check(path: Path) -> dict[str, Any]:
+    """What `check` writes of a deck that does not pass it."""
+    target = path.with_name("check.json")
+    assert run(["check", str(path), "--json", str(target)]) == 1
+    found: dict[str, Any] = json.loads(target.read_text())
+    return found
+
+
 def test_check_shows_what_is_read_beside_cards_that_are_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -155,9 +164,7 @@ def test_check_shows_what_is_read_beside_cards_that_are_not(
         "PBMSECT,80,1,OP\nRFORCE,3,1\nMAT1,9,2.+11,,.7,7800.\n"
     )
     path = deck(tmp_path, "", BEAM.format(**METRES) + unread)
-    target = tmp_path / "check.json"
-    assert run(["check", str(path), "--json", str(target)]) == 1
-    found = json.loads(target.read_text())
+    found = failing_check(path)
     assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
     assert found["centre_of_gravity"] == pytest.approx([1, 0, 0])
     assert found["missing"] == {
@@ -182,9 +189,7 @@ def test_check_goes_on_where_assembly_refuses_a_card(tmp_path: Path) -> None:
         ",,,,,,,1.-12\nSPOINT,11,12\n"
     )
     path = deck(tmp_path, "", BEAM.format(**METRES) + beam)
-    target = tmp_path / "check.json"
-    assert run(["check", str(path), "--json", str(target)]) == 1
-    found = json.loads(target.read_text())
+    found = failing_check(path)
     assert found["mass"] == pytest.approx(2 * 1e-4 * 7800)
     assert "resists warping" in found["unsupported"]["CBEAM"]
 
