@@ -720,7 +720,6 @@ def identify_ambient_setups(
     fmin: float | None = None,
     fmax: float | None = None,
     merge: MergeMethod = "poser",
-    progress: Progress = quiet,
 ) -> TestModes:
     """Modes from ambient records of several setups: some sensors stay, the others move.
 
@@ -783,6 +782,17 @@ def identify_ambient_setups(
         histories = (file.wired(read_record(file.path, rate=rate)) for file in files)
     else:
         histories = setups
+    return modes_of_setups(histories, settings, references, merge)
+
+
+def modes_of_setups(
+    histories: Iterable[TimeHistory],
+    settings: AmbientSettings,
+    references: Sequence[str],
+    merge: MergeMethod,
+    progress: Progress = quiet,
+) -> TestModes:
+    """Modes of records of several setups, as `identify_ambient_setups` returns them."""
     found = identify_setups(
         histories, settings, references=references, merge=merge, progress=progress
     )

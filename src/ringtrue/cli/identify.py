@@ -18,8 +18,8 @@ from ringtrue.api.measurements import (
     TestModes,
     ambient_parts,
     identify_ambient,
-    identify_ambient_setups,
     merge_method,
+    modes_of_setups,
     read_sensors,
     record_with_notes,
     references_of,
@@ -30,7 +30,7 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import summary
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, about, did_you_mean
-from ringtrue.identification.ambient.pipeline import AmbientResult
+from ringtrue.identification.ambient.pipeline import AmbientResult, AmbientSettings
 from ringtrue.identification.ambient.setups import SetupsResult
 from ringtrue.identification.common.diagram import shape_collinearity
 from ringtrue.identification.common.manual_selection import as_choice
@@ -241,7 +241,7 @@ def oma(
             raise ConfigError(f"{given[0]} is of one record and does not go with --setups")
         sheet = read_sensors(sensors) if sensors else None
         reading = _SetupReading(rate, group, sheet, tuple(leave_out or ()))
-        found = _modes_of_setups(setups, merge, reading, (fmin, fmax))
+        found = _modes_of_setups(setups, merge, reading, AmbientSettings(fmin=fmin, fmax=fmax))
         return print_result(str(setups), found, json, more=_setups_json(found), why=why)
     if not records:
         raise ConfigError("a record is missing; several setups are given by --setups table.csv")
@@ -304,7 +304,7 @@ class _SetupReading:
 
 
 def _modes_of_setups(
-    table: Path, merge: str, reading: _SetupReading, band: tuple[float | None, float | None]
+    table: Path, merge: str, reading: _SetupReading, settings: AmbientSettings
 ) -> TestModes:
     """Modes of the setups of a wiring table."""
     files = read_setup_table(table)
@@ -315,14 +315,7 @@ def _modes_of_setups(
     histories = (reading.read(file, notes) for file in files)
     kept = tuple(c for c in references_of(files) if c not in reading.leave_out)
     with progress("ambient modes of setups") as show, about(table):
-        found = identify_ambient_setups(
-            histories,
-            references=kept,
-            fmin=band[0],
-            fmax=band[1],
-            merge=merge_method(merge),
-            progress=show,
-        )
+        found = modes_of_setups(histories, settings, kept, merge_method(merge), show)
     return replace(found, notes=(*notes, *found.notes))
 
 
