@@ -291,9 +291,10 @@ _QUANTITIES = {1: "displacements", 7: "eigenvectors", 10: "velocities", 11: "acc
 
 def described(table: Op2Table) -> str:
     """What a table of motions holds by its codes, " (displacements of statics)"; "" of another."""
-    bodies = table.bodies()[:1]
-    words = table.ints(bodies[0]) if bodies else np.empty(0, dtype=np.int64)
-    if not table.name.lstrip("BRT").startswith(("OUG", "OPH")) or words.size < 10:
+    if not table.name.lstrip("BRT").startswith(("OUG", "OPH")) or len(table.records) < 2:
+        return ""
+    words = table.ints(table.records[1].blocks[0])  # without a copy of the whole table
+    if words.size < 10:
         return ""
     sort, code = divmod(int(words[1]), 1000)
     approach = int(words[0]) // 10
