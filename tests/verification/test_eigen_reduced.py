@@ -46,7 +46,7 @@ def test_nominal(case):
     assert np.allclose(a.d_lambda, b.d_lambda, rtol=1e-6, atol=1e-6 * np.abs(a.d_lambda).max())
     size = np.abs(a.d_shapes).max()
     assert (
-        np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 1e-3 * size
+        np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 2e-3 * size
     )  # the static part is that at σ, not at λ
 
 

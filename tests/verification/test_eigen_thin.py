@@ -24,7 +24,7 @@ COUNTING = [m for m in installed() if m != "dense"]
 MOST = 40  # blocks; without a move of the shift it takes hundreds
 # rounding of the membrane in the bending of the thinnest plate, ε (a/t)², and the shear of the
 # thickest
-NOISE = 2e-4
+NOISE = 5e-4
 
 
 def shell(t: float) -> Model:

@@ -283,7 +283,7 @@ def build(t: CardRows) -> ElementMatrices:
     mass = s.masses(jacobian(_DN, xy)[1], _N) @ _N
     normals = node_normals(t.mesh, nodes, axes[:, 2])
     flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
-    mitc = t.mesh.model.param("MITC4", 1.0) > 0
+    mitc = t.mesh.model.param("MITC4", 0.0) > 0
 
     def curved(i: slice) -> Any_:
         at = np.flatnonzero(~flat)[i]
