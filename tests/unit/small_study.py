@@ -1,10 +1,10 @@
 """A small complete study: a frame of three storeys on fixed feet, measured on a perturbed copy of
 its deck.
 
-Three floors of CQUAD4 (2 x 2 elements, 4 x 3 m) stand on four columns of CBEAM, two elements a
+Three ribbed floors of CQUAD4 (2 x 2 elements, 4 x 3 m) stand on four columns of CBEAM, two elements a
 storey:
 
-        +-----+   z = 9 m   columns of steel, floors 100 mm of concrete
+        +-----+   z = 9 m   columns of steel, floors 100 mm of concrete, 3 times as stiff
         +-----+   z = 6 m   nine modes below 18 Hz: sway along x and y, torsion
         +-----+   z = 3 m
         |     |   z = 0     clamped
@@ -90,7 +90,7 @@ def deck(factors: Mapping[int, float] | None = None) -> str:
     lines += [f"GRID,{n},,{2.0 * i},{1.5 * j},0.0" for n, (i, j) in zip(feet, CORNERS, strict=True)]
     for level in (1, 2, 3):
         lines += _storey(level, 2.0e11 * scale.get(level, 1.0))
-    lines += ["MAT1,10,3.+10,,0.2,2500.0", "PSHELL,10,10,0.1,10,,10"]
+    lines += ["MAT1,10,3.+10,,0.2,2500.0", "PSHELL,10,10,0.1,10,3.0,10"]
     lines += ["SPC1,1,123456," + ",".join(map(str, feet)), "ENDDATA"]
     return "\n".join(lines) + "\n"
 

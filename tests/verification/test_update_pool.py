@@ -24,11 +24,11 @@ from ringtrue.updating.selection.screening import ScreenedDeck, close, screened,
 from ringtrue.updating.selection.subset_search import SearchSettings
 
 
-def laminate(across: float) -> Model:
+def laminate(across: float, **constants: float) -> Model:
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
     return model(
         grid(x),
-        cards("MAT8", MID=[1], E1=1.4e11, E2=across, NU12=0.3, G12=5e9, RHO=1600.0),
+        cards("MAT8", MID=[1], E1=1.4e11, E2=across, NU12=0.3, G12=5e9, RHO=1600.0, **constants),
         cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
         cards(
             "PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.02]), THETA=ragged([0.0, 0.0])
@@ -44,10 +44,10 @@ def kept(m: Model, *, backwards: bool = False) -> list[str]:
 
 
 def test_forms() -> None:
-    """Shear is a power by itself, E1 and E2 are none; with NU12 near the root of E1/E2 the law has
+    """Shear in the plane is a power by itself, E1 and E2 are none; with NU12 near the root of E1/E2 the law has
     a pole.
     """
-    m = laminate(1e10)
+    m = laminate(1e10, G1Z=5e9, G2Z=5e9)
     e1, g12, nu = (Parameter(f, (CardField("MAT8", 1, f),)) for f in ("E1", "G12", "NU12"))
     assert matrices_kept(m, g12) == 0
     assert all(matrices_kept(m, p) for p in (e1, nu))
@@ -111,7 +111,7 @@ def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
     """Four regions of a frame are wrong, eight of 94 candidates looked at: one from the deck, more
     from nearer.
     """
-    s, rng = twin.start(), np.random.default_rng(102)
+    s, rng = twin.start(), np.random.default_rng(100)
     wrong = twin.truth(rng, 4)
     aim = twin.measured(wrong, rng, shape=0.02)
     model, system, found = s.model, s.analysis.system, s.analysis.eigen(ModesRequest(twin.COUNT))
