@@ -25,9 +25,10 @@ X = np.array(
 EXACT = 1e-12  # relative to the largest entry
 
 
-def mixed(*, mitc: str = "NO", **mat: float) -> Model:
+def mixed(*, residual: str = "YES", **mat: float) -> Model:
     """One element of each kind on the corners of a distorted cube, on a spring, tied to a further
-    node; `mitc` is PARAM,MITC4, with which the thickness of a CQUAD4 is a cubic.
+    node; `residual` is PARAM,RESBEND, without which the thickness of a shell is a
+    cubic.
     """
     section = {"A": 0.01, "I1": 2e-5, "I2": 1e-5, "J": 3e-5, "NSM": 5.0}
     return model(
@@ -54,7 +55,7 @@ def mixed(*, mitc: str = "NO", **mat: float) -> Model:
         spc([5], "123"),
         spc=1,
         WTMASS=0.5,
-        MITC4=mitc,
+        RESBEND=residual,
     )
 
 
@@ -84,7 +85,7 @@ POLYNOMIAL = [
 @pytest.mark.parametrize("targets", POLYNOMIAL, ids=str)
 def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], ...]) -> None:
     """K(1.7) - K(1) = Σ (1.7^p - 1) K_p, and the derivative at 1 is Σ p K_p: powers, exactly."""
-    m, p, a = mixed(mitc="YES"), parameter(*targets), np.array([1.7])
+    m, p, a = mixed(residual="NO"), parameter(*targets), np.array([1.7])
     s, changed = assemble(m), assemble(scaled(m, p, 1.7))
     parts = affine_terms(m, ParameterSet((p,)), s)
     assert parts
@@ -101,7 +102,7 @@ def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], 
 
 
 def test_thickness_has_a_linear_and_a_cubic_part() -> None:
-    m = mixed(mitc="YES")
+    m = mixed(residual="NO")
     parts = affine_terms(m, ParameterSet((parameter(("PSHELL", 1, "T")),)), assemble(m))
     assert [t.function for t in parts] == [Product((0,), (1,)), Product((0,), (3,))]
 
@@ -121,7 +122,7 @@ def test_an_element_outside_of_the_sample_has_a_higher_power() -> None:
         G3=2 * i + 4,
         G4=2 * i + 2,
     )
-    m = model(grid(np.array(x)), steel(), quads, bends, MITC4="YES")
+    m = model(grid(np.array(x)), steel(), quads, bends, RESBEND="NO")
     p, a = parameter(("PSHELL", 1, "T"), ("PSHELL", 2, "T")), np.array([1.7])
     s = assemble(m)
     parts = affine_terms(m, ParameterSet((p,)), s)

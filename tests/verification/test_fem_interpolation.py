@@ -211,7 +211,7 @@ def test_bounds_that_not_all_parameters_may_reach_together() -> None:
     """NU12² < E1/E2 holds at the bounds of each by itself, not where all are at theirs. So near to
     a pole the residual bending flexibility would be refused.
     """
-    m = replace(plate(second=1), params={"MITC4": "YES"})
+    m = replace(plate(second=1), params={"RESBEND": "NO"})
     wide = constants("E1", "NU12", lower=0.15, upper=7.0)
     terms = affine_terms(m, ParameterSet(tuple(wide)), assemble(m))
     with pytest.raises(NumericalError, match="does not allow"):

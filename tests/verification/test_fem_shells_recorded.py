@@ -29,7 +29,7 @@ CORPUS = Path(__file__).parents[2].parent / "shared/data/fe/corpus"
 def matrix(xyz: Float) -> Float:
     quads = np.array([[1, 2, 3, 4]])
     m = model(
-        grid(xyz), shells(quads), pshell(0.1, TST=5 / 6), steel(E=2e5, rho=7.8e-9), MITC4="NO"
+        grid(xyz), shells(quads), pshell(0.1, TST=5 / 6), steel(E=2e5, rho=7.8e-9), RESBEND="YES"
     )
     return np.asarray(build(mesh(m).rows("CQUAD4")).stiffness[0])
 
@@ -130,7 +130,7 @@ def test_bending_and_shear_of_the_trapezoid() -> None:
 
 
 def as_nastran(m: Model) -> Model:
-    return replace(m, params={**m.params, "MITC4": "NO"})
+    return replace(m, params={**m.params, "RESBEND": "YES"})
 
 
 def found_in(deck: str) -> Path:
@@ -174,7 +174,7 @@ def test_one_element_bends_as_a_beam(length: float) -> None:
     cards = (grid(xyz), shells(np.array([[1, 2, 3, 4]])), pshell(0.1), steel(E=2e5, nu=0.0))
     stiffness, shear = 2e5 * 0.1**3 / 12, 1e5 * 0.1 * 0.833333
     free = np.flatnonzero(np.repeat([0, 1, 1, 0], 6))
-    for params, part in (({}, 3), ({"MITC4": "YES"}, 4)):
+    for params, part in (({}, 3), ({"RESBEND": "NO"}, 4)):
         K = build(mesh(model(*cards, **params)).rows("CQUAD4")).stiffness[0]
         load = np.zeros(24)
         load[[8, 14]] = 0.5

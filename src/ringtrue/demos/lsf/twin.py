@@ -290,7 +290,7 @@ def make_twin(
     with tempfile.TemporaryDirectory() as folder:
         model = read_deck(deck.write(facility.build(as_built(seed)), Path(folder), "LSF as built"))
     # it was made with these shells, and stays as it is
-    model = replace(model, params={**model.params, "MITC4": "YES"})
+    model = replace(model, params={**model.params, "RESBEND": "NO"})
     extra, kinds = _extra_points()
     grid = model["GRID"].ids
     xyz = positions(model)

@@ -112,15 +112,13 @@ def _corners(model: Model, card: str) -> Int:
 
 
 def with_neighbours(model: Model, rows: Rows) -> Rows:
-    """Rows of element cards, and the quadrilaterals whose node normals depend on the flat shells
-    among them.
-    """
+    """Rows of element cards, and the flat shells whose node normals depend on those among them."""
     flat = [card for card in FLAT_SHELLS if card in rows]
     if model.param("SNORM", SNORM) <= 0 or not flat:
         return rows
     touched = np.concatenate([_corners(model, card)[rows[card]].ravel() for card in flat])
     found = [rows]
-    for card in ("CQUAD4", "CQUADR"):
+    for card in FLAT_SHELLS:
         if card in model:
             also = np.isin(_corners(model, card), touched).any(axis=1)
             found.append({card: np.flatnonzero(also)})

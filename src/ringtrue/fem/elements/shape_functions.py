@@ -1,5 +1,5 @@
 """Shape functions, sampling and integration of the shells with assumed strains: CQUAD8, CTRIA6, and
-CQUAD4 on a curve.
+of CQUAD4 and CTRIA3 on a curve.
 
 Each covariant strain is sampled as a directional strain at tying points, from which a polynomial
 carries it to the integration points:
@@ -179,6 +179,20 @@ def _triangle_shear(p: Float) -> Samples:
     return Samples(points, direction, np.einsum("pcj,jk->pck", basis(p), fit))
 
 
+def _flat_triangle_rule() -> ShellRule:
+    """Three nodes: constant strains, one transverse shear a side."""
+    first, second = np.array(TRIANGLE.edges).T
+    corners = TRIANGLE.nodes(1)
+    middle = (corners[first] + corners[second]) / 2
+    direction = corners[second] - corners[first]
+    p = np.array([[1, 1], [4, 1], [1, 4]]) / 6
+    # of e along r, along s - r and along s: 2 e_rs = e_rr + e_ss - e along s - r
+    strains = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, -1.0, 1.0]])
+    plane = Samples(middle, direction, np.tile(strains, (3, 1, 1)))
+    shear = Samples(middle, direction, np.zeros((3, 2, 3)))
+    return ShellRule(TRIANGLE, 1, points=p, weights=np.full(3, 1 / 6), plane=plane, shear=shear)
+
+
 def _flat_rule() -> ShellRule:
     """Four nodes: strains of the displacements, transverse shear of the MITC4 (Dvorkin and Bathe
     1984).
@@ -227,6 +241,7 @@ def _triangle_rule() -> ShellRule:
 
 
 QUAD4 = _flat_rule()
+TRIA3 = _flat_triangle_rule()
 QUAD8 = _quad_rule()
 TRIA6 = _triangle_rule()
 

@@ -1,10 +1,10 @@
-"""CTRIA3, CTRIAR: discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980), constant membrane
-strain, drilling.
+"""CTRIA3, CTRIAR: constant curvature, the residual bending flexibility of each side as a beam,
+constant membrane strain, drilling.
 
-Where the section asks for it (laminates, and PSHELL with a shear material other than that of
-bending) the transverse shear is that of the DKMT (Katili 1993), which is the DKT in the limit. A
-homogeneous plate is without it: its bending stiffness is then exactly proportional to t³, on which
-the reduced models of the updating rest.
+PARAM,RESBEND,NO takes discrete Kirchhoff bending (DKT; Batoz, Bathe and Ho 1980) instead. Where the
+section asks for it (laminates, and PSHELL with a shear material other than that of bending) its
+transverse shear is that of the DKMT (Katili 1993), which is the DKT in the limit. A homogeneous
+plate is without it: its bending stiffness is then exactly proportional to t³.
 """
 
 from __future__ import annotations
@@ -12,24 +12,38 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_
-from ringtrue.fem.elements.elasticity import gram
+from ringtrue.fem.elements.curved_shell import drilling as director_drilling
+from ringtrue.fem.elements.curved_shell import law, node_normals, plane_strains, tied_shear
+from ringtrue.fem.elements.elasticity import gram, jacobian
+from ringtrue.fem.elements.shape_functions import TRIA3
 from ringtrue.fem.elements.shell_material import contract
 from ringtrue.fem.elements.shell_section import (
     ShellSection,
     drilling,
     finish,
+    in_series,
+    neutral_bending,
     oriented,
     place,
     section,
     to_nodes,
 )
-from ringtrue.fem.mesh import CardRows, ElementMatrices, unit
+from ringtrue.fem.mesh import (
+    CardRows,
+    ElementMatrices,
+    arm,
+    congruent,
+    nodal,
+    taken,
+    unit,
+)
 from ringtrue.model.cards import TRIANGLE
 
-_P = np.array([[1, 1], [4, 1], [1, 4]]) / 6  # three points, degree 2
+_P = TRIA3.points
 _L, _DLP = TRIANGLE.functions(1, _P)
 _DL = _DLP[0]
 _SIDES = TRIANGLE.edges
+REGULAR = 1e-12  # determinant over the product of the diagonal
 
 
 def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
@@ -82,7 +96,7 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     return H
 
 
-def _flexibility(t: Any_, length: Any_, s: ShellSection) -> Any_:
+def _shear_flexibility(t: Any_, length: Any_, s: ShellSection) -> Any_:
     """φ = 12 D/(S l²) along each side (e, 3), D and S of that direction; 0 where the shear is
     rigid.
     """
@@ -95,19 +109,36 @@ def _flexibility(t: Any_, length: Any_, s: ShellSection) -> Any_:
     return np.where(follow, 12 * D / (np.where(S == 0, 1.0, S) * length**2), 0.0)
 
 
-def _shear(t: Any_, R: Any_, phi: Any_) -> Any_:
-    """Transverse shear strain (e, gp, 2, 9): that of the sides, φ/(1 + φ) R, carried to the
-    corners, linear between.
+def _of_sides(t: Any_, s: ShellSection, w: Any_) -> Any_:
+    """Stiffness (e, side, side) of the transverse shear strains along the sides, carried to the
+    corners, linear between; w (e, gp) are the weights.
     """
-    along = (phi / (1 + phi))[..., None] * R.reshape(-1, 3, 9)
-    corner = np.empty((len(t), 3, 2, 9), dtype=along.dtype)
-    for k, pair in enumerate(((2, 0), (0, 1), (1, 2))):
-        corner[:, k] = np.linalg.solve(t[:, pair], along[:, pair])
-    return np.asarray(np.einsum("gk,ekic->egic", _L, corner))
+    corner = np.zeros((len(t), 3, 2, 3), dtype=t.dtype)
+    for k, pair in enumerate(([2, 0], [0, 1], [1, 2])):
+        corner[:, k][:, :, pair] = np.linalg.inv(t[:, pair])
+    rows = np.einsum("gk,ekis->egis", _L, corner)
+    return np.einsum("egis,eij,egjr,eg->esr", rows, s.shear, rows, w, optimize=True)
 
 
-def kernel(xy: Any_, area: Any_, s: ShellSection) -> Any_:
-    """Local stiffness (e, 3, 6, 3, 6) of triangles with corners xy (e, 3, 2)."""
+def _bending_flexibility(t: Any_, length: Any_, area: Any_, s: ShellSection) -> Any_:
+    """The residual bending flexibility (e, side, side): l²/(12 A) over the bending stiffness of each
+    side as a beam (MacNeal 1978); none where there is no bending stiffness.
+    """
+    D = neutral_bending(s)
+    own = np.diagonal(D, axis1=1, axis2=2)
+    bends = np.abs(np.linalg.det(D)) > REGULAR * np.abs(own.prod(axis=1))
+    D = np.where(bends[:, None, None], D, np.eye(3))
+    c = t[..., 0]
+    n = t[..., 1]
+    q = np.stack([c * c, n * n, c * n], axis=-1)
+    beam = np.einsum("esi,eij,esj->es", q, np.linalg.inv(D), q) * bends[:, None]
+    return (length**2 * beam / (12 * area[:, None]))[:, :, None] * np.eye(3)
+
+
+def kernel(xy: Any_, area: Any_, s: ShellSection, residual: bool) -> Any_:
+    """Local stiffness (e, 3, 6, 3, 6) of triangles with corners xy (e, 3, 2); `residual` is
+    PARAM,RESBEND.
+    """
     e = len(xy)
     back = np.linalg.inv(np.einsum("nr,ena->era", _DL, xy))
     g1 = np.broadcast_to(np.einsum("ear,nr->ena", back, _DL)[:, None], (e, 3, 3, 2))
@@ -116,12 +147,19 @@ def kernel(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
     t, length = _sides(xy)
     R = _turns(t, length)
-    phi = _flexibility(t, length, s)
-    H = _slopes(t, R, phi).reshape(e, 12, 9)
+    phi = _shear_flexibility(t, length, s)
+    H = _slopes(t, R, phi)
+    across = _of_sides(t, s, w1)
+    if residual:
+        H, g2 = H[:, :3], g1
+        across = in_series(across, _bending_flexibility(t, length, area, s))
+    else:
+        share = phi / (1 + phi)
+        across = share[:, :, None] * across * share[:, None]
+    H = H.reshape(e, -1, 9)
+    R = R.reshape(e, 3, 9)
     bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
-    if phi.any():
-        rows = _shear(t, R, phi)
-        bend = bend + np.einsum("egic,eij,egjd,eg->ecd", rows, s.shear, rows, w1, optimize=True)
+    bend = bend + R.swapaxes(1, 2) @ across @ R
     stretch = contract(gram(g1, w1), s.membrane)
     K = np.zeros((e, 3, 6, 3, 6), dtype=np.result_type(stretch, s.coupling, bend, s.drill))
     place(K, [0, 1], stretch)
@@ -133,6 +171,28 @@ def kernel(xy: Any_, area: Any_, s: ShellSection) -> Any_:
         place(K, [2, 3, 4], mixed.swapaxes(1, 2), [0, 1])
     place(K, [0, 1, 5], s.drill[:, None, None] * drilling(_L, g1, w1))
     return K
+
+
+def curved_kernel(x: Any_, normals: Any_, axes: Any_, s: ShellSection) -> Any_:
+    """Stiffness (e, 18, 18) in basic of elements with nodes x (e, 3, 3) and normals (e, 3, 3) of a
+    curved surface; each node is joined to the offset plane by a rigid arm along its normal.
+    """
+    e = len(x)
+    arms = (s.offset[:, None] / np.einsum("eka,ea->ek", normals, axes[:, 2]))[..., None] * normals
+    x = x + arms
+    xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
+    J, det, _ = jacobian(_DLP, xy)
+    w = det * TRIA3.weights
+    rows = plane_strains(TRIA3, x, normals, np.linalg.inv(J))
+    loaded = law(s, w, _L)[..., :6, :6] @ rows
+    K = rows.reshape(e, 18, 18).swapaxes(1, 2) @ loaded.reshape(e, 18, 18)
+    t, length = _sides(xy)
+    across = _of_sides(t, s, s.weights(w, _L, 1))
+    across = in_series(across, _bending_flexibility(t, length, w.sum(axis=1), s))
+    turns = tied_shear(TRIA3, x, normals) / length[:, :, None]
+    K = K + turns.swapaxes(1, 2) @ across @ turns
+    K = K + director_drilling(TRIA3, x, s, points=_P, weights=TRIA3.weights)
+    return congruent(nodal(arm(arms)), K)
 
 
 def measure(t: CardRows) -> Any_:
@@ -154,5 +214,12 @@ def build(t: CardRows) -> ElementMatrices:
     t.refuse(area == 0, "it has no area; check its nodes")
     s = oriented(t, section(t, 3), axes, x)
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
-    K = to_nodes(kernel(xy, area, s), s, axes, np.zeros(nodes.shape))
+    residual = t.mesh.model.param("RESBEND", 1.0) > 0
+    K = to_nodes(kernel(xy, area, s, residual), s, axes, np.zeros(nodes.shape))
+    normals = node_normals(t.mesh, nodes, axes[:, 2])
+    bent = np.flatnonzero((normals != axes[:, None, 2]).any(axis=(1, 2)))
+    if residual and bent.size:
+        of_curved = curved_kernel(x[bent], normals[bent], axes[bent], taken(s, bent))
+        K = K.astype(np.result_type(K, of_curved))
+        K[bent] = of_curved
     return finish(t, nodes, K, section=s, axes=axes, mass=mass)

@@ -1,14 +1,12 @@
-"""CQUAD4: MITC4 bending and shear, membrane with incompatible modes, drilling, flat with rigid arms
-to the nodes.
+"""CQUAD4: membrane and bending with incompatible modes, shear with residual bending flexibility,
+drilling, flat with rigid arms to the nodes.
 
-Bathe and Dvorkin (1985) for the transverse shear; Taylor, Beresford and Wilson (1976) for the
-incompatible modes. Every part is linear in E and in t or t³, so that the parts of a thickness
-parameter are exact. Membrane and drilling are those of MSC Nastran, to all digits of recorded
-element matrices.
+Taylor, Beresford and Wilson (1976) for the incompatible modes; MacNeal (1978) for the residual
+bending flexibility, with which one element bends as a beam does. All are those of MSC Nastran, to
+the digits of recorded element matrices.
 
-PARAM,MITC4,NO makes bending and shear those of Nastran, too: incompatible modes in bending, and
-MacNeal's (1978) residual bending flexibility in the shear, with which one element bends as a beam
-does.
+PARAM,RESBEND,NO takes the bending and shear of the MITC4 (Bathe and Dvorkin 1985) instead. Every
+part is then linear in E and in t or t³.
 """
 
 from __future__ import annotations
@@ -27,7 +25,9 @@ from ringtrue.fem.elements.shell_section import (
     condensed,
     drilling,
     finish,
+    in_series,
     in_spans,
+    neutral_bending,
     of_rotations,
     oriented,
     place,
@@ -38,7 +38,6 @@ from ringtrue.fem.mesh import (
     CardRows,
     ElementMatrices,
     arm,
-    condense,
     congruent,
     nodal,
     scaled,
@@ -134,20 +133,14 @@ def _residual(xy: Any_, s: ShellSection) -> Any_:
     share = np.where(_FIRST[:, None] == _FIRST, np.eye(4), 0.5)
     G = s.shear[:, direction[:, None], direction] * share * root[:, :, None] * root[:, None]
     soft = _bending_flexibility(xy, 2 * det[:, :2].sum(axis=1), s)
-    K = rows.swapaxes(1, 2) @ np.linalg.solve(np.eye(4) + G @ soft, G) @ rows
-    return np.asarray((K + K.swapaxes(1, 2)) / 2)
+    return np.asarray(rows.swapaxes(1, 2) @ in_series(G, soft) @ rows)
 
 
 def _bending_flexibility(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     """The residual bending flexibility (e, 4, 4) of γx, γx, γy, γy at the stations; none where
     there is no bending stiffness.
-
-    A laminate bends about its neutral plane, wherever that is.
     """
-    D = s.bending
-    if np.any(s.coupling):
-        both = np.block([[s.bending, s.coupling], [s.coupling, s.membrane]])
-        D = condense(both, slice(3), slice(3, 6))
+    D = neutral_bending(s)
     x, y = np.moveaxis(xy, 2, 0)
     span = np.stack([x @ [-0.5, 0.5, 0.5, -0.5], y @ [-0.5, -0.5, 0.5, 0.5]], axis=1)
     square = span * span
@@ -164,16 +157,16 @@ def _bending_flexibility(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     return out
 
 
-def kernel(xy: Any_, s: ShellSection, mitc: bool) -> Any_:
-    """Local stiffness (e, 4, 6, 4, 6) of flat elements with corners xy (e, 4, 2); `mitc` is
-    PARAM,MITC4.
+def kernel(xy: Any_, s: ShellSection, residual: bool) -> Any_:
+    """Local stiffness (e, 4, 6, 4, 6) of flat elements with corners xy (e, 4, 2); `residual` is
+    PARAM,RESBEND.
     """
     _, det, g = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
     soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=det)
-    stretch, mixed, bend = _plane(np.concatenate([g, soft], axis=2), det, s, mitc)
+    stretch, mixed, bend = _plane(np.concatenate([g, soft], axis=2), det, s, residual)
     tied = _tied_shear(xy)
-    across = tied.swapaxes(1, 2) @ (_mitc if mitc else _residual)(xy, s) @ tied
+    across = tied.swapaxes(1, 2) @ (_residual if residual else _mitc)(xy, s) @ tied
     K = np.zeros((len(xy), 4, 6, 4, 6), dtype=np.result_type(stretch, mixed, bend, across, s.drill))
     place(K, [0, 1], stretch)
     place(K, [2, 3, 4], across)
@@ -189,7 +182,7 @@ def kernel(xy: Any_, s: ShellSection, mitc: bool) -> Any_:
 
 
 def curved_kernel(
-    x: Any_, heights: Any_, normals: Any_, axes: Any_, s: ShellSection, mitc: bool
+    x: Any_, heights: Any_, normals: Any_, axes: Any_, s: ShellSection, residual: bool
 ) -> Any_:
     """Stiffness (e, 24, 24) in basic of elements with nodes x (e, 4, 3) and normals (e, 4, 3) of a
     curved surface.
@@ -206,7 +199,7 @@ def curved_kernel(
     J, det, _ = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
     soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=s.weights(det, _N, 1))
-    modes = 4 if mitc else 8
+    modes = 8 if residual else 4
     rows = np.zeros((e, 4, 6, 24 + modes), dtype=np.result_type(x, normals, soft))
     rows[..., :24] = plane_strains(QUAD4, x, normals, np.linalg.inv(J))
     for m in range(modes):
@@ -217,7 +210,7 @@ def curved_kernel(
     loaded = (law(s, det, _N)[..., :6, :6] @ rows).reshape(e, -1, 24 + modes)
     K = _without_modes(rows.reshape(e, -1, 24 + modes).swapaxes(1, 2) @ loaded, modes)
     tied = tied_shear(QUAD4, x, normals)
-    K = K + tied.swapaxes(1, 2) @ (_mitc if mitc else _residual)(xy, s) @ tied
+    K = K + tied.swapaxes(1, 2) @ (_residual if residual else _mitc)(xy, s) @ tied
     K = K + director_drilling(QUAD4, x, s, points=_SIGNS, weights=_WHOLE)
     return congruent(nodal(arm(arms)), K)
 
@@ -231,9 +224,9 @@ def _without_modes(K: Any_, modes: int) -> Any_:
     return K
 
 
-def _plane(g: Any_, det: Any_, s: ShellSection, mitc: bool) -> tuple[Any_, Any_, Any_]:
+def _plane(g: Any_, det: Any_, s: ShellSection, residual: bool) -> tuple[Any_, Any_, Any_]:
     """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the
-    incompatible modes condensed; bending has them unless `mitc`.
+    incompatible modes condensed; bending has them if `residual`.
     """
     grams = [gram(g, s.weights(det, _N, 1))]
     grams += (
@@ -241,7 +234,7 @@ def _plane(g: Any_, det: Any_, s: ShellSection, mitc: bool) -> tuple[Any_, Any_,
         if (s.profile == 1).all()
         else [gram(g, s.weights(det, _N, p)) for p in (2, 3)]
     )
-    n = 4 if mitc else 6
+    n = 6 if residual else 4
     stretch = contract(grams[0], s.membrane)
     bend = contract(grams[2][:, :n, :, :n], s.bending)
     if not np.any(s.coupling):
@@ -283,17 +276,17 @@ def build(t: CardRows) -> ElementMatrices:
     mass = s.masses(jacobian(_DN, xy)[1], _N) @ _N
     normals = node_normals(t.mesh, nodes, axes[:, 2])
     flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
-    mitc = t.mesh.model.param("MITC4", 0.0) > 0
+    residual = t.mesh.model.param("RESBEND", 1.0) > 0
 
     def curved(i: slice) -> Any_:
         at = np.flatnonzero(~flat)[i]
         return curved_kernel(
-            x[at], heights[at], normals[at], axes=axes[at], s=taken(s, at), mitc=mitc
+            x[at], heights[at], normals[at], axes=axes[at], s=taken(s, at), residual=residual
         )
 
     def plane(at: Bool | slice) -> Any_:
         part = taken(s, at)
-        return to_nodes(kernel(xy[at], part, mitc), part, axes[at], heights[at])
+        return to_nodes(kernel(xy[at], part, residual), part, axes[at], heights[at])
 
     if flat.all():
         K = plane(slice(None))

@@ -266,6 +266,21 @@ def condensed(K: Any_, inner: int) -> Any_:
     return condense(K, slice(n), slice(n, None))
 
 
+def neutral_bending(s: ShellSection) -> Any_:
+    """Bending stiffness (e, 3, 3) about the neutral plane, wherever a laminate has it."""
+    if not np.any(s.coupling):
+        return s.bending
+    both = np.block([[s.bending, s.coupling], [s.coupling, s.membrane]])
+    return condense(both, slice(3), slice(3, 6))
+
+
+def in_series(stiffness: Any_, soft: Any_) -> Any_:
+    """Stiffness (e, n, n), which may be singular, in series with the flexibility `soft` (e, n, n)."""
+    n = stiffness.shape[1]
+    K = np.linalg.solve(np.eye(n) + stiffness @ soft, stiffness)
+    return np.asarray((K + K.swapaxes(1, 2)) / 2)
+
+
 def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
     """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
     (e, k, 6, k, 6).
