@@ -16,7 +16,7 @@ from pathlib import Path
 from outcome import Check, Report, arguments, at_least, at_most, within
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
-from test_fem_shells import hemisphere, twisted
+from test_fem_shells import hemisphere, hook, pinched, roof, twisted
 from test_fem_solids_accuracy import cantilever, sliding_cube
 
 # least tip deflection over the beam's: 10 cells of 10 x 1 x 1, and 6 slender cells that lean by 45
@@ -58,6 +58,21 @@ def converges(low: list[float], limit: float) -> list[Check]:
     ]
 
 
+def shell(card: str) -> list[Check]:
+    """Deflections over the references, on a mesh with as many nodes for each card."""
+    part = 1 if card in ("CQUAD4", "CTRIA3") else 2
+    found = {
+        "twisted beam, 12 x 2 cells, in its plane": twisted(card, 12, 2, 0.32, 3) / 0.005424,
+        "out of its plane": twisted(card, 12, 2, 0.32, 2) / 0.001754,
+        f"Scordelis-Lo roof, {16 // part} a side": roof(card, 16 // part) / 0.3024,
+        f"pinched cylinder, {32 // part} a side": pinched(card, 32 // part) / 1.8248e-5,
+        f"hemisphere, {16 // part} a side": hemisphere(card, 16 // part) / HEMISPHERE,
+        f"Raasch's hook, {56 // part} x {8 // part}": hook(card, 56 // part, 8 // part) / 5.012,
+    }
+    least = 0.82 if card == "CTRIA3" else 0.97  # constant strain in the plane
+    return [within(what, value, least, 1.03) for what, value in found.items()]
+
+
 def main() -> None:
     """Run and state."""
     report = Report(arguments(__doc__).parse_args())
@@ -70,6 +85,8 @@ def main() -> None:
             {},
             solid(name, straight, leaning, *waves),
         )
+    for card in ("CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6"):
+        report.row(f"{card}: deflection over the reference", {}, shell(card))
     beams = [100 * (1 - twisted("CTRIA6", 6 * n, n, 0.0032, 3) / TWISTED) for n in (2, 4)]
     report.row("CTRIA6, very thin twisted beam, 12 x 2 cells", {}, converges(beams, 10.0))
     domes = [100 * (1 - hemisphere("CQUAD8", n) / HEMISPHERE) for n in (4, 8)]

@@ -74,7 +74,9 @@ def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) 
     assert {"MAT1 1 E", "MAT1 2 E"} <= proposed
     assert found.pool.made >= len(found.candidates.parameters)
     best = made.results["update"].sets[made.results["update"].chosen]
-    held = made.results["sensitivity"].held.get(best.name, {})  # the data cannot tell these from others
+    held = made.results["sensitivity"].held.get(
+        best.name, {}
+    )  # the data cannot tell these from others
     assert {*best.parameters, *held} == proposed
     before, after = made.results["correlate"].initial, made.results["final"].table
     assert after.mean_deviation() < 0.2 * before.mean_deviation()

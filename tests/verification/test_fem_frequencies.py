@@ -131,31 +131,29 @@ FV16 = np.array([0.421, 1.029, 2.582, 3.306, 3.753, 6.555])
 
 @pytest.mark.parametrize("make", [shells, triangles])
 def test_fv12_free_thin_square_plate(make: object) -> None:
-    """Extrapolated from 8 x 8 and 16 x 16. NAFEMS targets 4.233 and 7.416 are those of a mesh, not
+    """Extrapolated from 12 x 12 and 24 x 24. NAFEMS targets 4.233 and 7.416 are those of a mesh, not
     of a plate.
     """
     f = []
-    for n in (8, 16):
+    for n in (12, 24):
         xyz, quads = square(n, 10.0, 10.0)
         f.append(modes(model(grid(xyz, PS="126"), make(quads), pshell(0.05), steel()), 10))
     assert (np.abs(f[1][:3]) < 1e-3).all()
     limit = (f[1] + (f[1] - f[0]) / 3)[3:]
     bending = E * 0.05**3 / 12 / (1 - NU**2)
     exact = FREE_PLATE / (2 * np.pi * 100) * np.sqrt(bending / (RHO * 0.05))
-    np.testing.assert_allclose(limit[:5], exact[:5], rtol=4e-3)
+    np.testing.assert_allclose(limit[:5], exact[:5], rtol=3e-3)
     np.testing.assert_allclose(limit[5:], exact[5:], rtol=2e-2 if make is triangles else 3e-3)
     np.testing.assert_allclose(limit[:3], FV12, rtol=3e-3)
 
 
 @pytest.mark.parametrize("make", [shells, triangles])
 def test_fv16_cantilevered_thin_square_plate(make: object) -> None:
-    """0.421 Hz is the target of a thin plate series; a converged plate has 0.418. Lumped masses and
-    the residual bending flexibility both lower the sixth.
-    """
-    xyz, quads = square(12, 10.0, 10.0)
+    """0.421 Hz is the target of a thin plate series; a converged plate has 0.418."""
+    xyz, quads = square(14, 10.0, 10.0)
     root = spc(np.flatnonzero(xyz[:, 0] == 0) + 1, "12345")
     m = model(grid(xyz, PS="126"), make(quads), pshell(0.05), steel(), root, spc=1)
-    np.testing.assert_allclose(modes(m, 6), FV16, rtol=4.5e-2)
+    np.testing.assert_allclose(modes(m, 6), FV16, rtol=4e-2)
 
 
 def test_fv32_tapered_membrane() -> None:

@@ -472,32 +472,11 @@ def _idle_bushes(model: Model, free: Bool) -> Bool:
     return np.asarray(free[a] & free[b] & long & stiff & (a >= 0) & (b >= 0))
 
 
-_TRIANGLES = ("CTRIA3", "CTRIAR")
 _LINEAR = "has four nodes and constant strain, too stiff in bending: ten nodes bend well"
-_THICK = (
-    "is thicker than its sides and has no transverse shear flexibility here (MID3 = MID2), as a "
-    "thick plate needs: "
-    "CQUAD4, CTRIA6 and laminates have it"
-)
 
 
 def stiff_findings(model: Model) -> Iterator[Finding]:
-    """Tetrahedra of four nodes, and thick triangles whose PSHELL asks for a shear flexibility that
-    they do not have.
-    """
+    """Tetrahedra of four nodes."""
     if "CTETRA" in model:
         rows = np.flatnonzero(model["CTETRA"]["G5"] == 0)
         yield from at_rows(model, "CTETRA", rows, "warning", _LINEAR)
-    if "PSHELL" not in model or "GRID" not in model:
-        return
-    p = model["PSHELL"]
-    xyz = positions(model)
-    for card in (c for c in _TRIANGLES if c in model):
-        table = model[card]
-        at = model["GRID"].find(table.stack("G1", "G2", "G3"))
-        row = p.find(table["PID"])
-        there = np.flatnonzero((at >= 0).all(axis=1) & (row >= 0))
-        row = row[there]
-        sheared = (p["MID3"][row] > 0) & (p["MID3"][row] == p["MID2"][row])
-        thick = there[sheared & (p["T"][row] > _sides(xyz[at[there]]).max(axis=1))]
-        yield from at_rows(model, card, thick, "warning", _THICK)

@@ -121,8 +121,8 @@ def _of_sides(t: Any_, s: ShellSection, w: Any_) -> Any_:
 
 
 def _bending_flexibility(t: Any_, length: Any_, area: Any_, s: ShellSection) -> Any_:
-    """The residual bending flexibility (e, side, side): l²/(12 A) over the bending stiffness of each
-    side as a beam (MacNeal 1978); none where there is no bending stiffness.
+    """The residual bending flexibility (e, side, side): l²/(12 A) over the bending stiffness of
+    each side as a beam (MacNeal 1978); none where there is no bending stiffness.
     """
     D = neutral_bending(s)
     own = np.diagonal(D, axis1=1, axis2=2)

@@ -275,7 +275,7 @@ def neutral_bending(s: ShellSection) -> Any_:
 
 
 def in_series(stiffness: Any_, soft: Any_) -> Any_:
-    """Stiffness (e, n, n), which may be singular, in series with the flexibility `soft` (e, n, n)."""
+    """A stiffness, which may be singular, in series with the flexibility `soft`: (e, n, n)."""
     n = stiffness.shape[1]
     K = np.linalg.solve(np.eye(n) + stiffness @ soft, stiffness)
     return np.asarray((K + K.swapaxes(1, 2)) / 2)
