@@ -50,7 +50,7 @@ VERIFIED = "msc2019/system_verification"
 BAR = "msc2019/superelements/cantilever_bar"
 THREE = "msc2019/superelements/three_element_types"
 LUMPED = "lumped mass of CTETRA10 is split otherwise"
-SHELLS = "shells bend too stiffly on coarse meshes"
+SINGLE_SOLIDS = "single CHEXA and CPENTA among its elements, of other strains"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,8 @@ class Case:
     why : str
         Of a limit above 1 %.
     first : int
-        How many of the recorded modes are compared; 0: all.
+        How many of the recorded modes are compared; 0: all. Those of nx_sine above its band are
+        residual vectors.
     """
 
     folder: str
@@ -81,18 +82,18 @@ CASES = (
     Case("beam_modes", "beam_modes.dat", "beam_modes_m2.op2"),
     Case("naca_wing", "0012_flutter.bdf", "0012_flutter.op2"),
     Case("corpus/complex/tet10", "Simple_Example.bdf", "simple_example.f06", 24.0, LUMPED),
-    Case("corpus/nx/sol111_solid_stress", "nx_sine.bdf", "nx_sine.op2", 122.5, SHELLS),
+    Case("corpus/nx/sol111_solid_stress", "nx_sine.bdf", "nx_sine.op2", 0.05, first=8),
     Case("corpus/plate", "plate.bdf", "plate.op2"),
-    Case("corpus/plate", "plate_mixed.bdf", "plate_mixed.op2", 1.8, SHELLS),
-    Case("corpus/plate_py", "plate_py.dat", "plate_py.op2", 0.65),
-    Case("corpus/random", "random_test_bar_plus_tri.bdf", "random_test_bar_plus_tri.op2", 9.9, SHELLS),
-    Case("corpus/random", "rms_tri_oesrmx1.bdf", "rms_tri_oesrmx1.op2", 0.4),
-    Case("corpus/sol_101_elements", "static_solid_shell_bar.bdf", "static_solid_shell_bar.op2", 1.5, SHELLS),
+    Case("corpus/plate", "plate_mixed.bdf", "plate_mixed.op2", 0.12),
+    Case("corpus/plate_py", "plate_py.dat", "plate_py.op2"),
+    Case("corpus/random", "random_test_bar_plus_tri.bdf", "random_test_bar_plus_tri.op2", 0.15),
+    Case("corpus/random", "rms_tri_oesrmx1.bdf", "rms_tri_oesrmx1.op2", 0.25),
+    Case("corpus/sol_101_elements", "static_solid_shell_bar.bdf", "static_solid_shell_bar.op2", 1.5, SINGLE_SOLIDS),
     Case("corpus/solid_bending", "solid_bending.bdf", "solid_bending.op2"),
-    Case("corpus/wingbox", "wingbox_stitched_together-000.bdf", "wingbox_stitched_together-000.op2", 8.5, SHELLS),
+    Case("corpus/wingbox", "wingbox_stitched_together-000.bdf", "wingbox_stitched_together-000.op2", 0.18),
     Case(f"{SINGLE}/bars", "pbarl_bar_100.bdf", "pbarl_bar_100.op2"),
     Case(f"{SINGLE}/cbush", "cbush.dat", "cbush.op2"),
-    Case(f"{SINGLE}/pcomp", "pcomp_cquad4.bdf", "pcomp_cquad4.op2", 1.4, SHELLS),
+    Case(f"{SINGLE}/pcomp", "pcomp_cquad4.bdf", "pcomp_cquad4.op2", 0.25),
     Case(f"{SINGLE}/pload4", "chexa.bdf", "chexa.op2", 0.96),
     Case(f"{SINGLE}/pload4", "cpenta.bdf", "cpenta.op2", 11.0, "a single CPENTA, of other strains"),
     Case(f"{SINGLE}/pload4", "ctetra.bdf", "ctetra.op2"),

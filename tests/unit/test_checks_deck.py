@@ -38,6 +38,20 @@ def report(folder: Path, text: str, units: str = "SI") -> DeckReport:
     return check_deck(survey(path).model, units)
 
 
+@pytest.mark.parametrize(("across", "found"), [(1, ["CQUAD4 1 and 2 more"]), (2, [])])
+def test_strips_of_one_element_between_free_edges(
+    tmp_path: Path, across: int, found: list[str]
+) -> None:
+    nodes = "".join(f"GRID,{10 * i + j},,{i}.,{j}.,0.\n" for i in range(1, 5) for j in range(3))
+    corners = [10 * i + j for j in range(across) for i in range(1, 4)]
+    quads = "".join(
+        f"CQUAD4,{e},1,{n},{n + 10},{n + 11},{n + 1}\n" for e, n in enumerate(corners, 1)
+    )
+    got = report(tmp_path, nodes + quads + "PSHELL,1,1,.1,1\nMAT1,1,2.1+11,,.3,7850.\n")
+    strips = [f.text for f in got.findings if "between two free edges" in f.text]
+    assert [text.split(":")[0] for text in strips] == found
+
+
 def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
     got = report(tmp_path, SOUND)
     assert got.ok
@@ -86,8 +100,6 @@ def test_a_sound_deck_has_no_findings(tmp_path: Path) -> None:
                                                                    "Jacobians"),
         ("GRID,9,,.1,0.,0.\nCTRIA6,2,1,1,2,3,9\n", "error", 9, "CTRIA6 2: has a mid-side node "
                                                                "outside"),
-        ("PSHELL,2,1,1.5,1,,1\nCTRIA3,2,2,1,2,3\n", "warning", 9, "CTRIA3 2: is thicker than its "
-                                                                  "sides"),
         ("PSOLID,2,1\nGRID,9,,0.,0.,1.\nCTETRA,2,2,1,2,4,9\n", "warning", 10, "CTETRA 2: has "
                                                                               "four nodes"),
         ("CTRIA3,1,1,1,2,3\n", "warning", 8, "CTRIA3 1: CQUAD4 has the same number"),

@@ -341,15 +341,29 @@ def free_edges_in_words(edges: ShellEdges) -> str:
     return f"{text}; the shortest has {size.min()}, at nodes {_node_names(short)}"
 
 
-def edge_findings(model: Model) -> list[Finding]:
+_STRIP = (
+    "one element between two free edges: the mesh does not resolve how such a strip bends across "
+    "and twists; `ringtrue modes --mesh-error` tells what it does to each frequency"
+)
+
+
+def edge_findings(model: Model) -> Iterator[Finding]:
     """Neighbours with opposite normals: offsets, Z0 and the order of plies then change sides
-    between them.
+    between them. Strips of one element between free edges.
     """
-    flipped = shell_edges(model).flipped
-    if not len(flipped):
-        return []
-    text = f"{_count_words(len(flipped), 'shell edge')} between elements of opposite normals"
-    return [Finding("info", f"{text}, at nodes {_node_names(flipped)}")]
+    edges = shell_edges(model)
+    if len(edges.flipped):
+        count = _count_words(len(edges.flipped), "shell edge")
+        where = _node_names(edges.flipped)
+        yield Finding("info", f"{count} between elements of opposite normals, at nodes {where}")
+    free = set(map(tuple, edges.free.tolist()))
+    for card in (c for c in ("CQUAD4", "CQUADR") if c in model):
+        corners = model[card].stack(*_corner_fields(4))
+        sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2)
+        ends = np.array([[tuple(s) in free for s in e] for e in sides.tolist()])
+        between = ends[:, :2] & ends[:, 2:]
+        strips = np.flatnonzero(between.any(axis=1) & ~between.all(axis=1))
+        yield from at_rows(model, card, strips, "info", _STRIP)
 
 
 def _count_words(count: int, what: str) -> str:

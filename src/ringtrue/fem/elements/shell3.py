@@ -117,7 +117,7 @@ def _of_sides(t: Any_, s: ShellSection, w: Any_) -> Any_:
     for k, pair in enumerate(([2, 0], [0, 1], [1, 2])):
         corner[:, k][:, :, pair] = np.linalg.inv(t[:, pair])
     rows = np.einsum("gk,ekis->egis", _L, corner)
-    return np.einsum("egis,eij,egjr,eg->esr", rows, s.shear, rows, w, optimize=True)
+    return np.asarray(np.einsum("egis,eij,egjr,eg->esr", rows, s.shear, rows, w, optimize=True))
 
 
 def _bending_flexibility(t: Any_, length: Any_, area: Any_, s: ShellSection) -> Any_:
@@ -132,7 +132,7 @@ def _bending_flexibility(t: Any_, length: Any_, area: Any_, s: ShellSection) -> 
     n = t[..., 1]
     q = np.stack([c * c, n * n, c * n], axis=-1)
     beam = np.einsum("esi,eij,esj->es", q, np.linalg.inv(D), q) * bends[:, None]
-    return (length**2 * beam / (12 * area[:, None]))[:, :, None] * np.eye(3)
+    return np.asarray((length**2 * beam / (12 * area[:, None]))[:, :, None] * np.eye(3))
 
 
 def kernel(xy: Any_, area: Any_, s: ShellSection, residual: bool) -> Any_:
