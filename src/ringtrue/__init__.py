@@ -39,7 +39,14 @@ if TYPE_CHECKING:
         read_sensors,
         write_modes,
     )
-    from ringtrue.api.models import frf, read_deck, solve_modes, static, write_deck
+    from ringtrue.api.models import (
+        frf,
+        read_deck,
+        read_deflections,
+        solve_modes,
+        static,
+        write_deck,
+    )
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -58,7 +65,7 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
-    "api.models": "frf read_deck solve_modes static write_deck",
+    "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
     "api.comparison": "correlate",
@@ -113,6 +120,7 @@ __all__ = [
     "plan_test",
     "predict",
     "read_deck",
+    "read_deflections",
     "read_frfs",
     "read_modes",
     "read_record",

@@ -18,7 +18,7 @@ FRAME = Path(__file__).parents[3] / "shared/data/updating/concrete_frame/Concret
 FUNCTIONS = """
     at_factors correlate estimate_frfs example_deck fit_damping frf identify_ambient
     identify_ambient_setups identify_frfs inspect_file localise modes_of_test open_study parameter
-    plan_test predict read_deck read_frfs read_modes
+    plan_test predict read_deck read_deflections read_frfs read_modes
     read_record read_sensors run_study solve_modes static tune_suspension update write_deck
     write_modes
 """

@@ -17,7 +17,12 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.deck import other_program
 from ringtrue.decks.nastran.reader import survey
 from ringtrue.decks.nastran.results.geometry import read_recorded_model
-from ringtrue.decks.nastran.results.modes import is_nastran_h5, read_recorded
+from ringtrue.decks.nastran.results.modes import (
+    is_nastran_h5,
+    read_recorded,
+    read_recorded_deflections,
+)
+from ringtrue.decks.nastran.results.op2 import read_grid_point_weight
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError, InputError, UnsupportedError
 from ringtrue.io.files import FUNCTIONS
@@ -51,7 +56,8 @@ class FilePart:
     ----------
     kind : str
         `record`, `FRFs`, `functions`, `modes`, `results`, `deck`, `sensors`, `choice`, `log`,
-        `study`, `store`, `matrices`, `statics`, `sensitivities`, `table` or `arrays`.
+        `study`, `store`, `matrices`, `statics`, `deflections`, `weight`, `sensitivities`,
+        `table` or `arrays`.
     values : mapping
         Its figures: counts, `rate_hz`, `duration_s`, `band_hz`, lists of names.
     commands : tuple of str
@@ -132,14 +138,23 @@ def _deck(path: Path) -> list[FilePart]:
 
 
 def _results(path: Path) -> list[FilePart]:
-    """Modes, or the sensitivities of a SOL 200; and the deck in an OP2."""
-    decks = _held_deck(path) if format_of(path) is Format.OP2 else []
+    """Modes, deflections, or the sensitivities of a SOL 200; the weight and the deck in an OP2."""
+    others = [*_weight(path), *_held_deck(path)] if format_of(path) is Format.OP2 else []
     try:
-        return [*_solved(path, bool(decks)), *decks]
+        return [*_solved(path, any(part.kind == "deck" for part in others)), *others]
     except DataError:
-        if decks:
-            return decks
+        if others:
+            return others
         raise
+
+
+def _weight(path: Path) -> list[FilePart]:
+    """Mass and centre of gravity, in the units of the run."""
+    found = read_grid_point_weight(path)
+    if found is None:
+        return []
+    centre = dict(zip(("x", "y", "z"), found.centre, strict=True))
+    return [FilePart("weight", {"mass": found.mass, **centre})]
 
 
 def _held_deck(path: Path) -> list[FilePart]:
@@ -167,6 +182,10 @@ def _solved(path: Path, with_deck: bool) -> list[FilePart]:
     try:
         found = read_recorded(path)
     except DataError as exc:
+        if moved := read_recorded_deflections(path):
+            sizes = {"cases": len(moved.cases), "nodes": moved.nodes.size}
+            command = f"ringtrue convert {quote(str(path))} deflections.csv"
+            return [FilePart("deflections", sizes, (command,))]
         try:
             s = read_sensitivities(path)
         except DataError:

@@ -20,6 +20,7 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran import reader
 from ringtrue.decks.nastran.editor import edit_fields
+from ringtrue.decks.nastran.results.modes import read_nastran_deflections
 from ringtrue.errors import ConfigError, InputError, UnsupportedError, did_you_mean
 from ringtrue.model.cards import MADE
 from ringtrue.model.case_control import ModalDamping, asked_modes, responding
@@ -448,7 +449,8 @@ class Deflections(Displayed):
     cases : tuple of str
     points : tuple of str
     values : (case, point) float64, m or rad
-    model : Model
+    model : Model, optional
+        What they are of; not known of results that were read without a deck.
     held : tuple of str
         Points that cannot move.
     """
@@ -456,7 +458,7 @@ class Deflections(Displayed):
     cases: tuple[str, ...]
     points: tuple[str, ...]
     values: Float
-    model: Model
+    model: Model | None
     held: tuple[str, ...] = ()
 
 
@@ -520,6 +522,43 @@ def static(
     ) or tuple(c.name for c in cases)
     return Deflections(
         names, out.labels(), moved * (unit.length * out.per_length(unit.length)), model, held
+    )
+
+
+def read_deflections(
+    path: str | Path, *, deck: Model | None = None, units: str = "SI"
+) -> Deflections:
+    """Static deflections that Nastran recorded, of all nodes and subcases, in the basic frame.
+
+    Parameters
+    ----------
+    path : str or Path
+        OP2, or HDF5 of MSC Nastran.
+    deck : Model, optional
+        The deck of the run: turns displacement frames (CD) to the basic frame, and gives the units.
+        Not needed with an OP2 that holds the geometry.
+    units : str
+        Of the run, as in `read_deck`, where no deck is given.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or damaged, holds no static deflections, or is of another model.
+
+    Examples
+    --------
+    >>> import ringtrue as rt
+    >>> rt.read_deflections("modes.op2")
+    Traceback (most recent call last):
+    ...
+    ringtrue.errors.DataError: modes.op2: no such file
+    """
+    if units not in UNIT_SYSTEMS:
+        raise ConfigError(f"units {units!r}{did_you_mean(units, UNIT_SYSTEMS)}")
+    unit = UNIT_SYSTEMS[deck.units if deck else units]
+    cases, dofs, moved = read_nastran_deflections(path, deck)
+    return Deflections(
+        cases, dofs.labels(), moved * (unit.length * dofs.per_length(unit.length)), deck
     )
 
 

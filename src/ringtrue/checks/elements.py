@@ -343,7 +343,7 @@ def free_edges_in_words(edges: ShellEdges) -> str:
 
 _STRIP = (
     "one element between two free edges: the mesh does not resolve how such a strip bends across "
-    "and twists; `ringtrue modes --mesh-error` tells what it does to each frequency"
+    "and twists; `ringtrue modes --mesh-error` estimates what it does to each frequency"
 )
 
 

@@ -1,20 +1,22 @@
-"""`convert`: modes from one file format to another."""
+"""`convert`: modes from one file format to another, and what else a results file holds."""
 
 from __future__ import annotations
 
 from collections import Counter
+from csv import writer
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ringtrue.api.measurements import read_modes, read_sensors, write_modes
-from ringtrue.api.models import read_deck
+from ringtrue.api.models import read_deck, read_deflections
 from ringtrue.cli.show import out
 from ringtrue.decks.nastran.results.geometry import read_recorded_model
-from ringtrue.decks.nastran.results.modes import is_solver_result
+from ringtrue.decks.nastran.results.modes import is_solver_result, read_recorded_deflections
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.files import atomic_write
+from ringtrue.model.model import Model
 
 DECKS = (".bdf", ".dat", ".nas")
 
@@ -30,7 +32,8 @@ def convert(
     target: Annotated[
         Path,
         typer.Argument(
-            help="What to write: .h5 .json .uff .csv; .bdf .dat .nas: the deck in an .op2."
+            help="What to write: .h5 .json .uff .csv; .bdf .dat .nas: the deck in an .op2; .csv of "
+            "statics: the deflections."
         ),
     ],
     deck: Annotated[
@@ -45,7 +48,7 @@ def convert(
     ] = None,
 ) -> int:
     """Modes from one format to another: results of Nastran or MYSTRAN to a mode set; or the deck
-    that an OP2 holds.
+    that an OP2 holds, or the deflections of a static run (in the units of the run).
 
     Example: ringtrue convert modes.op2 modes.h5
     """
@@ -55,13 +58,34 @@ def convert(
         if deck is not None or sensors is not None:
             raise InputError(f"{target}: --deck and --sensors belong to modes, and this is a deck")
         return _deck(source, target)
-    found = read_modes(source, deck=read_deck(deck) if deck else None)
+    model = read_deck(deck) if deck else None
+    try:
+        found = read_modes(source, deck=model)
+    except DataError:
+        if target.suffix.lower() != ".csv" or read_recorded_deflections(source) is None:
+            raise
+        return _deflections(source, target, model)
     if not len(found):
         raise DataError(f"{source}: no modes")
     modes = write_modes(target, found, sensors=read_sensors(sensors) if sensors else None)
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
     out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")
+    return 0
+
+
+def _deflections(source: Path, target: Path, deck: Model | None) -> int:
+    found = read_deflections(source, deck=deck)
+    with atomic_write(target) as new, new.open("w", newline="", encoding="utf-8") as file:
+        table = writer(file)
+        table.writerow(("case", "at", "deflection"))
+        for case, values in zip(found.cases, found.values, strict=True):
+            table.writerows(
+                (case, at, f"{moved:.9g}")
+                for at, moved in zip(found.points, values.tolist(), strict=True)
+            )
+    cases = len(found.cases)
+    out.print(f"{target}: {cases} case{'s' * (cases > 1)}, {len(found.points)} deflections each")
     return 0
 
 

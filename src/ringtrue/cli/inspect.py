@@ -66,8 +66,8 @@ def _lines(part: FilePart) -> list[str]:
         elif value is None:
             figures += ["no rate in the file"] if name == "rate_hz" else []
         elif isinstance(value, float):
-            quantity, _, unit = name.rpartition("_")
-            figures.append(f"{quantity} {value:.6g} {unit.replace('hz', 'Hz')}")
+            quantity, _, unit = name.partition("_")
+            figures.append(f"{quantity} {value:.6g} {unit.replace('hz', 'Hz')}".rstrip())
         else:
             what = name.removesuffix("s") if value == 1 else name
             figures.append(f"{value} {what}" if isinstance(value, int) else str(value))

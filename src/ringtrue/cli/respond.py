@@ -211,7 +211,8 @@ def static(
     with progress("static") as show:
         show(0.0, f"reading {deck}")
         found = deflect(deck, forces=given, responses=at, units=units, progress=show)
-    warn_of_units(found.model, units)
+    if found.model:
+        warn_of_units(found.model, units)
     _warn_of_held(found.held)
     if table:
         _write_static(table, given, found)

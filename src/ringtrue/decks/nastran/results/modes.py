@@ -1,4 +1,4 @@
-"""Modes of any file of results, by its content, and of HDF5."""
+"""Modes and static deflections of any file of results, by its content, and of HDF5."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from typing import Any
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Int
+from ringtrue.core.arrays import Float, Int
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.results.geometry import held_model
-from ringtrue.decks.nastran.results.op2 import read_op2
+from ringtrue.decks.nastran.results.op2 import read_op2, read_op2_deflections
 from ringtrue.decks.nastran.results.printed import read_f06, read_punch
-from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered, to_mode_set
+from ringtrue.decks.nastran.results.recorded import (
+    RecordedDeflections,
+    RecordedModes,
+    deflections,
+    gathered,
+    motions,
+    to_deflections,
+    to_mode_set,
+)
 from ringtrue.errors import DataError, about
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.recognition import SOLVER_RESULTS, Format, format_of, refuse_format
@@ -21,7 +30,9 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
 _RESULT = "NASTRAN/RESULT"
-_MODES = 2  # ANALYSIS of a domain of real modes
+# ANALYSIS of a domain
+_STATICS = 1
+_MODES = 2
 _COMPONENTS = ("X", "Y", "Z", "RX", "RY", "RZ")
 
 
@@ -52,19 +63,41 @@ def _read(file: h5py.File) -> RecordedModes:
         raise DataError(f"no {at}: ask for DISPLACEMENT = ALL and MDLPRM,HDF5,0")
     shapes = file[at][()]
     domains = _domains(file[f"{_RESULT}/DOMAINS"][()], shapes["DOMAIN_ID"])
-    rows = []
+    lam = domains["TIME_FREQ_EIGR"].astype(np.float64)
+    rows = _node_rows(file, shapes, domains["ID"])
+    return gathered(lam, _masses(file, domains["MODE"], lam), rows, _node_frames(file))
+
+
+def _deflections(file: h5py.File) -> RecordedDeflections | None:
+    at = f"{_RESULT}/NODAL/DISPLACEMENT"
+    if at not in file:
+        return None
+    moved = file[at][()]
+    domains = file[f"{_RESULT}/DOMAINS"][()]
+    here = (domains["ANALYSIS"] == _STATICS) & np.isin(domains["ID"], moved["DOMAIN_ID"])
+    domains = domains[here & (domains["SE"] == 0)]
+    if not domains.size:
+        return None
+    m = motions(_node_rows(file, moved, domains["ID"]), _node_frames(file))
+    return deflections(m, tuple(domains["SUBCASE"].tolist()))
+
+
+def _node_rows(file: h5py.File, table: Any, domains: Int) -> list[tuple[Any, Any, Any]]:
     spoint = "NASTRAN/INPUT/NODE/SPOINT"
     scalar_points = file[spoint][()]["ID"] if spoint in file else np.empty(0, dtype=np.int64)
-    for domain in domains["ID"].tolist():
-        part = shapes[shapes["DOMAIN_ID"] == domain]
+    rows = []
+    for domain in domains.tolist():
+        part = table[table["DOMAIN_ID"] == domain]
         motion = np.stack([part[c] for c in _COMPONENTS], axis=1).astype(np.float64)
         rows.append((part["ID"].astype(np.int64), np.isin(part["ID"], scalar_points), motion))
-    lam = domains["TIME_FREQ_EIGR"].astype(np.float64)
+    return rows
+
+
+def _node_frames(file: h5py.File) -> dict[int, int]:
     grid = file.get("NASTRAN/INPUT/NODE/GRID")
-    frames: dict[int, int] = {}
-    if grid is not None:
-        frames = dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
-    return gathered(lam, _masses(file, domains["MODE"], lam), rows, frames)
+    if grid is None:
+        return {}
+    return dict(zip(grid["ID"].tolist(), grid["CD"].tolist(), strict=True))
 
 
 def _domains(domains: Any, used: Int) -> Any:
@@ -153,6 +186,56 @@ def read_nastran_modes(
         return to_mode_set(found, model, mass_normalised=known, source=str(path))
     except DataError as e:
         raise DataError(f"{path}: {e}") from e
+
+
+def read_recorded_deflections(path: str | Path) -> RecordedDeflections | None:
+    """Displacements of the static subcases as the file gives them: OP2 or HDF5; None of a file
+    without.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or damaged.
+    """
+    path = Path(path)
+    held = format_of(path)
+    if held is Format.OP2:
+        return read_op2_deflections(path)
+    if held is Format.HDF5 and is_nastran_h5(path):
+        with open_hdf5(path, "HDF5 file of Nastran") as file, about(path):
+            return _deflections(file)
+    return None
+
+
+def read_nastran_deflections(
+    path: str | Path, model: Model | None = None
+) -> tuple[tuple[str, ...], DofSet, Float]:
+    """Names of the static subcases, DOFs, and deflections (case, dof) in the basic frame.
+
+    Parameters
+    ----------
+    path : path
+        OP2 or HDF5 (of MSC Nastran).
+    model : Model, optional
+        The deck of the run: turns motions from the displacement frames (CD). Without it the one
+        that an OP2 holds counts.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, holds no static deflections or is of another model.
+    """
+    found = read_recorded_deflections(path)
+    if found is None:
+        raise DataError(
+            f"{path}: no static deflections; allowed is an OP2 or HDF5 file of a run with "
+            "DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1 or MDLPRM,HDF5,0"
+        )
+    if model is None and format_of(path) is Format.OP2:
+        model = held_model(path, found.nodes[~found.scalar])
+    with about(path):
+        dofs, moved = to_deflections(found, model)
+    return tuple(f"subcase {case}" for case in found.cases), dofs, moved
 
 
 def asks_for_unit_mass(model: Model) -> bool:

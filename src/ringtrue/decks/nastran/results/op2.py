@@ -15,17 +15,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.decks.nastran.results.recorded import RecordedModes, gathered
+from ringtrue.decks.nastran.results.recorded import (
+    RecordedDeflections,
+    RecordedModes,
+    deflections,
+    gathered,
+    motions,
+)
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import existing
 from ringtrue.io.foreign.door import door
 
-# approach code; words a node of a real result
-_MODES = 2
+# approach and table codes; words a node of a real result
+_APPROACHES = {
+    1: "statics",
+    2: "modes",
+    5: "frequency response",
+    6: "transient response",
+    8: "buckling",
+    9: "complex modes",
+    10: "nonlinear statics",
+}
+_QUANTITIES = {
+    1: "displacements",
+    6: "eigenvalues",
+    7: "eigenvectors",
+    10: "velocities",
+    11: "accelerations",
+}
 _REAL = 8
-# table codes
-_EIGENVALUES = 6
-_EIGENVECTORS = 7
 _PIECE = 100_000  # numbers that are text at once
 _GRID_KEY = (4501, 45)
 # The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
@@ -256,9 +274,9 @@ def read_op2(path: str | Path) -> RecordedModes:
             lama = lama or _lama(table)
         elif table.name in _GEOMETRY:
             frames |= _frames(table)
-        elif _eigenvectors(table) and table.name not in _SHAPES:
+        elif _holds(table, "modes", "eigenvectors") and table.name not in _SHAPES:
             others.append(table.name)
-        elif _eigenvectors(table):
+        elif _holds(table, "modes", "eigenvectors"):
             if shapes and shapes[0].name in _IN_BASIC and table.name not in _IN_BASIC:
                 shapes = []
             if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
@@ -275,18 +293,6 @@ def read_op2(path: str | Path) -> RecordedModes:
         )
     with about(path), door(path, "OP2 file"):
         return _gather(shapes, lama, frames)
-
-
-_APPROACHES = {
-    1: "statics",
-    2: "modes",
-    5: "frequency response",
-    6: "transient response",
-    8: "buckling",
-    9: "complex modes",
-    10: "nonlinear statics",
-}
-_QUANTITIES = {1: "displacements", 7: "eigenvectors", 10: "velocities", 11: "accelerations"}
 
 
 def described(table: Op2Table) -> str:
@@ -330,16 +336,73 @@ def _gather(
     return gathered(lam, mass, rows, frames)
 
 
-def _eigenvectors(table: Op2Table) -> bool:
-    """Whether a table says that it holds real eigenvectors of normal modes, a mode after the
-    other.
+def read_op2_deflections(path: str | Path) -> RecordedDeflections | None:
+    """Displacements of the static subcases of an OP2 file; None of a file without.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged, or the subcases are given at different nodes.
     """
+    cases: list[int] = []
+    rows = []
+    frames: dict[int, int] = {}
+    with about(path), door(path, "OP2 file"):
+        for table in read_tables(path):
+            if table.name in _GEOMETRY:
+                frames |= _frames(table)
+            elif table.name in _SHAPES and _holds(table, "statics", "displacements"):
+                data = table.bodies()
+                for ident, body in zip(data[::2], data[1::2], strict=True):
+                    cases.append(int(table.ints(ident)[3]))
+                    rows.append(_nodes(table, body))
+                    if table.name in _IN_BASIC:
+                        frames = dict.fromkeys(rows[0][0].tolist(), 0)
+        if not rows:
+            return None
+        m = motions(rows, frames)
+    return deflections(m, tuple(cases))
+
+
+@dataclass(frozen=True, slots=True)
+class GridPointWeight:
+    """Mass and centre of gravity (x, y, z) that a run recorded, in the units of its deck."""
+
+    mass: float
+    centre: tuple[float, float, float]
+
+
+def read_grid_point_weight(path: str | Path) -> GridPointWeight | None:
+    """OGPWG of an OP2 file (PARAM,GRDPNT); None of a file without.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    for table in read_tables(path, lambda name: name.startswith("OGPWG")):
+        if not table.name.startswith("OGPWG") or len(table.records) < 3:
+            continue
+        values = table.floats(table.bodies()[1])
+        if values.size < 57:  # M0 (36), S (9), and three masses with their centres
+            continue
+        mass, _, y, z, _, x = values[45:51]
+        centre = values[36:45].reshape(3, 3) @ [x, y, z]
+        return GridPointWeight(float(mass), tuple(centre.tolist()))
+    return None
+
+
+def _holds(table: Op2Table, approach: str, quantity: str) -> bool:
+    """Whether a table says that it holds such real motions, a mode or case after the other."""
     if len(table.records) < 3:
         return False
     words = table.ints(table.bodies()[0])
-    return words.size >= 10 and bool(
-        words[0] // 10 == _MODES and words[1] == _EIGENVECTORS and words[9] == _REAL
-    )
+    return words.size >= 10 and words[9] == _REAL and _codes(words) == (approach, quantity)
+
+
+def _codes(words: Int) -> tuple[str | None, str | None]:
+    """The approach and the quantity of the first words of an identification."""
+    return _APPROACHES.get(int(words[0]) // 10), _QUANTITIES.get(int(words[1]))
 
 
 def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
@@ -362,7 +425,7 @@ def _lama(table: Op2Table) -> tuple[Float, Float] | None:
     if len(data) < 2 or len(data[1]) % (7 * table.word):
         return None
     words = table.ints(data[0])
-    if words[0] // 10 != _MODES or words[1] != _EIGENVALUES:
+    if _codes(words) != ("modes", "eigenvalues"):
         return None
     rows = table.floats(data[1]).reshape(-1, 7)
     return rows[:, 2], rows[:, 5]

@@ -1,11 +1,12 @@
-"""Modes as a program recorded them, and what makes a `ModeSet` of them: frames, scale and
-labels.
+"""Modes and static deflections as a program recorded them, and what makes results of them: frames,
+scale and labels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,14 +22,11 @@ SCALE = 1e-4  # modal masses this near to 1 are 1: a program prints seven digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedModes:
-    """Modes of a results file, node by node.
+class RecordedMotions:
+    """Motions of nodes in a results file.
 
     Attributes
     ----------
-    eigenvalues : (m,) float64, (rad/s)²
-    modal_mass : (m,) float64
-        Generalised masses; NaN where the file does not say.
     nodes : (n,) int64
     scalar : (n,) bool
         Scalar points: their motion is the first component.
@@ -38,12 +36,36 @@ class RecordedModes:
         The displacement frame (CD) of each node as the file says; -1 where it does not; 0 is basic.
     """
 
-    eigenvalues: Float
-    modal_mass: Float
     nodes: Int
     scalar: Bool
     motion: Float
     frames: Int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedDeflections(RecordedMotions):
+    """Static deflections (n, 6, case); `cases` are the numbers of the subcases."""
+
+    cases: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        refuse_large(self.motion, "deflection")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedModes(RecordedMotions):
+    """Modes (n, 6, m).
+
+    Attributes
+    ----------
+    eigenvalues : (m,) float64, (rad/s)²
+    modal_mass : (m,) float64
+        Generalised masses; NaN where the file does not say.
+    """
+
+    eigenvalues: Float
+    modal_mass: Float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -67,39 +89,60 @@ class RecordedModes:
         refuse_large(self.motion, "motion")
 
 
-def gathered(
-    eigenvalues: Float,
-    modal_mass: Float,
-    rows: Sequence[tuple[Int, Bool, Float]],
-    frames: dict[int, int] | None = None,
-) -> RecordedModes:
-    """One object of the rows of each mode: nodes (n,), scalar (n,), motion (n, 6), equal nodes in
-    all modes.
+Rows = Sequence[tuple[Int, Bool, Float]]
+
+
+def motions(rows: Rows, frames: dict[int, int] | None = None) -> RecordedMotions:
+    """One object of the rows of each mode or case: nodes (n,), scalar (n,), motion (n, 6), equal
+    nodes in all.
 
     Raises
     ------
     DataError
-        If the modes are given at different nodes.
+        If they are given at different nodes.
     """
-    if not rows:
-        raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
     nodes, scalar, _ = rows[0]
     for k, (other, _, _) in enumerate(rows):
         if not np.array_equal(other, nodes):
             raise DataError(
-                f"mode {k + 1} is given at {other.size} nodes, mode 1 at {nodes.size}: the file "
-                "is cut off?"
+                f"number {k + 1} is given at {other.size} nodes, the first at {nodes.size}: the "
+                "file is cut off?"
             )
     known = frames or {}
     cd = np.array([known.get(n, -1) for n in nodes.tolist()], dtype=np.int64)
-    return RecordedModes(
-        eigenvalues=eigenvalues,
-        modal_mass=modal_mass,
-        nodes=nodes,
-        scalar=scalar,
-        motion=np.stack([r[2] for r in rows], axis=2),
-        frames=cd,
-    )
+    return RecordedMotions(nodes, scalar, np.stack([r[2] for r in rows], axis=2), cd)
+
+
+def gathered(
+    eigenvalues: Float, modal_mass: Float, rows: Rows, frames: dict[int, int] | None = None
+) -> RecordedModes:
+    """Modes of the rows of each; see `motions`.
+
+    Raises
+    ------
+    DataError
+        If there are none, or the modes are given at different nodes.
+    """
+    if not rows:
+        raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
+    m = motions(rows, frames)
+    return RecordedModes(**_fields(m), eigenvalues=eigenvalues, modal_mass=modal_mass)
+
+
+def deflections(m: RecordedMotions, cases: tuple[int, ...]) -> RecordedDeflections:
+    """Motions that are static deflections of subcases."""
+    return RecordedDeflections(**_fields(m), cases=cases)
+
+
+def _fields(m: RecordedMotions) -> dict[str, Any]:
+    return {name: getattr(m, name) for name in ("nodes", "scalar", "motion", "frames")}
+
+
+def to_deflections(found: RecordedDeflections, model: Model | None = None) -> tuple[DofSet, Float]:
+    """DOFs, and deflections (case, dof) in the basic frame; see `to_mode_set`."""
+    found = _basic(found, model)
+    dofs, rows = _labels(found)
+    return dofs, found.motion.reshape(-1, len(found.cases))[rows].T
 
 
 def to_mode_set(
@@ -147,7 +190,7 @@ def to_mode_set(
     )
 
 
-def _labels(found: RecordedModes) -> tuple[DofSet, Int]:
+def _labels(found: RecordedMotions) -> tuple[DofSet, Int]:
     """Six DOFs a grid point and one a scalar point, grid points first, and their places in (node,
     6).
     """
@@ -159,7 +202,10 @@ def _labels(found: RecordedModes) -> tuple[DofSet, Int]:
     return DofSet(node, direction), 6 * np.repeat(order, n) + component
 
 
-def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
+Motions = TypeVar("Motions", bound=RecordedMotions)
+
+
+def _basic(found: Motions, model: Model | None) -> Motions:
     if model is None:
         turned = (found.frames > 0) & ~found.scalar
         if turned.any():
@@ -189,11 +235,4 @@ def _basic(found: RecordedModes, model: Model | None) -> RecordedModes:
     local = found.motion[order].reshape(at.size, 2, 3, -1)
     basic = np.einsum("nji,nkjm->nkim", turn, local).reshape(at.size, 6, -1)
     zero = np.zeros(at.size, dtype=np.int64)
-    return RecordedModes(
-        eigenvalues=found.eigenvalues,
-        modal_mass=found.modal_mass,
-        nodes=found.nodes[order],
-        scalar=scalar[order],
-        motion=basic,
-        frames=zero,
-    )
+    return replace(found, nodes=found.nodes[order], scalar=scalar[order], motion=basic, frames=zero)
