@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.polynomial import polynomial
 from scipy.fft import fft, ifft, next_fast_len
 from scipy.stats import chi2
 
@@ -32,8 +33,8 @@ class Backbone(Displayed):
     frequency : (point,) float64, Hz
     damping : (point,) float64
         Both measured, over one width of the mode's band each.
-    fit_amplitude, fit_frequency, fit_damping : (k,) float64
-        The polynomials, over the range of the amplitudes.
+    fit_amplitude : (k,) float64
+        Where the polynomials are drawn, over the range of the amplitudes.
     frequency_terms : (p,) float64, Hz
         Coefficients of the powers of amplitude / `reference`, from the 0th.
     damping_terms : (p,) float64
@@ -44,14 +45,12 @@ class Backbone(Displayed):
         Which decay each point is of.
     """
 
-    UNITS: ClassVar[dict[str, str]] = {"frequency": "Hz", "damping": "-", "fit_frequency": "Hz"}
+    UNITS: ClassVar[dict[str, str]] = {"frequency": "Hz", "damping": "-"}
 
     amplitude: Float
     frequency: Float
     damping: Float
     fit_amplitude: Float
-    fit_frequency: Float
-    fit_damping: Float
     frequency_terms: Float
     damping_terms: Float
     std_frequency_terms: Float
@@ -66,6 +65,20 @@ class Backbone(Displayed):
     def nonlinear(self) -> bool:
         """Whether frequency or damping depends on the amplitude."""
         return self.frequency_terms.size > 1
+
+    @property
+    def fit_frequency(self) -> Float:
+        """The polynomial at `fit_amplitude`, (k,) float64, Hz."""
+        return np.asarray(
+            polynomial.polyval(self.fit_amplitude / self.reference, self.frequency_terms)
+        )
+
+    @property
+    def fit_damping(self) -> Float:
+        """The polynomial at `fit_amplitude`, (k,) float64."""
+        return np.asarray(
+            polynomial.polyval(self.fit_amplitude / self.reference, self.damping_terms)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,15 +195,11 @@ def fit_backbone(
         points_z.append(-slope.real / omega)
         points_i.append(np.full(slope.size, k))
     amplitudes = np.concatenate(points_a)
-    grid = np.linspace(float(amplitudes.min()), float(amplitudes.max()), 50)
-    powers = (grid / reference)[:, None] ** np.arange(d + 1)
     found = Backbone(
         amplitude=amplitudes,
         frequency=np.concatenate(points_f),
         damping=np.concatenate(points_z),
-        fit_amplitude=grid,
-        fit_frequency=powers @ f_terms,
-        fit_damping=-(powers @ terms.real) / omega,
+        fit_amplitude=np.linspace(float(amplitudes.min()), float(amplitudes.max()), 50),
         frequency_terms=f_terms,
         damping_terms=-terms.real / omega,
         std_frequency_terms=deviation / (2 * np.pi),
