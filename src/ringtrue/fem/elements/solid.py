@@ -41,7 +41,7 @@ from ringtrue.fem.elements.elasticity import (
     nearest,
     solid,
 )
-from ringtrue.fem.elements.shape_functions import SolidRule, cube, kept, line, triangle
+from ringtrue.fem.elements.shape_functions import SolidRule, cube, folded, kept, line, triangle
 from ringtrue.fem.mesh import (
     CardRows,
     ElementMatrices,
@@ -90,11 +90,14 @@ class Quadratic:
     stiffness, mass : Rule
     pressure : (gp, k) float64
         What the dilatation is projected on; as many columns as points leave it as it is.
+    shares : (n,) float64
+        Of the lumped mass, by node; None where the consistent matrix says them.
     """
 
     stiffness: SolidRule
     mass: SolidRule
     pressure: Float
+    shares: Float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +172,17 @@ class SolidShape:
         return ElementMatrices(
             dofs=node_dofs(nodes, 3),
             stiffness=K,
-            mass=mass(x, material.rho, rule, m.coupled_mass),
+            mass=mass(x, material.rho, rule, m.coupled_mass, self._shares(present)),
             loss=material.loss,
         )
+
+    def _shares(self, present: Bool) -> Float | None:
+        """Of the lumped mass, by node that is there; an absent midside node leaves its own to its
+        corners.
+        """
+        if self.quadratic.shares is None or not present[self.corners :].any():
+            return None
+        return np.asarray(self.quadratic.shares @ folded(self.edges, present))
 
     def _flat(self, x: Float) -> Bool:
         """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a
@@ -269,16 +280,19 @@ def general(A: Any_, C: Any_) -> Any_:
     return K.reshape(e, n, n, 3, 3).transpose(0, 1, 3, 2, 4).reshape(e, 3 * n, 3 * n)
 
 
-def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool) -> Any_:
-    """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and
-    Zienkiewicz 1976).
+def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool, shares: Float | None = None) -> Any_:
+    """Consistent (e, 3n, 3n); or lumped (e, 3n) by `shares` (n,), without them by the scaled
+    diagonal (Hinton, Rock and Zienkiewicz 1976).
     """
     w = determinants(rule.derivatives, x) * rule.weights
     if coupled:
         scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)
         return scaled(rho, np.kron(scalar, np.eye(3)))
-    diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
-    share = diagonal * (w.sum(1) / diagonal.sum(1))[:, None]
+    diagonal = shares
+    if shares is None:
+        diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
+        diagonal = diagonal / diagonal.sum(1)[:, None]
+    share = diagonal * w.sum(1)[:, None]
     return np.asarray(rho[:, None] * np.repeat(share, 3, axis=1))
 
 
@@ -471,6 +485,8 @@ _TETRA_FOUR = np.full((4, 3), _TETRA_A) + (_TETRA_B - _TETRA_A) * np.eye(4)[:, :
 _TETRA_FOUR_W = np.full(4, 1 / 24)
 _TETRA_ONE = np.full((1, 3), 0.25)
 _TETRA_FINE, _TETRA_FINE_W = _tetra_conical(3)
+# as recorded of MSC Nastran: none at the corners, by the order of the corners along the edges
+_TETRA_SHARES = np.array([0, 0, 0, 0, 0.19, 0.19, 0.12, 0.19, 0.12, 0.19])
 TETRA = SolidShape(
     card="CTETRA",
     linear=Linear(
@@ -481,6 +497,7 @@ TETRA = SolidShape(
         SolidRule(*TETRAHEDRON.functions(2, _TETRA_FOUR), _TETRA_FOUR_W),
         SolidRule(*TETRAHEDRON.functions(2, _TETRA_FINE), _TETRA_FINE_W),
         np.eye(4),
+        _TETRA_SHARES,
     ),
     edges=TETRAHEDRON.edges,
     axes=_tetra_axes,
