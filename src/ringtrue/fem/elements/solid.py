@@ -286,8 +286,13 @@ def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool, shares: Float | Non
     """
     w = determinants(rule.derivatives, x) * rule.weights
     if coupled:
-        scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)
-        return scaled(rho, np.kron(scalar, np.eye(3)))
+        points, n = rule.values.shape
+        products = rule.values[:, :, None] * rule.values[:, None, :]
+        scalar = (rho[:, None] * w) @ products.reshape(points, n * n)
+        out = np.zeros((len(x), n, 3, n, 3), dtype=scalar.dtype)
+        for a in range(3):
+            out[:, :, a, :, a] = scalar.reshape(-1, n, n)
+        return out.reshape(len(x), 3 * n, 3 * n)
     diagonal = shares
     if shares is None:
         diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
