@@ -1,6 +1,6 @@
 """What the solid elements share: stiffness and mass from shape functions at integration points.
 
-CHEXA: 8 nodes with three incompatible modes (Wilson; Taylor, Beresford and Wilson 1976), 9 to 20
+CHEXA: 8 nodes with enhanced strains (Andelfinger and Ramm 1993), as in Nastran; 9 to 20
 serendipity.
 
 CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to
@@ -26,6 +26,7 @@ from scipy.special import roots_jacobi
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.elements.elasticity import (
+    PAIRS,
     Anisotropic,
     anisotropic,
     between,
@@ -60,6 +61,25 @@ FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class EnhancedStrains:
+    """Strains that an element has besides those of its shape functions; they are condensed out.
+
+    Attributes
+    ----------
+    values : (gp, m) float64
+        Each is of mean zero.
+    pair : (m,) int
+        Which entry of PAIRS it stands in, in natural coordinates.
+    centre : (1, n, 3) float64
+        Derivatives of the shape functions where the natural coordinates have their axes.
+    """
+
+    values: Float
+    pair: Int
+    centre: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Linear:
     """An element with corner nodes only.
 
@@ -72,6 +92,7 @@ class Linear:
         Derivatives of the shape functions where those modes take their Jacobian.
     pressure : (gp, k) float64
         What the dilatation is projected on, for an element without bubbles.
+    enhanced : EnhancedStrains
     """
 
     stiffness: SolidRule
@@ -79,6 +100,7 @@ class Linear:
     bubbles: Float | None = None
     centre: Float | None = None
     pressure: Float | None = None
+    enhanced: EnhancedStrains | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +244,9 @@ class SolidShape:
         for first in range(0, len(x), size):
             at = slice(first, first + size)
             some = taken(material, at)
-            if pressure is not None:
+            if linear and lin.enhanced is not None:
+                parts.append(enhanced(x[at], some, rule, lin.enhanced))
+            elif pressure is not None:
                 parts.append(projected(x[at], some, rule, pressure))
             else:
                 parts.append(kernel(x[at], some, rule, bubbles=lin.bubbles, centre=lin.centre))
@@ -250,6 +274,45 @@ def kernel(
     else:
         K = elastic(A, *solid(material.E, material.nu), material.shear)
     return condense(K, slice(3 * n), slice(3 * n, None)) if bubbles is not None else K
+
+
+def enhanced(
+    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, strains: EnhancedStrains
+) -> Any_:
+    """As `kernel`, with enhanced strains (Simo and Rifai 1990): constant strains are untouched on
+    any distortion.
+    """
+    _, det, g = jacobian(rule.derivatives, x)
+    e, points, n, _ = g.shape
+    m = strains.pair.size
+    B = np.zeros((e, points, 6, 3 * n + m), dtype=g.dtype)
+    J0 = jacobian(strains.centre, x)[0][:, 0]
+    natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
+    first, second = natural[:, np.array(PAIRS)[strains.pair]].transpose(2, 0, 1, 3)
+    for k, (a, b) in enumerate(PAIRS):
+        B[:, :, k, a : 3 * n : 3] = g[..., b]
+        B[:, :, k, b : 3 * n : 3] = g[..., a]
+        tensor = first[..., a] * second[..., b] + first[..., b] * second[..., a]
+        share = 0.5 if a == b else 1.0
+        B[:, :, k, 3 * n :] = share * tensor[:, None] * strains.values / det[:, :, None]
+    stress = (_elasticity(material)[:, None] @ B) * (det * rule.weights)[:, :, None, None]
+    rows = (e, points * 6, 3 * n + m)
+    K = B.reshape(rows).swapaxes(1, 2) @ stress.reshape(rows)
+    return condense(K, slice(3 * n), slice(3 * n, None))
+
+
+def _elasticity(material: Isotropic | Anisotropic) -> Any_:
+    """Matrices (e, 6, 6) in basic, in the order of PAIRS."""
+    if isinstance(material, Anisotropic):
+        i, j = np.array(PAIRS).T
+        return material.tensor[:, i[:, None], j[:, None], i, j]
+    c11, c12 = solid(material.E, material.nu)
+    out = np.zeros((c11.size, 6, 6), dtype=np.result_type(c11, material.shear))
+    out[:, :3, :3] = c12[:, None, None]
+    for k in range(3):
+        out[:, k, k] = c11
+        out[:, k + 3, k + 3] = material.shear
+    return out
 
 
 def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float) -> Any_:
@@ -311,6 +374,24 @@ def _hexa_axes(x: Any_) -> Any_:
     return nearest(np.stack([R, S, T], axis=1))
 
 
+def _hexa_strains(p: Float) -> EnhancedStrains:
+    """At points p (gp, 3): what direct strains and shears lack of complete linear functions, and
+    its products with the other coordinates.
+    """
+    x, y, z = p.T
+    by_pair = (
+        (x, x * y, x * z),
+        (y, y * z, y * x),
+        (z, z * x, z * y),
+        (x, y, x * z, y * z),
+        (y, z, y * x, z * x),
+        (z, x, z * y, x * y),
+    )
+    pair = np.repeat(np.arange(6), [len(values) for values in by_pair])
+    centre = HEXAHEDRON.functions(1, np.zeros((1, 3)))[1]
+    return EnhancedStrains(np.column_stack([v for values in by_pair for v in values]), pair, centre)
+
+
 _HEXA_POINTS = HEXAHEDRON.nodes(1) / np.sqrt(3)
 _HEXA_RULE = SolidRule(*HEXAHEDRON.functions(1, _HEXA_POINTS), np.ones(8))
 _HEXA_P, _HEXA_W = cube(3)
@@ -320,8 +401,7 @@ HEXA = SolidShape(
     linear=Linear(
         _HEXA_RULE,
         _HEXA_RULE,
-        bubbles=-2 * _HEXA_POINTS[:, :, None] * np.eye(3),
-        centre=HEXAHEDRON.functions(1, np.zeros((1, 3)))[1],
+        enhanced=_hexa_strains(_HEXA_POINTS),
     ),
     quadratic=Quadratic(_HEXA_FULL, _HEXA_FULL, HEXAHEDRON.functions(1, _HEXA_P)[0]),
     edges=HEXAHEDRON.edges,
