@@ -57,6 +57,7 @@ from ringtrue.model.model import Model, Table
 
 # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
 _CACHED = 2**16
+_ENTRY = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # of a tensor in the order of PAIRS
 FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
@@ -285,19 +286,25 @@ def enhanced(
     _, det, g = jacobian(rule.derivatives, x)
     e, points, n, _ = g.shape
     m = strains.pair.size
-    B = np.zeros((e, points, 6, 3 * n + m), dtype=g.dtype)
     J0 = jacobian(strains.centre, x)[0][:, 0]
     natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
+    natural = natural / np.sqrt(
+        (natural * natural).sum(axis=2, keepdims=True)
+    )  # of thin cells, too
     first, second = natural[:, np.array(PAIRS)[strains.pair]].transpose(2, 0, 1, 3)
-    for k, (a, b) in enumerate(PAIRS):
-        B[:, :, k, a : 3 * n : 3] = g[..., b]
-        B[:, :, k, b : 3 * n : 3] = g[..., a]
-        tensor = first[..., a] * second[..., b] + first[..., b] * second[..., a]
-        share = 0.5 if a == b else 1.0
-        B[:, :, k, 3 * n :] = share * tensor[:, None] * strains.values / det[:, :, None]
-    stress = (_elasticity(material)[:, None] @ B) * (det * rule.weights)[:, :, None, None]
-    rows = (e, points * 6, 3 * n + m)
-    K = B.reshape(rows).swapaxes(1, 2) @ stress.reshape(rows)
+    tensor = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
+    tensor[:3] = [0.5 * t for t in tensor[:3]]
+    shape = strains.values / det[:, :, None]
+    soft = np.stack(tensor, axis=1)[:, None] * shape[:, :, None]  # (e, gp, 6, m)
+    stress = (_elasticity(material)[:, None] @ soft) * (det * rule.weights)[:, :, None, None]
+    full = stress[:, :, _ENTRY].transpose(0, 1, 3, 2, 4).reshape(e, points * 3, 3 * m)
+    coupling = g.transpose(0, 2, 1, 3).reshape(e, n, points * 3) @ full
+    rows = (e, points * 6, m)
+    K = np.zeros((e, 3 * n + m, 3 * n + m), dtype=coupling.dtype)
+    K[:, : 3 * n, : 3 * n] = kernel(x, material, rule)
+    K[:, : 3 * n, 3 * n :] = coupling.reshape(e, 3 * n, m)
+    K[:, 3 * n :, : 3 * n] = K[:, : 3 * n, 3 * n :].swapaxes(1, 2)
+    K[:, 3 * n :, 3 * n :] = soft.reshape(rows).swapaxes(1, 2) @ stress.reshape(rows)
     return condense(K, slice(3 * n), slice(3 * n, None))
 
 
