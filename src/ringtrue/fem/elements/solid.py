@@ -288,9 +288,8 @@ def enhanced(
     m = strains.pair.size
     J0 = jacobian(strains.centre, x)[0][:, 0]
     natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
-    natural = natural / np.sqrt(
-        (natural * natural).sum(axis=2, keepdims=True)
-    )  # of thin cells, too
+    length = np.sqrt((natural * natural).sum(axis=2, keepdims=True))
+    natural = natural / length  # else those of thin cells differ by decades
     first, second = natural[:, np.array(PAIRS)[strains.pair]].transpose(2, 0, 1, 3)
     tensor = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
     tensor[:3] = [0.5 * t for t in tensor[:3]]
