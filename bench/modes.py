@@ -1,17 +1,17 @@
 """Modes end to end, from deck to modes on disk, beside CalculiX, MYSTRAN and scipy's eigsh: times
 and memory.
 
-    python bench/modes.py [--quick | --full] [--kinds shell solid] [--threads 1]
+    python bench/modes.py [--quick | --full] [--kinds shell solid tetra] [--threads 1]
 
-Free-free, the 30 lowest modes, the same mesh of CQUAD4 (a curved strip) or CHEXA (a block) for
-everyone; each run is a process of its own, the smallest CPU time of the repeats counts, memory is
+Free-free, the 30 lowest modes, the same mesh of CQUAD4 (a curved strip), CHEXA or CTETRA with ten
+nodes (a block) for everyone; each run is a process of its own, the smallest CPU time of the repeats counts, memory is
 the peak of the process. `eigsh` is scipy as it comes (SuperLU, shift-invert at the shift that we
 use), from our matrices, without reading: it is compared with our eigensolution alone. The modes are
 right if they fulfil the equations of motion, six of them are rigid, no count misses one, and the
-frequencies are those of `eigsh` and near those of CalculiX, whose solid has other incompatible
-modes. MYSTRAN's shell is another element and no measure of ours.
+frequencies are those of `eigsh` and near those of CalculiX, whose hexahedron has other incompatible
+modes. Its tetrahedron is ours, with the consistent mass in both. MYSTRAN's shell is another element and no measure of ours.
 
-Not covered: CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids (its CHEXA needs
+Not covered: `eigsh` on tetrahedra (SuperLU takes minutes), CalculiX on shells (its S4 is expanded into solids), MYSTRAN on solids (its CHEXA needs
 the integration named in PSOLID), SLEPc (see the solver of that name).
 """
 
@@ -26,6 +26,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import calculix_input
@@ -33,18 +34,20 @@ import numpy as np
 from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
 
 from ringtrue.errors import SolverMissing
+from ringtrue.model.cards import TETRAHEDRON
 from ringtrue.solvers.mystran import find_mystran
 
 HERE = Path(__file__).resolve()
 MODES, RIGID, REPEATS = 30, 6, 2
-QUICK = {"shell": (6_000,), "solid": (6_000,)}  # DOFs
-USUAL = {"shell": (50_000,), "solid": (42_000,)}
-FULL = {"shell": (50_000, 350_000), "solid": (42_000,)}
+KINDS = ("shell", "solid", "tetra")
+QUICK = {"shell": (6_000,), "solid": (6_000,), "tetra": (6_000,)}  # DOFs
+USUAL = {"shell": (50_000,), "solid": (42_000,), "tetra": (42_000,)}
+FULL = {"shell": (50_000, 350_000), "solid": (42_000,), "tetra": (42_000, 100_000)}
 EIGSH_LARGEST = 60_000  # DOFs; above it SuperLU takes many minutes
 SAME_MOST = 1e-6  # of the same matrices: rounding of thin shells, docs/theory/modes.md
 RIGID_MOST = 1e-2  # the square root of rounding
 RESIDUAL_MOST = 1e-4  # as the solver asks of itself
-OTHER_MOST = 2.0  # %, of another element on the same mesh
+OTHER_MOST = {"solid": 2.0, "tetra": 0.2}  # %, of CalculiX on the same mesh
 E, NU, RHO = 2.1e11, 0.3, 7850.0
 
 
@@ -94,12 +97,37 @@ def solid_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
     return ijk * [1.0, 0.7, 0.4] / n, c @ step[:, None] + corner @ step
 
 
+def tetra_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same block, each of its boxes cut into six tetrahedra about its diagonal (Kuhn 1960):
+    nodes (n, 3), elements (e, 10) from 0.
+    """
+    h = (0.28 * 3 / dof) ** (1 / 3)
+    n = np.maximum(np.round((np.array([1.0, 0.7, 0.4]) / h - 1) / 2).astype(int), 1)
+    places = np.meshgrid(*(np.arange(2 * k + 1) for k in n), indexing="ij")
+    ijk = np.stack(places, axis=-1).reshape(-1, 3)
+    first = ijk[(ijk % 2 == 0).all(axis=1) & (ijk < 2 * n).all(axis=1)]
+    step = np.array([(2 * n[1] + 1) * (2 * n[2] + 1), 2 * n[2] + 1, 1])
+    elements = []
+    for order in permutations(range(3)):
+        corner = np.zeros((4, 3), dtype=int)
+        for k, axis in enumerate(order):
+            corner[k + 1 :, axis] = 2
+        if np.linalg.det(corner[1:]) < 0:
+            corner = corner[[0, 2, 1, 3]]
+        middle = corner[np.array(TETRAHEDRON.edges)].sum(axis=1) // 2
+        elements.append((first @ step)[:, None] + np.vstack([corner, middle]) @ step)
+    return ijk * [1.0, 0.7, 0.4] / (2 * n), np.concatenate(elements)
+
+
 def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     """A free-field deck for SOL 103."""
     shell = elements.shape[1] == 4
     head = "SOL 103\nCEND\nMETHOD = 1\nDISP(PLOT) = ALL\nBEGIN BULK\n"
     head += f"EIGRL,1,,,{MODES}\nMAT1,1,{E:.2e},,{NU},{RHO}\n"
     head += "PSHELL,1,1,.01,1,,1\n" if shell else "PSOLID,1,1,0,2,,FULL\n"
+    tetra = elements.shape[1] == 10
+    card = "CTETRA" if tetra else "CHEXA"
+    head += "PARAM,COUPMASS,1\n" if tetra else ""
     with path.open("w") as f:
         f.write(head.replace("e+", "+"))
         f.writelines(
@@ -109,18 +137,19 @@ def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
             if shell:
                 f.write(f"CQUAD4,{k},1,{','.join(map(str, g))}\n")
             else:
-                f.write(f"CHEXA,{k},1,{','.join(map(str, g[:6]))}\n,{','.join(map(str, g[6:]))}\n")
+                f.write(f"{card},{k},1,{','.join(map(str, g[:6]))}\n,{','.join(map(str, g[6:]))}\n")
         f.write("ENDDATA\n")
 
 
 def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
-    """C3D8I, the element with incompatible modes."""
+    """C3D8I, the element with incompatible modes, or C3D10."""
+    kind = "C3D10" if elements.shape[1] == 10 else "C3D8I"
     with path.open("w") as f:
         f.write("*NODE,NSET=ALL\n")
         f.writelines(
             f"{k},{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
         )
-        f.write("*ELEMENT,TYPE=C3D8I,ELSET=ALL\n")
+        f.write(f"*ELEMENT,TYPE={kind},ELSET=ALL\n")
         f.writelines(
             f"{k},{','.join(map(str, g))}\n" for k, g in enumerate((elements + 1).tolist(), 1)
         )
@@ -267,38 +296,39 @@ def same(mine: np.ndarray, eigsh: np.ndarray) -> Check:
     return at_most("frequencies off those of eigsh by", apart(mine, eigsh), SAME_MOST)
 
 
-def near(mine: np.ndarray, other: np.ndarray) -> Check:
-    """Against another element on the same mesh."""
-    return at_most(
-        "frequencies off those of CalculiX by", 100 * apart(mine, other), OTHER_MOST, "%"
-    )
+def near(mine: np.ndarray, other: np.ndarray, kind: str) -> Check:
+    """Against CalculiX on the same mesh."""
+    off = 100 * apart(mine, other)
+    return at_most("frequencies off those of CalculiX by", off, OTHER_MOST[kind], "%")
 
 
 def case(kind: str, dof: int, threads: int, report: Report, folder: Path) -> None:
     """One mesh: ours, then the peers that can and are there."""
-    nodes, elements = (shell_mesh if kind == "shell" else solid_mesh)(dof)
+    meshes = {"shell": shell_mesh, "solid": solid_mesh, "tetra": tetra_mesh}
+    nodes, elements = meshes[kind](dof)
     write_nastran(folder / "m.bdf", nodes, elements)
     size = len(nodes) * (6 if kind == "shell" else 3)
     own_run = ours(folder, "ringtrue", threads)
     timed([sys.executable, str(HERE), "--child", "residual"], folder, threads)
     checks = solved(own_run.frequencies, json.loads((folder / "residual.json").read_text()))
-    what = f"{MODES} modes of a {kind} of {size / 1000:.0f}k DOFs"
-    if size < EIGSH_LARGEST:
+    body = "solid of CTETRA10" if kind == "tetra" else kind
+    what = f"{MODES} modes of a {body} of {size / 1000:.0f}k DOFs"
+    if size < EIGSH_LARGEST and kind != "tetra":
         plain = ours(folder, "eigsh", threads)
         check = same(own_run.frequencies, plain.frequencies)
         scipy_itself = Peer("scipy `eigsh`", {"s": plain.solution})
         report.row(f"{what}, eigensolution alone", {"s": own_run.solution}, [check], [scipy_itself])
-    name = "CalculiX" if kind == "solid" else "MYSTRAN"
-    command = calculix() if kind == "solid" else mystran()
+    name = "MYSTRAN" if kind == "shell" else "CalculiX"
+    command = mystran() if kind == "shell" else calculix()
     peers = []
     if command is None:
         report.not_run(name, "not installed")
     else:
-        if kind == "solid":
+        if kind != "shell":
             write_calculix(folder / "m.inp", nodes, elements)
         other = program(command, folder, threads)
-        if kind == "solid":
-            checks.append(near(own_run.frequencies, other.frequencies))
+        if kind != "shell":
+            checks.append(near(own_run.frequencies, other.frequencies, kind))
         peers = [Peer(name, {"s": other.seconds, "GB": other.memory})]
     report.row(f"{what}, deck to disk", {"s": own_run.seconds, "GB": own_run.memory}, checks, peers)
 
@@ -320,9 +350,7 @@ def mystran() -> list[str] | None:
 def main() -> None:
     """Run and state."""
     parser = arguments(__doc__)
-    parser.add_argument(
-        "--kinds", nargs="+", default=["shell", "solid"], choices=["shell", "solid"]
-    )
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--child", choices=["ringtrue", "eigsh", "residual"], help=argparse.SUPPRESS

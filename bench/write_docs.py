@@ -27,7 +27,8 @@ from typing import Any
 from outcome import ROOT, THREADS, Row, costs, figure, read_rows
 
 RUNS = {  # name of the results: script and its options
-    "modes": "bench/modes.py",
+    "modes": "bench/modes.py --kinds shell solid",
+    "modes_tetra": "bench/modes.py --kinds tetra",
     "derivatives": "bench/derivatives.py",
     "elements": "bench/elements.py",
     "deck_reading": "bench/deck_reading.py",

@@ -46,6 +46,17 @@ def test_eight_characters_are_the_nearest_of_their_form(x: float) -> None:
     assert format_real(real(text), 8) == text
 
 
+@given(st.floats(1e-3, 9e4), st.sampled_from([8, 16]), st.sampled_from([1, -1]))
+def test_usual_reals_keep_all_digits_that_fit(size: float, width: int, sign: int) -> None:
+    """No decimal number of as many characters is nearer."""
+    x = sign * size
+    text = format_real(x, width)
+    whole = len(str(int(size))) if size >= 1 else 0
+    decimals = width - (sign < 0) - 1 - whole
+    assert len(text) <= width
+    assert abs(float(text) - x) <= 0.5 * 10.0**-decimals * (1 + 1e-9) + 2 * np.spacing(size)
+
+
 @given(st.integers(-(10**7) + 1, 10**8 - 1))
 def test_integers_are_exact(i: int) -> None:
     value, good = integers(np.array([format_field(i).encode()]))

@@ -278,7 +278,12 @@ JUDGED: list[
         (FREE, FREE),
         [(FREE * 1.001, FREE), (FREE[:-1], FREE), (np.delete(FREE, 7), FREE)],
     ),
-    ("modes", modes.near, (FREE, 1.01 * FREE), [(FREE, 1.05 * FREE)]),
+    (
+        "modes",
+        modes.near,
+        (FREE, 1.01 * FREE, "solid"),
+        [(FREE, 1.05 * FREE, "solid"), (FREE, 1.01 * FREE, "tetra")],
+    ),
     (
         "derivatives",
         derivatives.by_differences,

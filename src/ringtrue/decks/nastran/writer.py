@@ -45,6 +45,11 @@ def format_real(value: float, width: int = 8) -> str:
     if value == 0:
         return "0.0"
     exact = repr(float(value))
+    if len(exact) <= width and "e" not in exact:
+        return exact
+    plain = _rounded(value, width)
+    if plain:
+        return plain
     count = min(len(_digits(exact)[0].lstrip("-")), width)
     rounded = (f"{value:.{k - 1}e}" for k in range(count, 0, -1))
     for digits in (exact, *rounded):
@@ -52,6 +57,29 @@ def format_real(value: float, width: int = 8) -> str:
             if len(text) <= width:
                 return text
     raise InputError(f"{value} does not fit into a field of {width} characters")
+
+
+def _rounded(value: float, width: int) -> str:
+    """A real of usual size, of which no form holds all digits, as a decimal number; "" if that may
+    not be its best form.
+    """
+    size = abs(value)
+    if not 1e-3 <= size < 10.0 ** (width - 3):
+        return ""
+    room = width - (value < 0)
+    whole = len(str(int(size))) if size >= 1 else 0
+    text = f"{size:.{room - 1 - whole}f}"
+    if whole == 0:
+        text = text.removeprefix("0")
+    rounded_up = len(text) > room or (whole == 0 and not text.startswith("."))
+    if rounded_up:  # to a digit more
+        return ""
+    text = text.rstrip("0")
+    if text.endswith("."):
+        return ""
+    if whole == 0 and len(text) < room:
+        text = "0" + text
+    return "-" + text if value < 0 else text
 
 
 def _digits(text: str) -> tuple[str, int]:
@@ -363,11 +391,21 @@ def _uniform(table: Table) -> Iterator[str]:
     if any(s.tail for s in specs):
         yield "".join(_lists(table, specs))
         return
-    small = _fields(table, specs, 8)
-    if _exact(table, specs, small):
-        yield _lines(table.card, small, 8)
-    else:
-        yield _lines(table.card, _fields(table, specs, 16), 16)
+    if not _surely_large(table, specs):
+        small = _fields(table, specs, 8)
+        if _exact(table, specs, small):
+            yield _lines(table.card, small, 8)
+            return
+    yield _lines(table.card, _fields(table, specs, 16), 16)
+
+
+def _surely_large(table: Table, specs: Sequence[FieldSpec]) -> bool:
+    """Whether a real of the first rows loses digits in eight characters: then all are not tried."""
+    if any(s.other for s in specs):
+        return False
+    names = [s.name for s in specs if s.kind == "f" and not s.blank]
+    first = np.unique([table[name][:100] for name in names])
+    return any(real(format_real(v)) != v for v in first[~np.isnan(first)].tolist())
 
 
 def _fields(table: Table, specs: Sequence[FieldSpec], width: int) -> Text:
@@ -436,23 +474,22 @@ def _lines(card: str, cells: Text, width: int) -> str:
     """
     per_line = 64 // width
     n = -(-cells.shape[1] // per_line)
-    padded = np.full((len(cells), n * per_line), "", dtype=cells.dtype)
+    padded = np.full((len(cells), n * per_line), "", dtype=f"U{width}")
     padded[:, : cells.shape[1]] = cells
     used = np.where(padded != "", np.arange(padded.shape[1]) // per_line + 1, 1).max(axis=1)
     if width == 16:
         used += used % 2  # large-field lines come in pairs
+    bodies = np.strings.rjust(padded, width).view("U64")  # (row, line)
     star = "" if width == 8 else "*"
-    head = [(card + star).ljust(8), *[star.ljust(8)] * n]
     out = np.empty(len(cells), dtype=object)
     for k in np.unique(used).tolist():
         rows = np.flatnonzero(used == k)
-        block = np.strings.rjust(padded[rows, : min(k, n) * per_line], width)
-        made = []
-        for row in block.tolist():
-            starts = range(0, k * per_line, per_line)
-            bodies = ("".join(row[start : start + per_line]) for start in starts)
-            made.append("\n".join((h + b).rstrip() for h, b in zip(head, bodies, strict=False)))
-        out[rows] = made
+        lines = [[star] * len(rows)] * k
+        for line in range(min(k, n)):
+            head = star if line else card + star
+            whole = np.strings.add(head.ljust(8), bodies[rows, line])
+            lines[line] = np.strings.rstrip(whole).tolist()
+        out[rows] = list(map("\n".join, zip(*lines, strict=True)))
     return "\n".join(out.tolist()) + "\n"
 
 

@@ -262,6 +262,17 @@ class SolidRule:
     weights: Float
 
 
+def folded(ends: Sequence[tuple[int, int]], present: Bool) -> Float:
+    """What each node of the whole element is of those that are there, (n, present) float64; see
+    `kept`.
+    """
+    absent = np.flatnonzero(~present)
+    fold = np.eye(present.size)
+    fold[absent, absent] = 0.0
+    fold[absent[:, None], np.asarray(ends)[absent - (present.size - len(ends))]] = 0.5
+    return fold[:, present]
+
+
 def kept(rule: SolidRule, ends: Sequence[tuple[int, int]], present: Bool) -> SolidRule:
     """The rule of an element of which only the nodes `present` (n,) exist; the corners come first.
 
@@ -269,12 +280,7 @@ def kept(rule: SolidRule, ends: Sequence[tuple[int, int]], present: Bool) -> Sol
     it is absent, in place and in motion: the edge is straight and linear, and meets the linear edge
     of a neighbour.
     """
-    corners = rule.values.shape[1] - len(ends)
-    absent = np.flatnonzero(~present)
-    fold = np.eye(present.size)
-    fold[absent, absent] = 0.0
-    fold[absent[:, None], np.asarray(ends)[absent - corners]] = 0.5
-    fold = fold[:, present]
+    fold = folded(ends, present)
     return SolidRule(
         rule.values @ fold, np.einsum("gnr,nk->gkr", rule.derivatives, fold), rule.weights
     )

@@ -1,6 +1,6 @@
 """What the solid elements share: stiffness and mass from shape functions at integration points.
 
-CHEXA: 8 nodes with three incompatible modes (Wilson; Taylor, Beresford and Wilson 1976), 9 to 20
+CHEXA: 8 nodes with enhanced strains (Andelfinger and Ramm 1993), as in Nastran; 9 to 20
 serendipity.
 
 CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to
@@ -26,6 +26,7 @@ from scipy.special import roots_jacobi
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.elements.elasticity import (
+    PAIRS,
     Anisotropic,
     anisotropic,
     between,
@@ -41,7 +42,7 @@ from ringtrue.fem.elements.elasticity import (
     nearest,
     solid,
 )
-from ringtrue.fem.elements.shape_functions import SolidRule, cube, kept, line, triangle
+from ringtrue.fem.elements.shape_functions import SolidRule, cube, folded, kept, line, triangle
 from ringtrue.fem.mesh import (
     CardRows,
     ElementMatrices,
@@ -56,7 +57,27 @@ from ringtrue.model.model import Model, Table
 
 # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
 _CACHED = 2**16
+_ENTRY = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # of a tensor in the order of PAIRS
 FLAT = 1e-12  # of the cube on the longest extent: less volume is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnhancedStrains:
+    """Strains that an element has besides those of its shape functions; they are condensed out.
+
+    Attributes
+    ----------
+    values : (gp, m) float64
+        Each is of mean zero.
+    pair : (m,) int
+        Which entry of PAIRS it stands in, in natural coordinates.
+    centre : (1, n, 3) float64
+        Derivatives of the shape functions where the natural coordinates have their axes.
+    """
+
+    values: Float
+    pair: Int
+    centre: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +93,7 @@ class Linear:
         Derivatives of the shape functions where those modes take their Jacobian.
     pressure : (gp, k) float64
         What the dilatation is projected on, for an element without bubbles.
+    enhanced : EnhancedStrains
     """
 
     stiffness: SolidRule
@@ -79,6 +101,7 @@ class Linear:
     bubbles: Float | None = None
     centre: Float | None = None
     pressure: Float | None = None
+    enhanced: EnhancedStrains | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,11 +113,15 @@ class Quadratic:
     stiffness, mass : Rule
     pressure : (gp, k) float64
         What the dilatation is projected on; as many columns as points leave it as it is.
+    shares : callable
+        Of the lumped mass, by node (e, n), from the places (e, n, 3) of all nodes; None where the
+        consistent matrix says them.
     """
 
     stiffness: SolidRule
     mass: SolidRule
     pressure: Float
+    shares: Callable[[Any_], Any_] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +196,18 @@ class SolidShape:
         return ElementMatrices(
             dofs=node_dofs(nodes, 3),
             stiffness=K,
-            mass=mass(x, material.rho, rule, m.coupled_mass),
+            mass=mass(x, material.rho, rule, m.coupled_mass, self._shares(x, present)),
             loss=material.loss,
         )
+
+    def _shares(self, x: Any_, present: Bool) -> Any_ | None:
+        """Of the lumped mass, by node that is there (e, n) from their places (e, n, 3); an absent
+        midside node leaves its own to its corners.
+        """
+        if self.quadratic.shares is None or not present[self.corners :].any():
+            return None
+        fold = folded(self.edges, present)
+        return np.asarray(self.quadratic.shares(fold @ x) @ fold)
 
     def _flat(self, x: Float) -> Bool:
         """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a
@@ -211,7 +247,9 @@ class SolidShape:
         for first in range(0, len(x), size):
             at = slice(first, first + size)
             some = taken(material, at)
-            if pressure is not None:
+            if linear and lin.enhanced is not None:
+                parts.append(enhanced(x[at], some, rule, lin.enhanced))
+            elif pressure is not None:
                 parts.append(projected(x[at], some, rule, pressure))
             else:
                 parts.append(kernel(x[at], some, rule, bubbles=lin.bubbles, centre=lin.centre))
@@ -239,6 +277,50 @@ def kernel(
     else:
         K = elastic(A, *solid(material.E, material.nu), material.shear)
     return condense(K, slice(3 * n), slice(3 * n, None)) if bubbles is not None else K
+
+
+def enhanced(
+    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, strains: EnhancedStrains
+) -> Any_:
+    """As `kernel`, with enhanced strains (Simo and Rifai 1990): constant strains are untouched on
+    any distortion.
+    """
+    _, det, g = jacobian(rule.derivatives, x)
+    e, points, n, _ = g.shape
+    m = strains.pair.size
+    J0 = jacobian(strains.centre, x)[0][:, 0]
+    natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
+    length = np.sqrt((natural * natural).sum(axis=2, keepdims=True))
+    natural = natural / length  # else those of thin cells differ by decades
+    first, second = natural[:, np.array(PAIRS)[strains.pair]].transpose(2, 0, 1, 3)
+    tensor = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
+    tensor[:3] = [0.5 * t for t in tensor[:3]]
+    shape = strains.values / det[:, :, None]
+    soft = np.stack(tensor, axis=1)[:, None] * shape[:, :, None]  # (e, gp, 6, m)
+    stress = (_elasticity(material)[:, None] @ soft) * (det * rule.weights)[:, :, None, None]
+    full = stress[:, :, _ENTRY].transpose(0, 1, 3, 2, 4).reshape(e, points * 3, 3 * m)
+    coupling = g.transpose(0, 2, 1, 3).reshape(e, n, points * 3) @ full
+    rows = (e, points * 6, m)
+    K = np.zeros((e, 3 * n + m, 3 * n + m), dtype=coupling.dtype)
+    K[:, : 3 * n, : 3 * n] = kernel(x, material, rule)
+    K[:, : 3 * n, 3 * n :] = coupling.reshape(e, 3 * n, m)
+    K[:, 3 * n :, : 3 * n] = K[:, : 3 * n, 3 * n :].swapaxes(1, 2)
+    K[:, 3 * n :, 3 * n :] = soft.reshape(rows).swapaxes(1, 2) @ stress.reshape(rows)
+    return condense(K, slice(3 * n), slice(3 * n, None))
+
+
+def _elasticity(material: Isotropic | Anisotropic) -> Any_:
+    """Matrices (e, 6, 6) in basic, in the order of PAIRS."""
+    if isinstance(material, Anisotropic):
+        i, j = np.array(PAIRS).T
+        return material.tensor[:, i[:, None], j[:, None], i, j]
+    c11, c12 = solid(material.E, material.nu)
+    out = np.zeros((c11.size, 6, 6), dtype=np.result_type(c11, material.shear))
+    out[:, :3, :3] = c12[:, None, None]
+    for k in range(3):
+        out[:, k, k] = c11
+        out[:, k + 3, k + 3] = material.shear
+    return out
 
 
 def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float) -> Any_:
@@ -269,16 +351,24 @@ def general(A: Any_, C: Any_) -> Any_:
     return K.reshape(e, n, n, 3, 3).transpose(0, 1, 3, 2, 4).reshape(e, 3 * n, 3 * n)
 
 
-def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool) -> Any_:
-    """Consistent (e, 3n, 3n), or lumped by its scaled diagonal (e, 3n) (Hinton, Rock and
-    Zienkiewicz 1976).
+def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool, shares: Any_ | None = None) -> Any_:
+    """Consistent (e, 3n, 3n); or lumped (e, 3n) by `shares` (e, n), without them by the scaled
+    diagonal (Hinton, Rock and Zienkiewicz 1976).
     """
     w = determinants(rule.derivatives, x) * rule.weights
     if coupled:
-        scalar = np.einsum("eg,gi,gj->eij", w, rule.values, rule.values)
-        return scaled(rho, np.kron(scalar, np.eye(3)))
-    diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
-    share = diagonal * (w.sum(1) / diagonal.sum(1))[:, None]
+        points, n = rule.values.shape
+        products = rule.values[:, :, None] * rule.values[:, None, :]
+        scalar = (rho[:, None] * w) @ products.reshape(points, n * n)
+        out = np.zeros((len(x), n, 3, n, 3), dtype=scalar.dtype)
+        for a in range(3):
+            out[:, :, a, :, a] = scalar.reshape(-1, n, n)
+        return out.reshape(len(x), 3 * n, 3 * n)
+    diagonal = shares
+    if shares is None:
+        diagonal = np.einsum("eg,gi->ei", w, rule.values**2)
+        diagonal = diagonal / diagonal.sum(1)[:, None]
+    share = diagonal * w.sum(1)[:, None]
     return np.asarray(rho[:, None] * np.repeat(share, 3, axis=1))
 
 
@@ -292,6 +382,24 @@ def _hexa_axes(x: Any_) -> Any_:
     return nearest(np.stack([R, S, T], axis=1))
 
 
+def _hexa_strains(p: Float) -> EnhancedStrains:
+    """At points p (gp, 3): what direct strains and shears lack of complete linear functions, and
+    its products with the other coordinates.
+    """
+    x, y, z = p.T
+    by_pair = (
+        (x, x * y, x * z),
+        (y, y * z, y * x),
+        (z, z * x, z * y),
+        (x, y, x * z, y * z),
+        (y, z, y * x, z * x),
+        (z, x, z * y, x * y),
+    )
+    pair = np.repeat(np.arange(6), [len(values) for values in by_pair])
+    centre = HEXAHEDRON.functions(1, np.zeros((1, 3)))[1]
+    return EnhancedStrains(np.column_stack([v for values in by_pair for v in values]), pair, centre)
+
+
 _HEXA_POINTS = HEXAHEDRON.nodes(1) / np.sqrt(3)
 _HEXA_RULE = SolidRule(*HEXAHEDRON.functions(1, _HEXA_POINTS), np.ones(8))
 _HEXA_P, _HEXA_W = cube(3)
@@ -301,8 +409,7 @@ HEXA = SolidShape(
     linear=Linear(
         _HEXA_RULE,
         _HEXA_RULE,
-        bubbles=-2 * _HEXA_POINTS[:, :, None] * np.eye(3),
-        centre=HEXAHEDRON.functions(1, np.zeros((1, 3)))[1],
+        enhanced=_hexa_strains(_HEXA_POINTS),
     ),
     quadratic=Quadratic(_HEXA_FULL, _HEXA_FULL, HEXAHEDRON.functions(1, _HEXA_P)[0]),
     edges=HEXAHEDRON.edges,
@@ -471,6 +578,22 @@ _TETRA_FOUR = np.full((4, 3), _TETRA_A) + (_TETRA_B - _TETRA_A) * np.eye(4)[:, :
 _TETRA_FOUR_W = np.full(4, 1 / 24)
 _TETRA_ONE = np.full((1, 3), 0.25)
 _TETRA_FINE, _TETRA_FINE_W = _tetra_conical(3)
+
+
+def _tetra_shares(x: Any_) -> Any_:
+    """Of the lumped mass, by node (e, 10) at x (e, 10, 3), as recorded of MSC Nastran.
+
+    None at the corners. A tenth at each midside node, with which the second moments are right; the
+    rest by the distance from the midside node of the opposite edge to the power -3/2, found from
+    recorded frequencies. Opposite edges have equal shares, so that the centre of gravity is right.
+    """
+    across = x[:, 4:] - x[:, [9, 7, 8, 5, 6, 4]]  # midside nodes less those of the opposite edges
+    near = (across * across).sum(axis=2) ** -0.75
+    out = np.zeros(x.shape[:2], dtype=near.dtype)
+    out[:, 4:] = 0.1 + 0.4 * near / near.sum(axis=1, keepdims=True)
+    return out
+
+
 TETRA = SolidShape(
     card="CTETRA",
     linear=Linear(
@@ -481,6 +604,7 @@ TETRA = SolidShape(
         SolidRule(*TETRAHEDRON.functions(2, _TETRA_FOUR), _TETRA_FOUR_W),
         SolidRule(*TETRAHEDRON.functions(2, _TETRA_FINE), _TETRA_FINE_W),
         np.eye(4),
+        _tetra_shares,
     ),
     edges=TETRAHEDRON.edges,
     axes=_tetra_axes,
