@@ -203,8 +203,11 @@ def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:
     )
 
 
-def event_notes(events: list[Events]) -> tuple[str, ...]:
-    """A note on the events of all stretches."""
+FEW_PERIODS = 5.0  # between two events: with fewer, stated deviations are half of the scatter
+
+
+def event_notes(events: list[Events], frequencies: Float) -> tuple[str, ...]:
+    """A note on the events of all stretches, and on modes (m,), Hz, of few periods between two."""
     count = sum(e.count for e in events)
     if not count:
         return ()
@@ -215,6 +218,12 @@ def event_notes(events: list[Events]) -> tuple[str, ...]:
         use = "the decays after them are used"
     if driven and count < 8:
         use += "; so few make the stated deviations rough"
+    slow = frequencies < FEW_PERIODS / max(e.interval for e in events)
+    if driven and slow.any():
+        use += (
+            f"; modes below {frequencies[slow].max():.4g} Hz have less than {FEW_PERIODS:.0f} "
+            "periods between two, their stated deviations are rough"
+        )
     plural = "s" if count > 1 else ""
     return (f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",)
 
