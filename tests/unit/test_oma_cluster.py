@@ -55,9 +55,10 @@ def test_bands_without_longer_lags_are_left_out():
     bands = bands_for(64.0, 400.0, AmbientSettings())
     assert [band.rate for band in bands] == [64.0, 16.0, 4.0, 1.0]
     assert bands_of_use(bands, 4000.0, NONE, 50) == bands
-    # 16 Hz: lags of a thirtieth of 80 s at most, and no longer ones at 4 Hz
-    first, last = bands_of_use(bands, 80.0, NONE, 50)
-    assert (first.rate, last.rate, last.low) == (64.0, 16.0, bands[-1].low)
+    assert bands_of_use(bands, 48.0, NONE, 50) == bands
+    # lags of a thirtieth of 40 s at most, and no longer ones at 16 Hz
+    (only,) = bands_of_use(bands, 40.0, NONE, 50)
+    assert (only.rate, only.low, only.high) == (64.0, bands[-1].low, bands[0].high)
 
 
 def test_bands_reach_from_one_event_to_the_next_only_below_its_lines():

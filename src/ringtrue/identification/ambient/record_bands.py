@@ -154,24 +154,24 @@ def _block_rows(samples: int, most: int) -> int:
 def bands_of_use(
     bands: tuple[Band, ...], duration: float, events: Events, block_rows: int
 ) -> tuple[Band, ...]:
-    """The bands of a pyramid whose lags reach further than those of the band above, which goes down
-    in the place of the others.
+    """The bands of a pyramid whose longer lags are of use; the one above goes down in the place of
+    the others.
 
-    In a short record they do not: its length bounds the lags at all rates alike. Where events drive
-    the record, correlations must end before the next event, as at equal intervals what reaches
-    across does not average out: it is lines at all multiples of one over the interval. Bands below
-    the first line see a force that lasts.
+    In a short record there is one band: its length bounds the lags at all rates alike. Where events
+    drive the record, correlations must end before the next event, as at equal intervals what
+    reaches across does not average out: it is lines at all multiples of one over the interval.
+    Bands below the first line see a force that lasts.
     """
-    whole = [_block_rows(int(duration * b.rate), block_rows) == block_rows for b in bands]
-    kept = bands[: (*whole, False).index(False) + 1]
-    kept = (*kept[:-1], replace(kept[-1], low=bands[-1].low))
-    ends = [events.ends_before_next(2 * block_rows / b.rate) for b in kept]
+    low = bands[-1].low
+    if _block_rows(int(duration * bands[0].rate), block_rows) < block_rows:
+        return (replace(bands[0], low=low),)
+    ends = [events.ends_before_next(2 * block_rows / b.rate) for b in bands]
     if not events.driven or not ends[0] or all(ends):
-        return kept
+        return bands
     first = ends.index(False)
-    line = max(1 / events.interval, kept[-1].low)
-    slow = [replace(b, high=min(b.high, line)) for b in kept[first:] if b.low < line]
-    return (*kept[: first - 1], replace(kept[first - 1], low=line), *slow)
+    line = max(1 / events.interval, low)
+    slow = [replace(b, high=min(b.high, line)) for b in bands[first:] if b.low < line]
+    return (*bands[: first - 1], replace(bands[first - 1], low=line), *slow)
 
 
 def first_sums(
