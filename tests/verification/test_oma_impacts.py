@@ -135,8 +135,8 @@ def test_impacts_that_follow_soon_leave_no_bias(interval: float) -> None:
 def test_modes_with_few_periods_between_impacts_are_named() -> None:
     few = identify_ambient(dropped_elsewhere(1.9, 90, 0, rate=128.0))
     many = identify_ambient(dropped_elsewhere(4.7, 90, 0, rate=128.0))
-    assert any("less than 5 periods" in note for note in few.notes)
-    assert not any("less than 5 periods" in note for note in many.notes)
+    assert any("fewer than 5 periods" in note for note in few.notes)
+    assert not any("fewer than 5 periods" in note for note in many.notes)
 
 
 def test_modes_of_a_slow_structure() -> None:

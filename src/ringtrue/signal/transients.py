@@ -193,8 +193,8 @@ class Events:
         Events that follow within a pause are one by their `times`, but not here.
         """
         begins = np.flatnonzero(np.diff(self.struck.astype(np.int8), prepend=0) > 0)
-        apart = np.diff(begins) if begins.size > 1 else self.struck.size
-        return 2 * longest_lag < float(np.median(apart)) * self.window
+        windows = np.diff(begins) if begins.size > 1 else self.struck.size
+        return 2 * longest_lag < float(np.median(windows)) * self.window
 
     @property
     def kept(self) -> float:

@@ -157,7 +157,7 @@ def bands_of_use(
     """The bands of a pyramid whose longer lags are of use; the one above goes down in the place of
     the others.
 
-    In a short record there is one band: its length bounds the lags at all rates alike. Where events
+    In a short record there is one band: its length bounds the lags at any rate. Where events
     drive the record, correlations must end before the next event, as at equal intervals what
     reaches across does not average out: it is lines at all multiples of one over the interval.
     Bands below the first line see a force that lasts.

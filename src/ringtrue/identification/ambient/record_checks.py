@@ -203,9 +203,6 @@ def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:
     )
 
 
-FEW_PERIODS = 5.0  # between two events: with fewer, stated deviations are half of the scatter
-
-
 def event_notes(events: list[Events], frequencies: Float) -> tuple[str, ...]:
     """A note on the events of all stretches, and on modes (m,), Hz, of few periods between two."""
     count = sum(e.count for e in events)
@@ -218,10 +215,11 @@ def event_notes(events: list[Events], frequencies: Float) -> tuple[str, ...]:
         use = "the decays after them are used"
     if driven and count < 8:
         use += "; so few make the stated deviations rough"
-    slow = frequencies < FEW_PERIODS / max(e.interval for e in events)
+    few = 5.0  # periods: with fewer, stated deviations fall short of the scatter
+    slow = frequencies < few / max(e.interval for e in events)
     if driven and slow.any():
         use += (
-            f"; modes below {frequencies[slow].max():.4g} Hz have less than {FEW_PERIODS:.0f} "
+            f"; modes up to {frequencies[slow].max():.4g} Hz have fewer than {few:.0f} "
             "periods between two, their stated deviations are rough"
         )
     plural = "s" if count > 1 else ""
