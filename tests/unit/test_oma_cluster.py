@@ -13,12 +13,14 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.identification.ambient.confidence import all_clear, confidence, evidence, weakest
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
+from ringtrue.identification.ambient.record_bands import bands_of_use
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.ambient.ssi_cov import SsiCov, decompose, hankel_gram, squared_hankel
 from ringtrue.identification.common.merging import merge_modes
 from ringtrue.identification.common.stabilisation import cluster_poles, least_deviations
 from ringtrue.identification.common.uncertainty import frequency_damping, hankel, perturb
 from ringtrue.shapes import mac
+from ringtrue.signal.transients import NONE, Events
 
 
 def test_close_pair_with_unlike_shapes_stays_apart():
@@ -47,6 +49,30 @@ def test_bands_overlap_and_reach_the_lowest_frequency():
     assert bands_for(200.0, 600.0, AmbientSettings(fmin=0.5, fmax=10.0))[0].rate < 40.0
     with pytest.raises(ConfigError, match="is empty"):
         bands_for(10.0, 600.0, AmbientSettings(fmin=8.0))
+
+
+def test_bands_without_longer_lags_are_left_out():
+    bands = bands_for(64.0, 400.0, AmbientSettings())
+    assert [band.rate for band in bands] == [64.0, 16.0, 4.0, 1.0]
+    assert bands_of_use(bands, 4000.0, NONE, 50) == bands
+    assert bands_of_use(bands, 48.0, NONE, 50) == bands
+    # lags of a thirtieth of 40 s at most, and no longer ones at 16 Hz
+    (only,) = bands_of_use(bands, 40.0, NONE, 50)
+    assert (only.rate, only.low, only.high) == (64.0, bands[-1].low, bands[0].high)
+
+
+def test_bands_reach_from_one_event_to_the_next_only_below_its_lines():
+    bands = bands_for(64.0, 400.0, AmbientSettings())
+    struck = np.zeros(1600, dtype=np.bool_)
+    struck[10::20] = True  # every 5 s
+    times = 0.25 * np.flatnonzero(struck)
+    events = Events(struck, 0.25, times.size, level=20.0, share=0.9, times=times)
+    first, slow = bands_of_use(bands, 4000.0, events, 50)
+    assert (first.rate, first.low, first.high) == (64.0, 0.2, bands[0].high)
+    assert (slow.rate, slow.low, slow.high) == (1.0, bands[-1].low, 0.2)
+    often = replace(events, window=0.125, times=times / 2)  # lags of 1.6 s, impacts every 2.5 s
+    assert bands_of_use(bands, 4000.0, often, 50) == bands
+    assert bands_of_use(bands, 4000.0, replace(events, share=0.1), 50) == bands
 
 
 @pytest.mark.parametrize(

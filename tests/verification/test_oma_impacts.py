@@ -61,6 +61,20 @@ def dropped(
     return history(y + 1e-3 * peak * rng.standard_normal(y.shape), rate)
 
 
+def dropped_elsewhere(interval: float, count: int, seed: int, rate: float = 64.0) -> TimeHistory:
+    """A weight dropped at equal intervals, each time at another of six points, beside random forces
+    of a tenth of its motion.
+    """
+    rng = np.random.default_rng(seed)
+    at = (interval * rate * np.arange(0.5, count)).astype(int)
+    force = np.zeros((6, int(interval * count * rate)))
+    force[rng.integers(0, 6, count), at] = rng.uniform(0.7, 1.3, count)
+    y = response(PHI.T @ force, rate)
+    random = response(rng.standard_normal((5, force.shape[1])), rate)
+    y += 0.1 * y.std() / random.std() * random
+    return history(y + 0.01 * y.std() * rng.standard_normal(y.shape), rate)
+
+
 def every(interval: float, seconds: float) -> np.ndarray:
     return np.arange(3.0, seconds, interval)
 
@@ -100,6 +114,29 @@ def test_impacts_of_a_hand(levels: float, scatter: float, rate: float) -> None:
 @pytest.mark.parametrize(("ambient", "damping"), [(0.003, DAMPING), (0.1, 0.5)])
 def test_impacts_beside_random_forces(ambient: float, damping: float) -> None:
     check(identify_ambient(dropped(every(25.0, 400.0), 400.0, ambient=ambient)), damping)
+
+
+@pytest.mark.parametrize("interval", [3.8, 4.7, 5.6])  # 8 to 12 periods of the first mode
+def test_impacts_that_follow_soon_leave_no_bias(interval: float) -> None:
+    """Correlations that reach across impacts at equal intervals have lines at all multiples of
+    1/T, which move the lowest mode by many of its stated deviations.
+    """
+    off = []
+    for seed in range(4):
+        r = identify_ambient(dropped_elsewhere(interval, 90, seed))
+        assert len(r.modes) == 5, r.notes
+        frequency = (r.modes.frequencies - F) / r.uncertainty.frequency
+        damping = (r.modes.damping - Z) / r.uncertainty.damping
+        off.append([frequency, damping])
+    assert np.abs(off).max() < 4.0
+    assert np.sqrt(np.square(off).mean()) < 1.4
+
+
+def test_modes_with_few_periods_between_impacts_are_named() -> None:
+    few = identify_ambient(dropped_elsewhere(1.9, 90, 0, rate=128.0))
+    many = identify_ambient(dropped_elsewhere(4.7, 90, 0, rate=128.0))
+    assert any("fewer than 5 periods" in note for note in few.notes)
+    assert not any("fewer than 5 periods" in note for note in many.notes)
 
 
 def test_modes_of_a_slow_structure() -> None:

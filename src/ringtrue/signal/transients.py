@@ -186,6 +186,16 @@ class Events:
             else self.struck.size * self.window
         )
 
+    def ends_before_next(self, longest_lag: float) -> bool:
+        """Whether correlations of so many seconds end before the next event, from half of the
+        samples or more.
+
+        Events that follow within a pause are one by their `times`, but not here.
+        """
+        begins = np.flatnonzero(np.diff(self.struck.astype(np.int8), prepend=0) > 0)
+        windows = np.diff(begins) if begins.size > 1 else self.struck.size
+        return 2 * longest_lag < float(np.median(windows)) * self.window
+
     @property
     def kept(self) -> float:
         """Share of the record that is not lost."""
@@ -204,14 +214,15 @@ class Events:
         """(sample,) float32: 1 where a sample may be the earlier one of a pair, 0 elsewhere; None:
         all of them.
 
-        All of them, too, where the events come so often that little would be left. Lost stretches
-        so short and many that far more than they would have to go stay, as straight lines.
+        All of them, too, where the events come so often that little would be left, but for decays
+        that hold most of the motion. Lost stretches so short and many that far more than they would
+        have to go stay, as straight lines.
         """
         ahead = _before(self.struck, 1 / self.window, samples, rate, lags)
         lost = _before(self.gone, self.rate, samples, rate, lags)
         if lost.mean() < 3.0 * (1 - self.kept) + 0.1:
             ahead = ahead | lost
-        most = 0.7  # of the record, that may go
+        most = 1.0 if self.driven and self.ends_before_next(lags / rate) else 0.7
         return np.asarray(~ahead, dtype=np.float32) if 0 < ahead.mean() < most else None
 
 

@@ -43,6 +43,7 @@ from ringtrue.identification.ambient.record_bands import (
     STEP,
     BandSums,
     FirstStretch,
+    bands_of_use,
     events_of,
     steady_sines,
     sums_of_stretches,
@@ -272,7 +273,9 @@ def modes_of_record(
         result = replace(result, unexplained=_unexplained(record, weighed.sums, result))
     report(1.0, f"{len(result.modes)} modes")
     noisy = noisy_channels(result.modes, result.uncertainty.shape)
-    notes = record.notes + event_notes(weighed.events) + result.record_notes
+    notes = (
+        record.notes + event_notes(weighed.events, result.modes.frequencies) + result.record_notes
+    )
     if facts.motion:
         kinds = f"channels of different kinds: shapes are those of {facts.motion.kind} in all"
         notes = (kinds, *notes)
@@ -371,11 +374,13 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
     else:
         unclipped = None
         notes += ("every channel is clipped: machines are not distinguished from modes",)
+    events = impacts if clean is good else events_of(clean, gaps)
+    bands = bands_of_use(bands, good.duration, events, settings.block_rows)
     return FirstStretch(
         good=clean,
         unclipped=unclipped,
         gaps=gaps,
-        events=impacts if clean is good else events_of(clean, gaps),
+        events=events,
         factor=factor,
         references=references,
         bands=bands,
@@ -541,14 +546,13 @@ def _against(
     out: list[Note | None] = []
     for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
         line = on_line[k]
-        decays_by = 2 * np.pi * z * x * facts.interval  # from one impact to the next
         found: tuple[str, dict[str, float | str]] | None = None
         if line:
             found = "candidate line", {"why": line.why, "line": line.frequency}
         elif left[k]:
             speed = record.machines[orders.machine[k]].frequency
             found = "candidate harmonic", {"order": int(orders.order[k]), "speed": speed}
-        elif facts.interval and facts.impacts.lines_near(x) and decays_by < 0.3:
+        elif facts.interval and facts.impacts.lines_near(x) and z < 3 * of.std_damping[k]:
             found = "candidate impacts", {}
         elif remainders[k]:
             found = "candidate remainder", {"line": remainders[k]}

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,10 +135,43 @@ def _in_pairs(x: BandSums) -> BandSums:
     return replace(x, parts=(r,), shares=(share.mean(1),), blocks=max(x.blocks // 2, 1))
 
 
-def _filters(band: Band, last: bool) -> tuple[Fir, Fir]:
+def _filters(band: Band, factor: int) -> tuple[Fir, Fir]:
     """What leaves out all below a third of the lower limit, and the decimation to the next rate."""
     high = high_passer(min(band.low / 1.5, 0.24 * band.rate), band.rate)
-    return high, Fir(np.ones(1)) if last else decimator(STEP)
+    return high, Fir(np.ones(1)) if factor == 1 else decimator(factor)
+
+
+def _steps(bands: Sequence[Band]) -> list[int]:
+    """From the rate of each band to that of the next, 1 for the last."""
+    return [round(a.rate / b.rate) for a, b in pairwise((*bands, bands[-1]))]
+
+
+def _block_rows(samples: int, most: int) -> int:
+    """So many that the longest lag is a thirtieth of the record."""
+    return int(np.clip(samples // 60, 10, most))
+
+
+def bands_of_use(
+    bands: tuple[Band, ...], duration: float, events: Events, block_rows: int
+) -> tuple[Band, ...]:
+    """The bands of a pyramid whose longer lags are of use; the one above goes down in the place of
+    the others.
+
+    In a short record there is one band: its length bounds the lags at any rate. Where events
+    drive the record, correlations must end before the next event, as at equal intervals what
+    reaches across does not average out: it is lines at all multiples of one over the interval.
+    Bands below the first line see a force that lasts.
+    """
+    low = bands[-1].low
+    if _block_rows(int(duration * bands[0].rate), block_rows) < block_rows:
+        return (replace(bands[0], low=low),)
+    ends = [events.ends_before_next(2 * block_rows / b.rate) for b in bands]
+    if not events.driven or not ends[0] or all(ends):
+        return bands
+    first = ends.index(False)
+    line = max(1 / events.interval, low)
+    slow = [replace(b, high=min(b.high, line)) for b in bands[first:] if b.low < line]
+    return (*bands[: first - 1], replace(bands[first - 1], low=line), *slow)
 
 
 def first_sums(
@@ -161,11 +195,11 @@ def first_sums(
     """
     y = _at_first_rate(data, rate, bands)
     out = []
-    for band in bands:
-        rows = int(np.clip(y.samples // 60, 10, ssi.block_rows))
+    for band, factor in zip(bands, _steps(bands), strict=True):
+        rows = _block_rows(y.samples, ssi.block_rows)
         blocks = ssi.blocks or var.blocks_for(y.samples, 2 * rows - 1)
         own = replace(ssi, block_rows=rows)
-        high, down = _filters(band, band is bands[-1])
+        high, down = _filters(band, factor)
         cut = band_correlations.segments(y.samples, blocks, 2 * rows - 1, high, down)
         scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
@@ -182,7 +216,7 @@ def first_sums(
             spectra=NOTHING,
             stretches=0,
         )
-        got, y = _pass(first, y, events, band is bands[-1])
+        got, y = _pass(first, y, events, factor)
         out.append(got)
     return out
 
@@ -195,8 +229,8 @@ def stretch_sums(
     """
     y = _at_first_rate(data, rate, tuple(x.band for x in sums))
     out = []
-    for x in sums:
-        got, y = _pass(x, y, events, x is sums[-1])
+    for x, factor in zip(sums, _steps([x.band for x in sums]), strict=True):
+        got, y = _pass(x, y, events, factor)
         out.append(got)
     return out
 
@@ -216,16 +250,16 @@ def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
     )
 
 
-def _pass(x: BandSums, y: Signals, events: Events, last: bool) -> tuple[BandSums, Signals]:
+def _pass(x: BandSums, y: Signals, events: Events, factor: int) -> tuple[BandSums, Signals]:
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
-    high, down = _filters(x.band, last)
+    high, down = _filters(x.band, factor)
     cut = band_correlations.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
     keep = events.free(y.samples, x.band.rate, cut.lags)
     share = band_correlations.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
     r, lower = band_correlations.run(y, cut, high, down, references=x.references, keep=keep)
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
-    low = max(0.7 * x.band.low, 0.02 * x.band.rate)
+    low = 0.7 * x.band.low
     high_end = min(1.15 * x.band.high, 0.4 * x.band.rate)
     spectra = spectral_bins(
         y, x.eyes, rate=x.band.rate, limits=(low, high_end), scale=1 / scale[x.eyes]

@@ -203,8 +203,8 @@ def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:
     )
 
 
-def event_notes(events: list[Events]) -> tuple[str, ...]:
-    """A note on the events of all stretches."""
+def event_notes(events: list[Events], frequencies: Float) -> tuple[str, ...]:
+    """A note on the events of all stretches, and on modes (m,), Hz, of few periods between two."""
     count = sum(e.count for e in events)
     if not count:
         return ()
@@ -215,6 +215,13 @@ def event_notes(events: list[Events]) -> tuple[str, ...]:
         use = "the decays after them are used"
     if driven and count < 8:
         use += "; so few make the stated deviations rough"
+    few = 5.0  # periods: with fewer, stated deviations fall short of the scatter
+    slow = frequencies < few / max(e.interval for e in events)
+    if driven and slow.any():
+        use += (
+            f"; modes up to {frequencies[slow].max():.4g} Hz have fewer than {few:.0f} "
+            "periods between two, their stated deviations are rough"
+        )
     plural = "s" if count > 1 else ""
     return (f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",)
 
