@@ -47,8 +47,13 @@ from ringtrue.model.references import Missing, missing
 
 log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
-    ("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+    (
+        *("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL),
+        *("ASET", "OMIT", "QSET", "ASET1", "OMIT1", "QSET1"),
+    )
 )
+# a THRU passes over points that are not there
+_OF_POINTS_THERE = ("SPC1", "ASET1", "OMIT1", "QSET1")
 _ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
     ("MAT1", "MAT2", "MAT8", "MAT9"),
     ("PSHELL", "PCOMP", "PCOMPG"),
@@ -206,7 +211,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
         if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
             kept[name] = n
-        elif name in CARDS and name not in SPECIAL and name != "SPC1":
+        elif name in CARDS and name not in SPECIAL and name not in _OF_POINTS_THERE:
             tables[name] = make_table(found, name)
         elif name in SPECIAL:
             try:
@@ -217,7 +222,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:
                 tables[name] = dimensions(written_out(found, name), found.deck.files)
-        elif name not in DEFAULTS and name not in ("PARAM", "SPC1"):
+        elif name not in DEFAULTS and name not in ("PARAM", *_OF_POINTS_THERE):
             kept[name] = n
     if "INCLUDE" in kept:
         at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
@@ -229,11 +234,12 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     # springs and masses between scalar points alone
     if "SPOINT" in tables and "GRID" not in tables:
         tables["GRID"] = empty("GRID")
-    if b"SPC1" in names:  # a THRU passes over points that are not there
-        points = [tables[n].ids for n in ("GRID",) if n in tables]
-        points += [tables[n].ragged("ID").values for n in ("SPOINT",) if n in tables]
-        there = np.unique(np.concatenate([*points, np.empty(0, dtype=np.int64)]))
-        tables["SPC1"] = make_table(found, "SPC1", there)
+    points = [tables[n].ids for n in ("GRID",) if n in tables]
+    points += [tables[n].ragged("ID").values for n in ("SPOINT",) if n in tables]
+    there = np.unique(np.concatenate([*points, np.empty(0, dtype=np.int64)]))
+    for name in _OF_POINTS_THERE:
+        if name.encode() in names:
+            tables[name] = make_table(found, name, there)
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     refuse_magnitudes(tables.values(), found.deck.files)
     for group in _ONE_NUMBER:

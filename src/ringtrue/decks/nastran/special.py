@@ -50,7 +50,7 @@ def _spc(r: Reader) -> Iterator[Row]:
 # fields from row to row of a card that holds several rows
 _PITCH = {
     **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S", "PELAS", "PVISC"), 4),
-    **dict.fromkeys(("PMASS", "PDAMP"), 2),
+    **dict.fromkeys(("PMASS", "PDAMP", "ASET", "OMIT", "QSET"), 2),
 }
 
 
@@ -61,6 +61,9 @@ def _several(r: Reader) -> Iterator[Row]:
         if i == 0 or r.text(i):
             row: dict[str, Any] = {first.name: r.whole(i, first.name)}
             for k, spec in enumerate(others, start=i + 1):
+                if spec.kind == "c":
+                    row[spec.name] = r.text(k) or "0"
+                    continue
                 read = r.whole if spec.kind == "i" else r.real
                 row[spec.name] = read(k, spec.name, 0)
             yield row
