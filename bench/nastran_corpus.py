@@ -106,6 +106,13 @@ CASES = (
     Case(f"{THREE}/no_super", "guyanReduction-static.dat", "guyanreduction-static.h5"),
     Case(f"{THREE}/no_super", "dynamicReduction.dat-000.dat", "dynamicreduction.dat-000.h5"),
     Case(f"{THREE}/no_super", "dynamicReduction-static.dat", "dynamicreduction-static.h5"),
+    Case(f"{BAR}/part_super_guyan", "guyanSuper.dat", "guyanSuper.h5"),
+    *(
+        Case(f"{BAR}/part_super_cb", f"{kind}.dat", f"{kind}.h5")
+        for kind in ("cbSuper1Mode", "cbSuper2Modes", "cbSuper3Modes")
+    ),
+    Case(f"{THREE}/part_super_guyan", "guyanSuper.dat", "guyansuper.h5"),
+    Case(f"{THREE}/part_super_cb", "cbSuper.dat", "cbsuper.h5"),
     *(
         Case(f"{VERIFIED}/{folder}/nastran_runs", f"{kind}.dat", f"{kind}.h5")
         for folder, kinds in {
@@ -118,7 +125,7 @@ CASES = (
     ),
 )  # fmt: skip
 LEFT_OUT = {
-    "8 decks of superelements": "BEGIN SUPER and SEBULK are refused",
+    "guyanSuperStatic of superelements": "no recorded results",
     "cbar_orientation, cquad4, ctria3 of corpus/unit": "all recorded displacements are 0",
     "modes_elements, static_elements of corpus/elements": "mechanisms, without AUTOSPC",
 }

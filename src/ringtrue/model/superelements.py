@@ -54,9 +54,11 @@ def whole_mesh(model: Model) -> Model:
     return replace(model, tables=tables)
 
 
-def component_modes(model: Model, method: int, modal: DofSet) -> int:
-    """How many modes of a component are taken: those that its METHOD asks for, at most one a modal
-    coordinate.
+def component_modes(model: Model, method: int, modal: DofSet) -> tuple[int, float]:
+    """How many modes of a component are taken, at most one a modal coordinate, and up to which
+    frequency, Hz: those that its METHOD asks for.
     """
     asked = asked_modes(replace(model, case=replace(model.case, method=method)))
-    return min(len(modal), asked.count or len(modal)) if asked else len(modal)
+    if asked is None:
+        return len(modal), np.inf
+    return min(len(modal), asked.count or len(modal)), asked.high

@@ -42,12 +42,15 @@ class Component:
         Coordinates of component modes; they are no DOFs of the system.
     count : int
         Component modes, at most one a coordinate.
+    highest : float, Hz
+        Of these.
     """
 
     name: str
     inner: Bool
     modal: DofSet = NO_DOFS
     count: int = 0
+    highest: float = np.inf
 
 
 def free_system(model: Model) -> tuple[System, DofSet]:
@@ -66,15 +69,18 @@ def condensed(model: Model, system: System) -> System:
     if not condenses(model):
         return system
     seid = model["GRID"]["SEID"]
-    numbers = np.unique(seid[seid > 0]).tolist()
-    for number in numbers:
-        points = model["GRID"].ids[seid == number]
-        inner = np.isin(system.free.node, points)
-        system = _without(system, Component(f"superelement {number}", inner))
+    parts = {part.number: part for part in model.superelements}
+    for number in np.unique(seid[seid > 0]).tolist():
+        inner = np.isin(system.free.node, model["GRID"].ids[seid == number])
+        name = f"superelement {number}"
+        component = Component(name, inner)
+        if part := parts.get(number):
+            component = Component(name, inner, part.modal, part.count, part.highest)
+        system = _without(system, component)
     modal = listed_dofs(model, MODAL)
     inner = _omitted(model, system.free, modal)
-    count = component_modes(model, model.case.method, modal)
-    return _without(system, Component("the residual structure", inner, modal, count))
+    count, highest = component_modes(model, model.case.method, modal)
+    return _without(system, Component("the residual structure", inner, modal, count, highest))
 
 
 def _omitted(model: Model, free: DofSet, modal: DofSet) -> Bool:
@@ -114,7 +120,7 @@ def _without(system: System, component: Component) -> System:
             f"{component.name} can move while the DOFs that it is condensed onto are held: keep "
             "one of these, too (ASET, or a boundary point)",
         ) from e
-    found = part.frequencies.size
+    found = int((part.frequencies <= component.highest).sum())
     log.info(
         "%s: %d DOFs condensed onto %d and %d component modes",
         component.name,
@@ -127,7 +133,7 @@ def _without(system: System, component: Component) -> System:
         (np.ones(kept.size), (kept, np.arange(kept.size))),
         shape=(component.inner.size, kept.size + found),
     )
-    inner_rows = sparse.coo_array(part.transform[: inside.size])
+    inner_rows = sparse.coo_array(part.transform[: inside.size, : around.size + found])
     motion = sparse.coo_array(
         (inner_rows.data, (inside[inner_rows.row], columns[inner_rows.col])), shape=select.shape
     )

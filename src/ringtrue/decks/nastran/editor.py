@@ -107,7 +107,7 @@ def refuse_unwritable(model: Model, parameters: ParameterSet) -> None:
 
 def _loaded(model: Model) -> tuple[Cards, list[Path], list[list[bytes]]]:
     """The cards of the deck, its files, and what is in them."""
-    found = cards(load(_files(model)[0]))
+    found = cards(load(_files(model)[0]).joined())
     files = [Path(f) for f in found.deck.files]
     return found, files, [_lines_of(f.read_bytes()) for f in files]
 

@@ -81,6 +81,31 @@ def _mpc(r: Reader) -> Iterator[Row]:
     }
 
 
+def _seconct(r: Reader) -> Iterator[Row]:
+    """SECONCT: pairs of points, or two ranges of as many points each."""
+    at = [i for i in range(8, len(r.card.fields)) if r.text(i)]
+    if any(r.text(i) == "THRU" for i in at):
+        ends = [r.whole(i, "GIDA") for i in at if r.text(i) != "THRU"]
+        if len(ends) != 4 or ends[1] - ends[0] != ends[3] - ends[2]:
+            raise r.fail("GIDA", "a THRU joins two ranges of as many points each")
+        points = [*range(ends[0], ends[1] + 1)]
+        others = [*range(ends[2], ends[3] + 1)]
+    else:
+        pairs = [r.whole(i, "GIDA") for i in at]
+        if len(pairs) % 2:
+            raise r.fail("GIDB", "pairs of points are joined; one is missing")
+        points = pairs[::2]
+        others = pairs[1::2]
+    yield {
+        "SEIDA": r.whole(0, "SEIDA"),
+        "SEIDB": r.whole(1, "SEIDB", 0),
+        "TOL": r.real(2, "TOL", 1e-5),
+        "LOC": r.text(3),
+        "GIDA": points,
+        "GIDB": others,
+    }
+
+
 def _rbe3(r: Reader) -> Iterator[Row]:
     eid = r.whole(0, "EID")
     reference = r.whole(2, "REFGRID")
@@ -164,6 +189,7 @@ def _pbush(r: Reader) -> Iterator[Row]:
 _ROWS: Mapping[str, Callable[[Reader], Iterable[Row]]] = {
     "SPC": _spc,
     "MPC": _mpc,
+    "SECONCT": _seconct,
     "RBE1": rbe1,
     "RBE3": _rbe3,
     "RSPLINE": rspline,
