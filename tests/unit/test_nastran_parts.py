@@ -128,7 +128,7 @@ def test_component_modes_follow_the_case_control_of_their_superelement(tmp_path:
 @pytest.mark.parametrize(
     ("old", "new", "error", "told"),
     [
-        ("GRID,3,,3.", "SEBULK,1,REPEAT,2\nGRID,3,,3.", UnsupportedCard, "PRIMARY and EXTERNAL"),
+        ("GRID,3,,3.", "SEBULK,1,REPEAT,2\nGRID,3,,3.", UnsupportedCard, "PRIMARY, EXTERNAL and"),
         ("GRID,3,,3.", "SEBULK,5\nGRID,3,,3.", UnsupportedCard, "no BEGIN SUPER=5"),
         ("GRID,3,,3.", "SECONCT,1,0\n,4,9\nGRID,3,,3.", DeckError, "superelement 0 has no point 9"),
         ("GRID,3,,3.", "SECONCT,7,0\n,4,3\nGRID,3,,3.", DeckError, "no superelement 7"),

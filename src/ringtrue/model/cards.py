@@ -262,6 +262,7 @@ SPC1    SID C:c *G
 ASET    ID C:c
 OMIT    ID C:c
 QSET    ID C:c
+EXTRN   ID C:c
 ASET1   C:c *ID
 OMIT1   C:c *ID
 QSET1   C:c *ID

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -18,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.decks.nastran.external import matrices_of_op4
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import NONSTRUCTURAL
 from ringtrue.model.case_control import CONSTRAINTS, METHODS, taken_sets
@@ -101,8 +103,14 @@ def kind_of(card: str) -> str:
     return "element" if card.startswith("C") or rigid else ""
 
 
-def joined(sections: Sequence[BulkSection]) -> Joined:
+def joined(sections: Sequence[BulkSection], op4: Mapping[int, Path]) -> Joined:
     """The residual structure, which comes first, and its parts as one model.
+
+    Parameters
+    ----------
+    sections : sequence of BulkSection
+    op4 : mapping of int to Path
+        OUTPUT4 files of external superelements by their units.
 
     Raises
     ------
@@ -113,6 +121,7 @@ def joined(sections: Sequence[BulkSection]) -> Joined:
     """
     residual = sections[0].model
     kinds = _kinds(sections)
+    sections = [_with_matrices(s, kinds.get(s.number), op4) for s in sections]
     at = _joints(sections, kinds)
     numbers = _numbers(sections, at)
     made = [_renumbered(s, numbers[s.number]) for s in sections]
@@ -153,9 +162,15 @@ def joined(sections: Sequence[BulkSection]) -> Joined:
 class _Kind:
     """How a part is joined (SEBULK)."""
 
-    external: bool = False
+    kind: str = "PRIMARY"
     automatic: bool = True
     tolerance: float = 1e-5
+    unit: int = 0
+
+    @property
+    def external(self) -> bool:
+        """Whether it is its matrices."""
+        return self.kind != "PRIMARY"
 
 
 def _kinds(sections: Sequence[BulkSection]) -> dict[int, _Kind]:
@@ -172,11 +187,43 @@ def _kinds(sections: Sequence[BulkSection]) -> dict[int, _Kind]:
         if number not in out:
             why = f"superelement {number} has no BEGIN SUPER={number}: its matrices stand elsewhere"
             raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
-        if kind not in ("", "PRIMARY", "EXTERNAL"):
-            why = f"TYPE {kind} of superelement {number}: PRIMARY and EXTERNAL are read"
+        if kind not in ("", "PRIMARY", "EXTERNAL", "EXTOP4"):
+            why = f"TYPE {kind} of superelement {number}: PRIMARY, EXTERNAL and EXTOP4 are read"
             raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
-        out[number] = _Kind(kind == "EXTERNAL", method == "AUTO", float(table["TOL"][row]))
+        tolerance = float(table["TOL"][row])
+        unit = int(table["UNITNO"][row])
+        out[number] = _Kind(kind or "PRIMARY", method == "AUTO", tolerance, unit)
     return out
+
+
+def _with_matrices(
+    section: BulkSection, kind: _Kind | None, op4: Mapping[int, Path]
+) -> BulkSection:
+    """An external superelement with its matrices as DMIG.
+
+    Raises
+    ------
+    DeckError
+        If they are neither in its bulk data nor in a file.
+    """
+    model = section.model
+    if kind is None or not kind.external or "DMIG" in model:
+        return section
+    where = model.files[0]
+    if kind.kind == "EXTERNAL":
+        raise DeckError(
+            f"superelement {section.number} is EXTERNAL, and its bulk data hold no DMIG: INCLUDE "
+            "the punch file of EXTSEOUT(EXTBULK, DMIGPCH) behind BEGIN SUPER",
+            path=where,
+        )
+    if kind.unit not in op4:
+        raise DeckError(
+            f"superelement {section.number} is in OUTPUT4 unit {kind.unit}: name its file above "
+            f"SOL, as in ASSIGN INPUTT4='part.op4', UNIT={kind.unit}",
+            path=where,
+        )
+    matrices = matrices_of_op4(model, op4[kind.unit])
+    return BulkSection(section.number, replace(model, tables={**model.tables, "DMIG": matrices}))
 
 
 def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _Kind]) -> list[Int]:
@@ -395,7 +442,7 @@ def _own_tables(section: BulkSection, common: Mapping[str, int]) -> dict[str, Ta
     their own.
     """
     model = section.model
-    gone = {*NODES, "SEBULK", "SECONCT"}
+    gone = {*NODES, "SEBULK", "SECONCT", "EXTRN"}
     if section.number:
         gone |= {*KEPT, *OMITTED, *MODAL, *METHODS}
     tables = {n: t for n, t in model.tables.items() if n not in gone}
@@ -462,11 +509,25 @@ def _matrices(
     """
     terms = list(getattr(sections[0].model.case, command))
     for section in sections[1:]:
-        own = list(getattr(section.model.case, command))
-        if kinds[section.number].external and not own and "DMIG" in section.model:
-            have = np.char.upper(section.model["DMIG"]["NAME"].astype(str))
-            own = [(1.0, written)] if written in have else []
+        if "DMIG" not in section.model:
+            continue
+        have = np.char.upper(section.model["DMIG"]["NAME"].astype(str)).tolist()
+        own = [(f, name) for f, name in getattr(section.model.case, command) if name in have]
+        if kinds[section.number].external and not own:
+            suffixed = f"{written[0]}{section.number}"  # DMIGSFIX=EXTID
+            own = [(1.0, name) for name in (written, suffixed) if name in have]
+            if not own and command == "k2gg":
+                raise DeckError(
+                    f"superelement {section.number} holds {', '.join(have)}: name its stiffness "
+                    f"{written}, or by K2GG in a subcase with SUPER = {section.number}",
+                    path=section.model.files[0],
+                    card="DMIG",
+                )
         terms += [(factor, _named(name, section.number)) for factor, name in own]
+    if len(sections) > 1:  # a command above all subcases holds for the matrices of each part
+        table = sections[0].model.tables.get("DMIG")
+        mine = np.char.upper(table["NAME"].astype(str)).tolist() if table else []
+        terms = [(f, name) for f, name in terms if "@" in name or name in mine]
     return tuple(terms)
 
 

@@ -31,6 +31,7 @@ from ringtrue.decks.nastran.defaults import (
     open_bushes,
     written_out,
 )
+from ringtrue.decks.nastran.external import op4_units
 from ringtrue.decks.nastran.loads import LoadCase, PartCards, load_cases
 from ringtrue.decks.nastran.parts import BulkSection, Numbers, joined
 from ringtrue.decks.nastran.special import SPECIAL, special_table
@@ -51,8 +52,7 @@ log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
     (
         *("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL),
-        *("ASET", "OMIT", "QSET", "ASET1", "OMIT1", "QSET1"),
-        "SECONCT",
+        *("ASET", "OMIT", "QSET", "ASET1", "OMIT1", "QSET1", "EXTRN", "SECONCT"),
     )
 )
 # a THRU passes over points that are not there
@@ -142,7 +142,8 @@ def _read(deck: Deck) -> _Found:
     models = {number: _section(found) for number, found in every.items()}
     found = _Found(models[0], every)
     if deck.parts or "SEBULK" in models[0]:
-        made = joined([BulkSection(number, model) for number, model in models.items()])
+        sections = [BulkSection(number, model) for number, model in models.items()]
+        made = joined(sections, _op4(deck))
         found = _Found(made.model, every, made.numbers)
     model = found.model
     path = deck.files[0]
@@ -157,6 +158,11 @@ def _read(deck: Deck) -> _Found:
     for text in left_out(model):
         log.warning("%s: %s", path, text)
     return found
+
+
+def _op4(deck: Deck) -> dict[int, Path]:
+    """OUTPUT4 files that the file management section assigns, by their units."""
+    return op4_units(deck.top, Path(deck.files[0]).parent)
 
 
 def _section(found: Cards) -> Model:
@@ -221,7 +227,7 @@ def survey(path: str | Path) -> Survey:
         sections.append(BulkSection(number, model))
     if deck.parts or "SEBULK" in sections[0].model:
         try:
-            model = joined(sections).model
+            model = joined(sections, _op4(deck)).model
         except UnsupportedCard as e:
             unsupported[e.card] = f"{e.path}:{e.line}: {e.why}"
             model = sections[0].model

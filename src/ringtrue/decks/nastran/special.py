@@ -50,7 +50,7 @@ def _spc(r: Reader) -> Iterator[Row]:
 # fields from row to row of a card that holds several rows
 _PITCH = {
     **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S", "PELAS", "PVISC"), 4),
-    **dict.fromkeys(("PMASS", "PDAMP", "ASET", "OMIT", "QSET"), 2),
+    **dict.fromkeys(("PMASS", "PDAMP", "ASET", "OMIT", "QSET", "EXTRN"), 2),
 }
 
 

@@ -1,0 +1,166 @@
+"""A part is reduced, written in the form of EXTSEOUT, read back into a deck and solved with the rest.
+
+A portal of CBARs: a beam of points 11 to 21 between two columns, and a branch of ten CBARs on its
+middle, point 16, which is the part: points 16, 31 to 40. Of the branch only point 16 is kept. The
+modes of the whole must be those of one mesh within what the reduction says of the part alone, and
+in statics exactly those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ringtrue as rt
+from ringtrue.core.arrays import Float
+from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
+from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
+
+PROPERTIES = "PBAR,7,1,.01,1.-5,2.-5,2.-5\nMAT1,1,7.+10,,.3,2700.\n"
+BELOW = 200.0  # Hz; five modes of the branch beyond its rigid-body motions
+
+
+def _grid(number: int, *xyz: float) -> str:
+    return f"GRID,{number},," + ",".join(f"{x:.3f}" for x in xyz) + "\n"
+
+
+def _bars(first: int, points: list[int]) -> str:
+    return "".join(
+        f"CBAR,{first + i},7,{a},{b},1.,.3,2.\n" for i, (a, b) in enumerate(pairwise(points))
+    )
+
+
+FRAME_POINTS = "".join(_grid(11 + i, 0.5 * i, 0.0, 2.0) for i in range(11))
+FRAME = (
+    FRAME_POINTS
+    + _grid(1, 0.0, 0.0, 0.0)
+    + _grid(2, 5.0, 0.0, 0.0)
+    + _bars(1, list(range(11, 22)))
+    + _bars(101, [1, 11])
+    + _bars(111, [2, 21])
+    + "SPC1,3,123456,1,2\n"
+)
+BRANCH = "".join(_grid(31 + i, 2.5, 0.3 * (i + 1), 2.0) for i in range(10)) + _bars(
+    201, [16, *range(31, 41)]
+)
+HEAD = "SOL 103\nCEND\nSPC = 3\nBEGIN BULK\n"
+
+
+def frequencies(path: Path, count: int = 12) -> Float:
+    with EmbeddedSolver().open(read_deck(path)) as analysis:
+        return analysis.modes(ModesRequest(count)).modes.frequencies
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    here = tmp_path_factory.mktemp("parts")
+    (here / "whole.bdf").write_text(HEAD + PROPERTIES + FRAME + BRANCH)
+    (here / "branch.bdf").write_text(PROPERTIES + _grid(16, 2.5, 0.0, 2.0) + BRANCH)
+    for name in ("cb", "guyan", "dynamic"):
+        assembled = (
+            HEAD + f"INCLUDE '{name}.asm'\n" + PROPERTIES + FRAME + f"INCLUDE '{name}.pch'\n"
+        )
+        (here / f"with_{name}.bdf").write_text(assembled)
+    return here
+
+
+def test_craig_bampton_is_as_near_as_it_says(folder: Path) -> None:
+    settings = rt.ReductionSettings(below=BELOW)
+    part = rt.reduce_model(folder / "branch.bdf", "16", settings)
+    assert len(part.kept) > 6
+    assert part.captured.min() > 0.9999
+    flexible = part.frequencies > 1.0
+    assert flexible.sum() >= 3
+    assert (part.deviations[flexible] > 0).all()  # a reduction stiffens
+    assert part.deviations.max() < part.bound
+    part.write(folder / "cb")
+    whole = frequencies(folder / "whole.bdf", 20)
+    there = whole < BELOW
+    off = 100 * (frequencies(folder / "with_cb.bdf", 20) / whole - 1)[there]
+    assert there.sum() >= 14
+    assert off.min() > -1e-6
+    assert 0.01 * part.bound < off.max() < part.bound
+    for f, percent in zip(whole[there], off, strict=True):
+        near = rt.reduce_model(
+            folder / "branch.bdf", "16", replace(settings, below=float(f), modes=7)
+        )
+        assert percent < near.bound + 1e-6
+
+
+@pytest.mark.parametrize("method", ["guyan", "dynamic"])
+def test_condensation_without_modes_holds_at_its_frequency(folder: Path, method: str) -> None:
+    """Guyan is right at 0 Hz; the dynamic one at the frequency of a mode has that mode."""
+    whole = frequencies(folder / "whole.bdf")
+    at = float(whole[0]) if method == "dynamic" else None
+    settings = rt.ReductionSettings(below=BELOW, method=method, at=at)  # type: ignore[arg-type]
+    part = rt.reduce_model(folder / "branch.bdf", "16", settings)
+    assert len(part.kept) == 6
+    assert np.isnan(part.deviations[6:]).all()
+    part.write(folder / method)
+    found = frequencies(folder / f"with_{method}.bdf", 4)
+    near = abs(found[0] / whole[0] - 1)
+    assert near < 1e-7 if method == "dynamic" else 1e-4 < near < 0.5
+
+
+def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -> None:
+    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW), number=5)
+    part.write(folder / "cb")
+    rows = part.external.rows
+    listed = "".join(
+        f"EXTRN,{node},{'123456' if node == 16 else 0}\n" for node in np.unique(rows.node).tolist()
+    )
+    with (folder / "part.op4").open("w") as file:
+        for name, matrix in (("KAA", part.external.stiffness), ("MAA", part.external.mass)):
+            _ascii(file, name, matrix)
+    assembly = (folder / "cb.asm").read_text().replace("EXTERNAL", "  EXTOP4")
+    bulk, _, points = assembly.partition("MANUAL")
+    assembly = f"{bulk}MANUAL{'71':>24}{points}"
+    punch = (folder / "cb.pch").read_text()
+    punch = punch.replace("SUPER=5\n", "SUPER       5\n" + listed).partition("DMIG")[0]
+    text = "ASSIGN INPUTT4='part.op4', UNIT=71\n" + HEAD + PROPERTIES + FRAME + assembly + punch
+    (folder / "with_op4.bdf").write_text(text)
+    np.testing.assert_allclose(
+        frequencies(folder / "with_op4.bdf"), frequencies(folder / "with_cb.bdf"), rtol=1e-7
+    )
+    (folder / "lost.bdf").write_text(text.replace("UNIT=71", "UNIT=72"))
+    with pytest.raises(DeckError, match="unit 71: name its file above"):
+        read_deck(folder / "lost.bdf")
+
+
+def _ascii(file: object, name: str, matrix: Float) -> None:
+    """A matrix as OUTPUT4 writes it in text."""
+    n = len(matrix)
+    print(f"{n:8d}{n:8d}{6:8d}{2:8d}{name:<8s}1P,3E23.16", file=file)  # type: ignore[call-overload]
+    for j in range(n):
+        print(f"{j + 1:8d}{1:8d}{n:8d}", file=file)  # type: ignore[call-overload]
+        column = [f"{x:23.16E}" for x in matrix[:, j]]
+        for i in range(0, n, 3):
+            print("".join(column[i : i + 3]), file=file)  # type: ignore[call-overload]
+    print(f"{n + 1:8d}{1:8d}{1:8d}\n{1.0:23.16E}", file=file)  # type: ignore[call-overload]
+
+
+def test_what_cannot_be_reduced_is_refused(folder: Path, tmp_path: Path) -> None:
+    settings = rt.ReductionSettings(below=BELOW)
+    with pytest.raises(InputError, match="keep 99: it is not in the model"):
+        rt.reduce_model(folder / "branch.bdf", "99", settings)
+    with pytest.raises(SingularModel):
+        rt.reduce_model(folder / "branch.bdf", "16+Z", settings)
+    with pytest.raises(ConfigError, match="belongs to the method dynamic"):
+        rt.ReductionSettings(below=BELOW, method="dynamic")
+    bare = tmp_path / "bare.bdf"
+    bare.write_text(
+        HEAD + PROPERTIES + FRAME + "SEBULK,1,EXTERNAL\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
+    )
+    with pytest.raises(DeckError, match="its bulk data hold no DMIG"):
+        read_deck(bare)
+    bare.write_text(
+        HEAD + PROPERTIES + FRAME + "SEBULK,1,EXTOP2\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
+    )
+    with pytest.raises(UnsupportedCard, match="TYPE EXTOP2"):
+        read_deck(bare)
