@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ringtrue as rt
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck, survey
-from ringtrue.errors import DeckError, UnsupportedCard
+from ringtrue.errors import DeckError, UnsupportedCard, UnsupportedError
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.model import Model
@@ -107,6 +108,16 @@ def test_a_field_of_a_part_is_edited_in_place(tmp_path: Path) -> None:
     out = tmp_path / "out"
     edit_fields(model, [FieldChange("MAT1", 2001, "RHO", 2900.0)], out)
     assert (out / "parts.bdf").read_text() == text.replace("2800.", "2900.0")
+
+
+def test_the_modulus_of_a_part_is_a_parameter_of_the_whole_mesh(tmp_path: Path) -> None:
+    model = read(tmp_path, PARTS)
+    root = rt.ParameterSet([rt.parameter("root", "MAT1 2001 E")])
+    twin = rt.solve_modes(whole_mesh(rt.at_factors(model, root, [0.7])), count=3)
+    found = rt.update(model, twin.at(["2+Y", "4+Y", "5+Y"]), root)
+    np.testing.assert_allclose(found.factors, 0.7, rtol=1e-6)
+    with EmbeddedSolver().open(model) as analysis, pytest.raises(UnsupportedError, match="whole"):
+        analysis.derivatives(analysis.modes(ModesRequest(2)).modes, root)
 
 
 def test_component_modes_follow_the_case_control_of_their_superelement(tmp_path: Path) -> None:

@@ -164,3 +164,33 @@ def test_what_cannot_be_reduced_is_refused(folder: Path, tmp_path: Path) -> None
     )
     with pytest.raises(UnsupportedCard, match="TYPE EXTOP2"):
         read_deck(bare)
+
+
+def test_a_factor_on_the_matrices_of_a_part_is_a_parameter(folder: Path) -> None:
+    """Stiffness and mass of the branch as matrices: derivatives against central differences, and
+    an updating that finds the factors of a twin.
+    """
+    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW))
+    part.write(folder / "cb")
+    model = read_deck(folder / "with_cb.bdf")
+    assert model["DMIG"]["NAME"].tolist() == ["KAAX@1", "MAAX@1"]
+    both = [rt.parameter("branch K", "DMIG 1 A"), rt.parameter("branch M", "DMIG 2 A")]
+    parameters = rt.ParameterSet(tuple(both))
+    with EmbeddedSolver().open(model) as analysis:
+        modes = analysis.modes(ModesRequest(4)).modes
+        slopes = [analysis.derivatives(modes, parameters.take([i]))[0][:, 0] for i in range(2)]
+    lam = (2 * np.pi * modes.frequencies) ** 2
+    step = 1e-4
+    for i, slope in enumerate(slopes):
+        ends = []
+        for sign in (1, -1):
+            factors = np.ones(2)
+            factors[i] += sign * step
+            with EmbeddedSolver().open(rt.at_factors(model, parameters, factors)) as analysis:
+                ends.append(analysis.modes(ModesRequest(4)).modes.frequencies)
+        difference = ((2 * np.pi * ends[0]) ** 2 - (2 * np.pi * ends[1]) ** 2) / (2 * step)
+        np.testing.assert_allclose(slope / lam, difference / lam, atol=1e-6)
+    twin = rt.solve_modes(rt.at_factors(model, parameters, np.array([0.8, 1.2])), count=6)
+    places = [f"{node}+{axis}" for node in (13, 16, 19) for axis in "XYZ"]
+    result = rt.update(model, twin.at(places), parameters)
+    np.testing.assert_allclose(result.factors, [0.8, 1.2], rtol=1e-3)
