@@ -28,8 +28,6 @@ from ringtrue.reduction.part import (
     reduction_error,
 )
 
-MODAL_POINTS = 90_000_000  # numbers of modal coordinates begin behind, 10 000 a superelement
-
 
 @dataclass(frozen=True, eq=False)
 class ReducedPart(Displayed):
@@ -122,7 +120,7 @@ def reduce_model(
     found = reduction_error(model, system, part, settings.below)
     flexible = elastic(np.append(found.frequencies, settings.below))[:-1]
     off = 100 * (found.reduced / np.where(flexible, found.frequencies, 1.0) - 1)
-    first = MODAL_POINTS + 10_000 * number + 1
+    first = 90_000_001 + 10_000 * number  # above the numbers of a deck
     modal = np.arange(first, first + part.frequencies.size)
     labels = DofSet(
         np.concatenate([system.free.node[rows], modal]),

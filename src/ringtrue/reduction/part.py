@@ -23,7 +23,6 @@ from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.model.model import Model
 from ringtrue.reduction.static import Condensed, craig_bampton
 
-ROUNDING = 1e-12  # of the largest value: below is neither stiffness nor mass
 Method = Literal["craig-bampton", "guyan", "dynamic"]
 
 
@@ -131,20 +130,15 @@ def reduce_part(system: System, kept: Int, settings: ReductionSettings) -> Conde
         part = craig_bampton(K, M, kept, count, labels=labels)
         inside = int((part.frequencies <= settings.margin * settings.below).sum())
         if inside < part.frequencies.size or part.frequencies.size < count or count == most:
-            return _first(part, inside)
+            size = kept.size + inside
+            return Condensed(
+                part.stiffness[:size, :size],
+                part.mass[:size, :size],
+                part.transform[:, :size],
+                kept,
+                part.frequencies[:inside],
+            )
         count = min(2 * count, most)
-
-
-def _first(part: Condensed, count: int) -> Condensed:
-    """The part with the lowest component modes alone."""
-    size = part.kept.size + count
-    return Condensed(
-        part.stiffness[:size, :size],
-        part.mass[:size, :size],
-        part.transform[:, :size],
-        part.kept,
-        part.frequencies[:count],
-    )
 
 
 def reduction_error(model: Model, system: System, part: Condensed, below: float) -> ReductionError:
@@ -157,7 +151,8 @@ def reduction_error(model: Model, system: System, part: Condensed, below: float)
         pencil.close()
     shapes = np.zeros((part.transform.shape[0], whole.values.size))
     shapes[system.free.find(held.free.node, held.free.direction)] = whole.vectors
-    basis = _with_stiffness_or_mass(part)
+    size = [np.abs(A).max(initial=0.0) or 1.0 for A in (part.stiffness, part.mass)]
+    basis = _firm(part.stiffness / size[0] + part.mass / size[1])
     k, m = (sparse.csr_array(basis.T @ A @ basis) for A in (part.stiffness, part.mass))
     lam, vectors = spectrum(k, m, -eigenvalue(below))
     reduced = np.full(whole.values.size, np.nan)
@@ -190,16 +185,10 @@ def largest_shift(system: System, part: Condensed, at: float) -> float:
     return 0.5 * float(ratio.max(initial=0.0))
 
 
-def _with_stiffness_or_mass(part: Condensed) -> Float:
-    """A basis (r, k) of the motions of the reduced part that have stiffness or mass."""
-    size = [np.abs(A).max(initial=0.0) or 1.0 for A in (part.stiffness, part.mass)]
-    return _firm(part.stiffness / size[0] + part.mass / size[1])
-
-
 def _firm(total: Float) -> Float:
     """A basis (n, k) of what a matrix (n, n) that is not negative does not map to zero."""
     scale = np.sqrt(np.abs(np.diag(total)))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    firm = values > ROUNDING * values.max(initial=0.0)
+    firm = values > 1e-12 * values.max(initial=0.0)  # below is rounding
     return np.asarray(vectors[:, firm] / scale[:, None])

@@ -162,7 +162,7 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
 def _inserted(data: bytes, text: str) -> bytes:
     newline = b"\r\n" if b"\r\n" in data else b"\n"
     lines = newline.join(line.encode() for line in text.splitlines()) + newline
-    end = re.search(rb"(?im)^[ \t]*ENDDATA", data)
+    end = re.search(rb"(?im)^[ \t]*(ENDDATA|BEGIN[^\n]*SUPER)", data)
     at = end.start() if end else len(data)
     gap = newline if at and not data[:at].endswith(b"\n") else b""
     return data[:at] + gap + lines + data[at:]

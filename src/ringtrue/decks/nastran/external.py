@@ -23,8 +23,6 @@ from ringtrue.model.model import Model, Ragged, Table, table
 from ringtrue.model.superelements import listed_dofs
 
 _ASSIGN = re.compile(r"\s*ASSIGN\s+INPUTT4\s*=\s*['\"]([^'\"]+)['\"].*?\bUNIT\s*=\s*(\d+)", re.I)
-_SYMMETRIC = 6
-_DOUBLE = 2
 # in the form KAAX and MAAX of punch files, or KAA and MAA of OUTPUT4
 _OP4_NAMES = {"KAAX": ("KAAX", "KAA"), "MAAX": ("MAAX", "MAA"), "BAAX": ("BAAX", "BAA")}
 
@@ -90,8 +88,8 @@ def dmig_table(rows: DofSet, matrices: Sequence[tuple[str, Any_ | sparse.csr_arr
         "DMIG",
         ID=np.arange(1, count + 1),
         NAME=[name for name, _ in matrices],
-        IFO=[_SYMMETRIC] * count,
-        TIN=[_DOUBLE] * count,
+        IFO=[6] * count,  # symmetric
+        TIN=[2] * count,  # real, double precision
         TOUT=[0] * count,
         POLAR=[0] * count,
         NCOL=[0] * count,

@@ -37,12 +37,11 @@ from ringtrue.model.references import FRAMES, NODES, REFERENCES
 from ringtrue.model.superelements import KEPT, MODAL, OMITTED, component_modes, listed_dofs
 
 log = logging.getLogger(__name__)
-SMALLEST_STEP = 1000  # from one superelement's numbers to the next one's
 # PARAM that make matrices: all sections must agree
 _OF_MATRICES = ("WTMASS", "COUPMASS", "K6ROT", "G", "ALPHA1", "ALPHA2", "MITC4", "SNORM")
 # commands that add matrices, and the matrices that EXTSEOUT writes
 _EXTERNAL = (("k2gg", "KAAX"), ("m2gg", "MAAX"), ("b2gg", "BAAX"))
-_BY_NUMBER = ("CWELD", "CFAST", *NONSTRUCTURAL)  # they name properties or elements by other fields
+_BY_NUMBER = ("CWELD", "CFAST")  # they name properties or elements by other fields
 
 Numbers = Mapping[int, int]  # new ones by old ones, of those that change
 
@@ -115,7 +114,7 @@ def joined(sections: Sequence[BulkSection], op4: Mapping[int, Path]) -> Joined:
     Raises
     ------
     DeckError
-        If points that are joined lie apart or move in different frames, or a PARAM differs.
+        If joined points lie at different places or move in different frames, or a PARAM differs.
     UnsupportedCard
         On a kind of superelement that is not read.
     """
@@ -125,8 +124,11 @@ def joined(sections: Sequence[BulkSection], op4: Mapping[int, Path]) -> Joined:
     at = _joints(sections, kinds)
     numbers = _numbers(sections, at)
     made = [_renumbered(s, numbers[s.number]) for s in sections]
-    _refuse_apart(sections, made, kinds)
-    common = {kind: _common_set(made, kind) for kind in CONSTRAINTS}
+    _refuse_distant(sections, made, kinds)
+    common = {}
+    for kind in CONSTRAINTS:
+        most = max(int(taken_sets(s.model, kind).max(initial=0)) for s in made)
+        common[kind] = int(getattr(residual.case, kind.lower())) or most
     tables: dict[str, Table] = {}
     for section in made:
         for name, table in _own_tables(section, common).items():
@@ -159,7 +161,7 @@ def joined(sections: Sequence[BulkSection], op4: Mapping[int, Path]) -> Joined:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kind:
+class _PartKind:
     """How a part is joined (SEBULK)."""
 
     kind: str = "PRIMARY"
@@ -173,10 +175,10 @@ class _Kind:
         return self.kind != "PRIMARY"
 
 
-def _kinds(sections: Sequence[BulkSection]) -> dict[int, _Kind]:
+def _kinds(sections: Sequence[BulkSection]) -> dict[int, _PartKind]:
     """Of each part; without a SEBULK a part is PRIMARY and joined where points coincide."""
     residual = sections[0].model
-    out = {s.number: _Kind() for s in sections[1:]}
+    out = {s.number: _PartKind() for s in sections[1:]}
     if "SEBULK" not in residual:
         return out
     table = residual["SEBULK"]
@@ -192,12 +194,12 @@ def _kinds(sections: Sequence[BulkSection]) -> dict[int, _Kind]:
             raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
         tolerance = float(table["TOL"][row])
         unit = int(table["UNITNO"][row])
-        out[number] = _Kind(kind or "PRIMARY", method == "AUTO", tolerance, unit)
+        out[number] = _PartKind(kind or "PRIMARY", method == "AUTO", tolerance, unit)
     return out
 
 
 def _with_matrices(
-    section: BulkSection, kind: _Kind | None, op4: Mapping[int, Path]
+    section: BulkSection, kind: _PartKind | None, op4: Mapping[int, Path]
 ) -> BulkSection:
     """An external superelement with its matrices as DMIG.
 
@@ -226,7 +228,7 @@ def _with_matrices(
     return BulkSection(section.number, replace(model, tables={**model.tables, "DMIG": matrices}))
 
 
-def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _Kind]) -> list[Int]:
+def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> list[Int]:
     """Which joint each point of each section belongs to: points of one number are one point."""
     first = np.cumsum([0, *(s.points.size for s in sections)])
     place = {s.number: i for i, s in enumerate(sections)}
@@ -260,7 +262,7 @@ def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _Kind]) -> list
 
 
 def _coincident(
-    sections: Sequence[BulkSection], part: int, first: Int, kinds: Mapping[int, _Kind]
+    sections: Sequence[BulkSection], part: int, first: Int, kinds: Mapping[int, _PartKind]
 ) -> list[Int]:
     """Pairs of points of a part and those of other sections at the same place."""
     mine = KDTree(positions(sections[part].model))
@@ -280,47 +282,41 @@ def _numbers(
     sections: Sequence[BulkSection], joints: Sequence[Int]
 ) -> dict[int, dict[str, Numbers]]:
     """New numbers of what is joined, and of all of a kind where another section has one of them."""
+    _refuse_twice(sections, joints)
     every = [t.ids.max(initial=0) for s in sections for t in _numbered(s.model)]
     top = max([*every, *(int(s.points.max(initial=0)) for s in sections)])
-    step = SMALLEST_STEP
+    step = 1000
     while step <= top:
         step *= 10
     out: dict[int, dict[str, Numbers]] = {}
     used: dict[str, set[int]] = {}
     place: dict[int, int] = {}  # the number of each joint
-    counts = np.bincount(np.concatenate([np.unique(j) for j in joints]))
-    _refuse_twice(sections, joints)
     for section, joint in zip(sections, joints, strict=True):
-        maps: dict[str, Numbers] = {}
-        points = section.points
-        own = counts[joint] < 2
         shift = step * section.number
-        known = used.setdefault("point", set())
-        if not shift or known.isdisjoint(points[own].tolist()):
-            shift = 0
-        pairs = zip(points.tolist(), joint.tolist(), strict=True)
-        maps["point"] = {p: place.setdefault(j, p + shift) for p, j in pairs}
-        known |= set(maps["point"].values())
-        for kind in ("frame", "element", "property", "material"):
-            ids = np.unique(
-                np.concatenate(
-                    [np.empty(0, dtype=np.int64)]
-                    + [t.ids for t in _numbered(section.model) if kind_of(t.card) == kind]
-                )
-            ).tolist()
+        ids = {"point": section.points.tolist()}
+        for table in _numbered(section.model):
+            ids.setdefault(kind_of(table.card), []).extend(table.ids.tolist())
+        new = [p for p, j in zip(ids["point"], joint.tolist(), strict=True) if j not in place]
+        maps: dict[str, Numbers] = {}
+        moved = []
+        for kind, numbers in ids.items():
             known = used.setdefault(kind, set())
-            move = 0 if known.isdisjoint(ids) else step * section.number
-            maps[kind] = {i: i + move for i in ids}
-            known |= set(maps[kind].values())
-        out[section.number] = {
-            kind: {a: b for a, b in numbers.items() if a != b} for kind, numbers in maps.items()
-        }
-        moved = [kind for kind, numbers in maps.items() if _moves(numbers, step * section.number)]
+            clash = not known.isdisjoint(new if kind == "point" else numbers)
+            move = shift if clash else 0
+            moved += [kind] * clash
+            if kind == "point":
+                pairs = zip(numbers, joint.tolist(), strict=True)
+                found = {p: place.setdefault(j, p + move) for p, j in pairs}
+            else:
+                found = {i: i + move for i in numbers}
+            known |= set(found.values())
+            maps[kind] = {a: b for a, b in found.items() if a != b}
+        out[section.number] = maps
         if section.number and moved:
             log.info(
                 "superelement %d: %d is added to the numbers of each %s, as others have them, too",
                 section.number,
-                step * section.number,
+                shift,
                 ", ".join(moved),
             )
     return out
@@ -339,10 +335,6 @@ def _refuse_twice(sections: Sequence[BulkSection], joints: Sequence[Int]) -> Non
                 path=sections[0].model.files[0],
                 card="SECONCT",
             )
-
-
-def _moves(numbers: Numbers, shift: int) -> bool:
-    return any(new - old == shift for old, new in numbers.items())
 
 
 def _numbered(model: Model) -> list[Table]:
@@ -375,11 +367,10 @@ def _renumbered(section: BulkSection, numbers: Mapping[str, Numbers]) -> BulkSec
         path, line = model.place(model[named[0]], 0)
         raise UnsupportedCard(named[0], path=path, line=line, why=why)
     for name, table in model.tables.items():
-        kind = kind_of(name)
-        if kind and numbers[kind]:
-            tables[name] = _changed(table, next(iter(table.columns)), numbers[kind])
+        if new := numbers.get(kind_of(name)):
+            tables[name] = _changed(table, next(iter(table.columns)), new)
     for ref in REFERENCES:
-        new = numbers[kind_of(ref.of[0])]
+        new = numbers.get(kind_of(ref.of[0]))
         if ref.card in tables and new:
             tables[ref.card] = _changed(tables[ref.card], ref.field, new)
     return BulkSection(section.number, replace(model, tables=tables))
@@ -395,33 +386,37 @@ def _changed(table: Table, name: str, numbers: Numbers) -> Table:
     return replace(table, columns={**table.columns, name: made})
 
 
-def _refuse_apart(
-    given: Sequence[BulkSection], made: Sequence[BulkSection], kinds: Mapping[int, _Kind]
+def _refuse_distant(
+    given: Sequence[BulkSection], made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]
 ) -> None:
-    """Refuse joined points that lie apart, or whose displacement frames differ."""
+    """Refuse joined points that do not lie at one place, or whose displacement frames differ."""
     first: dict[int, tuple[int, Float, Float]] = {}
     tolerance = {0: 0.0, **{n: k.tolerance for n, k in kinds.items()}}
     table = given[0].model.tables.get("SECONCT")
     if table is not None:
         for number, tol in zip(table["SEIDA"].tolist(), table["TOL"].tolist(), strict=True):
             tolerance[number] = max(tolerance[number], tol)
+    grids = [s.model["GRID"].ids for s in made if "GRID" in s.model]
+    ids, count = np.unique(
+        np.concatenate([np.empty(0, dtype=np.int64), *grids]), return_counts=True
+    )
     for before, section in zip(given, made, strict=True):
         if "GRID" not in before.model:
             continue
         grid = before.model["GRID"]
-        xyz = positions(before.model)
-        cd = axes(before.model, grid["CD"], xyz)
-        new = section.model["GRID"].ids.tolist()
-        for row, (point, x, frame) in enumerate(zip(new, xyz, cd, strict=True)):
-            other, x0, frame0 = first.setdefault(point, (section.number, x, frame))
-            if other == section.number:
-                continue
+        new = section.model["GRID"].ids
+        rows = np.flatnonzero(np.isin(new, ids[count > 1]))
+        xyz = positions(before.model)[rows]
+        cd = axes(before.model, grid["CD"][rows], xyz)
+        for row, x, frame in zip(rows.tolist(), xyz, cd, strict=True):  # of the boundary
+            mine = (section.number, x, frame)
+            other, x0, frame0 = first.setdefault(int(new[row]), mine)
             where = f"it is joined to a point of superelement {other}"
-            apart = float(np.linalg.norm(x - x0))
-            if apart > tolerance[section.number]:
+            distance = float(np.linalg.norm(x - x0))
+            if distance > tolerance[section.number]:
                 why = (
-                    f"{where} that lies {apart:.3g} away: give the part in the coordinates of the "
-                    "whole (SELOC is not read), or raise TOL of SEBULK or SECONCT"
+                    f"{where} that lies {distance:.3g} away: give the part in the coordinates of "
+                    "the whole (SELOC is not read), or raise TOL of SEBULK or SECONCT"
                 )
                 raise card_error(before.model, grid, row, why)
             if np.abs(frame - frame0).max() > 1e-6:  # of unit vectors
@@ -429,19 +424,18 @@ def _refuse_apart(
                 raise card_error(before.model, grid, row, why)
 
 
-def _common_set(made: Sequence[BulkSection], kind: str) -> int:
-    """The set that all constraints get which count in their section; 0 without any."""
-    sets = [taken_sets(s.model, kind) for s in made]
-    return int(getattr(made[0].model.case, kind.lower())) or int(
-        max((t.max(initial=0) for t in sets), default=0)
-    )
-
-
 def _own_tables(section: BulkSection, common: Mapping[str, int]) -> dict[str, Table]:
     """Tables of a section but for points: constraints of the sets that count, matrices by names of
     their own.
     """
     model = section.model
+    mass = [card for card in NONSTRUCTURAL if card in model]
+    if section.number and mass:
+        path, line = model.place(model[mass[0]], 0)
+        why = (
+            f"lists of non-structural mass in superelement {section.number}: give NSM of properties"
+        )
+        raise UnsupportedCard(mass[0], path=path, line=line, why=why)
     gone = {*NODES, "SEBULK", "SECONCT", "EXTRN"}
     if section.number:
         gone |= {*KEPT, *OMITTED, *MODAL, *METHODS}
@@ -464,12 +458,18 @@ def _named(matrix: str, number: int) -> str:
     return f"{matrix.upper()}@{number}"
 
 
-def _points(made: Sequence[BulkSection], kinds: Mapping[int, _Kind]) -> dict[str, Table]:
+def _points(made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> dict[str, Table]:
     """GRID and SPOINT, joined ones once: of the section that comes first, held as in any of them.
 
     SEID is the part that a point is in the interior of.
     """
-    grids = [_with_seid(s, kinds) for s in made if "GRID" in s.model]
+    grids = []
+    for section in (s for s in made if "GRID" in s.model):
+        grid = section.model["GRID"]
+        if section.number:
+            inside = 0 if kinds[section.number].external else section.number
+            grid = grid.with_column("SEID", np.full(len(grid), inside))
+        grids.append(grid)
     if not grids:
         raise DeckError("the deck has no GRID", path=made[0].model.files[0])
     table = grids[0]
@@ -493,16 +493,8 @@ def _points(made: Sequence[BulkSection], kinds: Mapping[int, _Kind]) -> dict[str
     return out
 
 
-def _with_seid(section: BulkSection, kinds: Mapping[int, _Kind]) -> Table:
-    grid = section.model["GRID"]
-    if not section.number:
-        return grid
-    inside = 0 if kinds[section.number].external else section.number
-    return grid.with_column("SEID", np.full(len(grid), inside))
-
-
 def _matrices(
-    sections: Sequence[BulkSection], kinds: Mapping[int, _Kind], command: str, written: str
+    sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind], command: str, written: str
 ) -> tuple[tuple[float, str], ...]:
     """The terms of K2GG or its like: those that case control takes, and that of each external
     superelement.
@@ -540,11 +532,11 @@ def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
     for name in _OF_MATRICES:
         values = {s.model.params.get(name) for s in with_mesh}
         if len(values) > 1:
-            told = ", ".join(
+            found = ", ".join(
                 f"{s.model.params.get(name, 'none')} in superelement {s.number}" for s in with_mesh
             )
             raise DeckError(
-                f"PARAM,{name} is {told}: give all the same",
+                f"PARAM,{name} is {found}: give all the same",
                 path=sections[0].model.files[0],
                 card="PARAM",
             )

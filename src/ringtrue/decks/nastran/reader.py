@@ -116,7 +116,7 @@ def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _ReadDeck:
     """A deck as read: its model, and of the residual structure (0) and each superelement the cards
     and the numbers that have changed.
     """
@@ -134,17 +134,17 @@ def _sections(deck: Deck) -> dict[int, Deck]:
     return {n: replace(d, top=of_superelement(deck.top, n), parts={}) for n, d in every.items()}
 
 
-def _read(deck: Deck) -> _Found:
+def _read(deck: Deck) -> _ReadDeck:
     if deck.unread:
         file, line = deck.unread
         raise UnsupportedCard("BEGIN", path=deck.files[file], line=line, why=reason("BEGIN"))
     every = {number: cards(d) for number, d in _sections(deck).items()}
     models = {number: _section(found) for number, found in every.items()}
-    found = _Found(models[0], every)
+    found = _ReadDeck(models[0], every)
     if deck.parts or "SEBULK" in models[0]:
         sections = [BulkSection(number, model) for number, model in models.items()]
         made = joined(sections, _op4(deck))
-        found = _Found(made.model, every, made.numbers)
+        found = _ReadDeck(made.model, every, made.numbers)
     model = found.model
     path = deck.files[0]
     for text in empty_choices(model):
