@@ -136,6 +136,18 @@ def test_component_modes_follow_the_case_control_of_their_superelement(tmp_path:
         assert free.labels() == ("3+Y", "3+RZ", "101", "102")[: 2 + taken]
 
 
+def test_pairs_and_ranges_of_points_are_joined(tmp_path: Path) -> None:
+    """As EXTSEOUT writes them: pairs of boundary points, then ranges of modal coordinates."""
+    joints = "SECONCT,1,0\n,3,3,11,13\n,101,THRU,103,201,THRU,203\n"
+    table = read(tmp_path, "BEGIN BULK\n" + PROPERTIES + points(1, 2) + bars(1, 1) + joints)[
+        "SECONCT"
+    ]
+    assert table.ragged("GIDA").row(0).tolist() == [3, 11, 101, 102, 103]
+    assert table.ragged("GIDB").row(0).tolist() == [3, 13, 201, 202, 203]
+    with pytest.raises(DeckError, match="3 points are joined to 2"):
+        read(tmp_path, "BEGIN BULK\n" + joints.replace("203", "202"))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "error", "told"),
     [

@@ -123,12 +123,12 @@ def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -
     assembly = f"{bulk}MANUAL{'71':>24}{points}"
     punch = (folder / "cb.pch").read_text()
     punch = punch.replace("SUPER=5\n", "SUPER       5\n" + listed).partition("DMIG")[0]
-    text = "ASSIGN INPUTT4='part.op4', UNIT=71\n" + HEAD + PROPERTIES + FRAME + assembly + punch
+    text = "ASSIGN INPUTT4='PART.op4',unit=71\n" + HEAD + PROPERTIES + FRAME + assembly + punch
     (folder / "with_op4.bdf").write_text(text)
     np.testing.assert_allclose(
         frequencies(folder / "with_op4.bdf"), frequencies(folder / "with_cb.bdf"), rtol=1e-7
     )
-    (folder / "lost.bdf").write_text(text.replace("UNIT=71", "UNIT=72"))
+    (folder / "lost.bdf").write_text(text.replace("unit=71", "unit=72"))
     with pytest.raises(DeckError, match="unit 71: name its file above"):
         read_deck(folder / "lost.bdf")
 

@@ -157,7 +157,7 @@ class _Reading:
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
         tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
-        for candidate in (*tried, *(there for t in tried if (there := _any_case(t)))):
+        for candidate in (*tried, *(there for t in tried if (there := any_case(t)))):
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
@@ -169,7 +169,7 @@ class _Reading:
         )
 
 
-def _any_case(path: Path) -> Path | None:
+def any_case(path: Path) -> Path | None:
     """The one file of this name in any case, as decks of Windows may name it; None without one or
     with several.
     """

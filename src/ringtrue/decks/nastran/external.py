@@ -15,6 +15,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float, FrozenArrays
 from ringtrue.core.dofs import DofSet
+from ringtrue.decks.nastran.deck import any_case
 from ringtrue.decks.nastran.writer import format_card, write_bulk
 from ringtrue.errors import DeckError
 from ringtrue.io.files import atomic_write, existing, reads, writes
@@ -46,7 +47,8 @@ def matrices_of_op4(model: Model, path: Path) -> Table:
         If the file holds no stiffness, or matrices of another size than EXTRN, whose points must
         rise.
     """
-    reads(existing(path))
+    path = existing(path if path.is_file() else any_case(path) or path)
+    reads(path)
     held = read_op4(path)
     rows = listed_dofs(model, ("EXTRN",))
     if (np.diff(rows.key) <= 0).any():

@@ -82,20 +82,24 @@ def _mpc(r: Reader) -> Iterator[Row]:
 
 
 def _seconct(r: Reader) -> Iterator[Row]:
-    """SECONCT: pairs of points, or two ranges of as many points each."""
-    at = [i for i in range(8, len(r.card.fields)) if r.text(i)]
-    if any(r.text(i) == "THRU" for i in at):
-        ends = [r.whole(i, "GIDA") for i in at if r.text(i) != "THRU"]
-        if len(ends) != 4 or ends[1] - ends[0] != ends[3] - ends[2]:
-            raise r.fail("GIDA", "a THRU joins two ranges of as many points each")
-        points = [*range(ends[0], ends[1] + 1)]
-        others = [*range(ends[2], ends[3] + 1)]
-    else:
-        pairs = [r.whole(i, "GIDA") for i in at]
-        if len(pairs) % 2:
-            raise r.fail("GIDB", "pairs of points are joined; one is missing")
-        points = pairs[::2]
-        others = pairs[1::2]
+    """SECONCT: pairs of points, and pairs of ranges `a THRU b c THRU d` of as many points each."""
+    texts = [i for i in range(8, len(r.card.fields)) if r.text(i)]
+    points: list[int] = []
+    others: list[int] = []
+    while texts:
+        many = len(texts) > 1 and r.text(texts[1]) == "THRU"
+        size = 6 if many else 2
+        if len(texts) < size:
+            raise r.fail("GIDB", "points are joined in pairs; one is missing")
+        ends = [r.whole(i, "GIDA") for i in texts[:size] if r.text(i) != "THRU"]
+        half = len(ends) // 2
+        first = [*range(ends[0], ends[half - 1] + 1)]
+        second = [*range(ends[half], ends[-1] + 1)]
+        if len(first) != len(second):
+            raise r.fail("GIDA", f"{len(first)} points are joined to {len(second)}")
+        points += first
+        others += second
+        texts = texts[size:]
     yield {
         "SEIDA": r.whole(0, "SEIDA"),
         "SEIDB": r.whole(1, "SEIDB", 0),
