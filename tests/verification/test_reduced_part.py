@@ -8,6 +8,7 @@ in statics exactly those.
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import ringtrue as rt
+from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
@@ -108,13 +110,25 @@ def test_condensation_without_modes_holds_at_its_frequency(folder: Path, method:
     assert near < 1e-7 if method == "dynamic" else 1e-4 < near < 0.5
 
 
+def test_the_command_writes_the_part_and_what_each_mode_loses(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["reduce", str(folder / "branch.bdf"), "--keep", "16", "--below", str(BELOW)]
+    assert run([*words, "--out", str(tmp_path / "cb"), "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["kept"][:2] == ["16+X", "16+Y"]
+    assert np.abs(found["deviations"][:5]).max() < 1e-4  # rigid-body modes
+    assert (tmp_path / "cb.asm").read_text().startswith("SEBULK         1EXTERNAL")
+    words += ["--method", "dynamic", "--at", "80", "--out", str(tmp_path / "cb")]
+    assert run(words) == 0
+    said = capsys.readouterr().out
+    assert "missing" in said
+    assert "one at 80 Hz not at all" in said
+
+
 def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -> None:
     part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW), number=5)
     part.write(folder / "cb")
-    rows = part.external.rows
-    listed = "".join(
-        f"EXTRN,{node},{'123456' if node == 16 else 0}\n" for node in np.unique(rows.node).tolist()
-    )
     with (folder / "part.op4").open("w") as file:
         for name, matrix in (("KAA", part.external.stiffness), ("MAA", part.external.mass)):
             _ascii(file, name, matrix)
@@ -122,7 +136,7 @@ def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -
     bulk, _, points = assembly.partition("MANUAL")
     assembly = f"{bulk}MANUAL{'71':>24}{points}"
     punch = (folder / "cb.pch").read_text()
-    punch = punch.replace("SUPER=5\n", "SUPER       5\n" + listed).partition("DMIG")[0]
+    punch = punch.replace("SUPER=5", "SUPER       5").partition("DMIG")[0]
     text = "ASSIGN INPUTT4='PART.op4',unit=71\n" + HEAD + PROPERTIES + FRAME + assembly + punch
     (folder / "with_op4.bdf").write_text(text)
     np.testing.assert_allclose(
@@ -149,7 +163,7 @@ def test_what_cannot_be_reduced_is_refused(folder: Path, tmp_path: Path) -> None
     settings = rt.ReductionSettings(below=BELOW)
     with pytest.raises(InputError, match="keep 99: it is not in the model"):
         rt.reduce_model(folder / "branch.bdf", "99", settings)
-    with pytest.raises(SingularModel):
+    with pytest.raises(SingularModel, match="can move while the kept DOFs are held"):
         rt.reduce_model(folder / "branch.bdf", "16+Z", settings)
     with pytest.raises(ConfigError, match="belongs to the method dynamic"):
         rt.ReductionSettings(below=BELOW, method="dynamic")

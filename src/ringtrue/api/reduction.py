@@ -40,12 +40,13 @@ class ReducedPart(Displayed):
     reduced : (mode,) float64, Hz
         Of the reduced part; NaN where it has no further mode.
     deviations : (mode,) float64, %
-        Of the reduced from the whole; 0 for rigid-body modes.
+        Of the reduced from the whole; of rigid-body modes in shares of the frequency that was asked
+        for.
     captured : (mode,) float64
         Share of the kinetic energy that motions of the reduced part can have.
     bound : float, %
         What the reduction moves a mode at the frequency that was asked for by at most, in any
-        whole; lower modes move less.
+        whole; lower modes move less, but for the dynamic condensation, which holds at its own.
     kept : tuple of str
         The degrees of freedom of the matrices, modal coordinates last.
     external : ExternalPart
@@ -119,7 +120,8 @@ def reduce_model(
     part = reduce_part(system, rows, settings)
     found = reduction_error(model, system, part, settings.below)
     flexible = elastic(np.append(found.frequencies, settings.below))[:-1]
-    off = 100 * (found.reduced / np.where(flexible, found.frequencies, 1.0) - 1)
+    scale = np.where(flexible, found.frequencies, settings.below)
+    off = 100 * (found.reduced - found.frequencies) / scale
     first = 90_000_001 + 10_000 * number  # above the numbers of a deck
     modal = np.arange(first, first + part.frequencies.size)
     labels = DofSet(
@@ -136,7 +138,7 @@ def reduce_model(
     return ReducedPart(
         frequencies=found.frequencies,
         reduced=found.reduced,
-        deviations=np.where(flexible, off, 0.0),
+        deviations=off,
         captured=found.captured,
         bound=100 * largest_shift(system, part, settings.below),
         kept=labels.labels(),

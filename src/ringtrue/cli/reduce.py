@@ -67,9 +67,9 @@ def reduce(
         ]
         heads = ("#", "f [Hz]", "reduced [Hz]", "off [%]", "energy captured [%]")
         rows(f"{deck}: {len(part.kept)} of its degrees of freedom", heads, body)
+        others = "lower ones by less" if at is None else f"one at {at:g} Hz not at all"
         out.print(
-            f"in any whole, a mode at {below:g} Hz moves by at most {part.bound:.2g} %, lower ones "
-            "by less"
+            f"in any whole, a mode at {below:g} Hz moves by at most {part.bound:.2g} %, {others}"
         )
         out.print(f"written: {' '.join(map(str, written))}", soft_wrap=True)
     return 0

@@ -12,7 +12,6 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.core.dofs import NO_DOFS, DofSet
-from ringtrue.errors import SingularModel
 from ringtrue.fem.assembly import System, assemble, reduced
 from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.model.model import Model
@@ -112,14 +111,7 @@ def _without(system: System, component: Component) -> System:
         at = block[rows]
         return list(DofSet(system.free.node[at], system.free.direction[at]).labels())
 
-    try:
-        part = craig_bampton(K, M, boundary, component.count, labels=labels)
-    except SingularModel as e:
-        raise SingularModel(
-            e.dofs,
-            f"{component.name} can move while the DOFs that it is condensed onto are held: keep "
-            "one of these, too (ASET, or a boundary point)",
-        ) from e
+    part = craig_bampton(K, M, boundary, component.count, labels=labels)
     found = int((part.frequencies <= component.highest).sum())
     log.info(
         "%s: %d DOFs condensed onto %d and %d component modes",

@@ -79,7 +79,7 @@ class FullModel:
 
     def _open(self, x: Float) -> Analysis:
         self.ledger.runs += 1
-        model = at_factors(self.model, self.parameters, self.parameters.factors(x))
+        model = at_factors(whole_mesh(self.model), self.parameters, self.parameters.factors(x))
         return self.solver.open(model, (self.parameters,))
 
     def reaching(self, high: float) -> FullModel:

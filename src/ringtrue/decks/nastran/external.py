@@ -6,7 +6,7 @@ deck (.pch: BEGIN SUPER, points, matrices as DMIG), or the matrices in an OUTPUT
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -140,8 +140,10 @@ def write_part(part: ExternalPart, stem: str | Path) -> tuple[Path, Path]:
     main = format_card("SEBULK", [number, "EXTERNAL", None, "MANUAL"])
     main += format_card("SECONCT", [number, 0, None, "NO", *[None] * 4, *joined])
     kept = part.rows.by_components()
-    at_points = {c: nodes for c, nodes in kept.items() if c != "0"}
-    sets = _sets("ASET1", at_points) + (_sets("QSET1", {"0": scalar}) if scalar else "")
+    components = {node: c for c, nodes in kept.items() for node in nodes}
+    listed = [x for node, c in sorted(components.items()) for x in (node, c)]
+    sets = format_card("EXTRN", listed)
+    sets += "".join(format_card("ASET1", [c, *nodes]) for c, nodes in kept.items())
     dmig = dmig_table(part.rows, [("KAAX", part.stiffness), ("MAAX", part.mass)])
     matrices = write_bulk(Model({"DMIG": dmig}))
     with atomic_write(asm) as file:
@@ -149,7 +151,3 @@ def write_part(part: ExternalPart, stem: str | Path) -> tuple[Path, Path]:
     with atomic_write(pch) as file:
         file.write_text(f"BEGIN SUPER={number}\n" + sets + own + matrices)
     return asm, pch
-
-
-def _sets(card: str, points: Mapping[str, Sequence[int]]) -> str:
-    return "".join(format_card(card, [c, *nodes]) for c, nodes in points.items())
