@@ -162,7 +162,7 @@ def test_pairs_and_ranges_of_points_are_joined(tmp_path: Path) -> None:
             DeckError,
             "that lies 0.5 away",
         ),
-        ("BEGIN SUPER=2", "PARAM,WTMASS,2.\nBEGIN SUPER=2", DeckError, "PARAM,WTMASS is 2.0 in"),
+        ("BEGIN SUPER=2", "PARAM,WTMASS,2.\nBEGIN SUPER=2", DeckError, "PARAM,WTMASS is 2 in"),
         ("BEGIN SUPER=2", "ASET1,26,5\nBEGIN SUPER=2", DeckError, "join it by SECONCT"),
         ("BEGIN SUPER=2", "BEGIN SUPER=1", DeckError, "superelement 1 begins twice"),
     ],

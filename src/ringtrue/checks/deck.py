@@ -295,8 +295,9 @@ def unapplied(model: Model) -> Iterator[Finding]:
 def condensation(model: Model) -> str:
     """What of a deck is condensed, and which answers are."""
     listed = [card for card in (*KEPT, *OMITTED, *MODAL) if card in model]
-    seid = model["GRID"]["SEID"]
-    by = ", ".join([*listed, *(["superelements"] if (seid > 0).any() else [])])
+    if "GRID" in model and (model["GRID"]["SEID"] > 0).any():
+        listed.append("superelements")
+    by = ", ".join(listed)
     return (
         f"{by}: ringtrue modes and frf condense as Nastran does; static is exact, and studies take "
         "the whole mesh"

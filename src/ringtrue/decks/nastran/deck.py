@@ -250,7 +250,7 @@ def load(path: str | Path) -> Deck:
         else ()
     )
     stop = _without_comments(raw, start, stop)
-    unread = next(([s.first - 1] for s in sections if s.number < 0), [])
+    unread = next((s.first - 1 for s in sections if s.number < 0), None)
     lines = np.arange(start.size)
     parts: dict[int, Deck] = {}
     for section in sections:
@@ -272,10 +272,10 @@ def load(path: str | Path) -> Deck:
                 card="BEGIN SUPER",
             )
         parts[section.number] = made
-    places = [(int(file[at]), int(line[at])) for at in unread]
     main = parts.pop(0)
     parts.pop(-1, None)
-    return replace(main, parts=parts, unread=places[0] if places else None)
+    place = None if unread is None else (int(file[unread]), int(line[unread]))
+    return replace(main, parts=parts, unread=place)
 
 
 def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0) -> Iterator[int]:

@@ -37,8 +37,17 @@ from ringtrue.model.references import FRAMES, NODES, REFERENCES
 from ringtrue.model.superelements import KEPT, MODAL, OMITTED, component_modes, listed_dofs
 
 log = logging.getLogger(__name__)
-# PARAM that make matrices: all sections must agree
-_OF_MATRICES = ("WTMASS", "COUPMASS", "K6ROT", "G", "ALPHA1", "ALPHA2", "MITC4", "SNORM")
+# PARAM that make matrices, and what they are where they are not given: all sections must agree
+_OF_MATRICES = {
+    "WTMASS": 1.0,
+    "COUPMASS": -1.0,
+    "K6ROT": 100.0,
+    "G": 0.0,
+    "ALPHA1": 0.0,
+    "ALPHA2": 0.0,
+    "MITC4": 1.0,
+    "SNORM": 20.0,
+}
 # commands that add matrices, and the matrices that EXTSEOUT writes
 _EXTERNAL = (("k2gg", "KAAX"), ("m2gg", "MAAX"), ("b2gg", "BAAX"))
 _BY_NUMBER = ("CWELD", "CFAST")  # they name properties or elements by other fields
@@ -529,21 +538,19 @@ def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
     """
     out = dict(sections[0].model.params)
     with_mesh = [s for s in sections if s.elements.size]
-    for name in _OF_MATRICES:
-        values = {s.model.params.get(name) for s in with_mesh}
-        if len(values) > 1:
-            found = ", ".join(
-                f"{s.model.params.get(name, 'none')} in superelement {s.number}" for s in with_mesh
-            )
+    for name, default in _OF_MATRICES.items():
+        values = {s.number: s.model.param(name, default) for s in with_mesh}
+        if len(set(values.values())) > 1:
+            found = ", ".join(f"{value:g} in superelement {n}" for n, value in values.items())
             raise DeckError(
                 f"PARAM,{name} is {found}: give all the same",
                 path=sections[0].model.files[0],
                 card="PARAM",
             )
-        value = next(iter(values), out.get(name))
-        if value is not None:
-            out[name] = value
-        else:
+        given = [s.model.params[name] for s in with_mesh if name in s.model.params]
+        if given:
+            out[name] = given[0]
+        elif values:
             out.pop(name, None)
     return out
 
