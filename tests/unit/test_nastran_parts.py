@@ -62,6 +62,27 @@ def test_parts_without_condensation_are_the_whole(tmp_path: Path) -> None:
     assert model["GRID"]["SEID"].tolist() == [0, 1, 1, 2, 2]
 
 
+def test_parts_are_joined_to_each_other_and_listed_ones_are_the_same(tmp_path: Path) -> None:
+    """Without a point of the residual structure, and with SEID of GRID in one bulk data section."""
+    model = read(tmp_path, PARTS.replace("GRID,3,,3.,0.,0.\n", "", 1))
+    assert model["GRID"]["SEID"].tolist() == [0, 1, 1, 2, 2]
+    listed = WHOLE
+    for point, number in ((1, 2), (2, 2), (4, 1), (5, 1)):
+        line = f"GRID,{point},,{point}.,0.,0."
+        listed = listed.replace(line, f"{line},,,{number}")
+    condensed = frequencies(read(tmp_path, listed))
+    assert condensed.size == 2
+    np.testing.assert_allclose(frequencies(model), condensed, rtol=1e-10)
+
+
+def test_case_control_chooses_sets_for_each_superelement(tmp_path: Path) -> None:
+    cases = "SUBCASE 1\nSUPER = 2\nSPC = 1\nSUBCASE 2\nSET 7 = 0, 1\nSUPER = 7\nBEGIN BULK"
+    text = PARTS.replace("SPC = 1\n", "").replace("BEGIN BULK", cases, 1)
+    text = text.replace("BEGIN SUPER=2", "begin bulk super = 2")
+    whole = frequencies(read(tmp_path, WHOLE))
+    np.testing.assert_allclose(frequencies(whole_mesh(read(tmp_path, text))), whole, rtol=1e-10)
+
+
 def test_numbers_that_two_parts_have_get_that_of_their_superelement(tmp_path: Path) -> None:
     model = read(tmp_path, PARTS)
     assert sorted(model["CBAR"].ids.tolist()) == [1, 2, 2001, 2002]
@@ -83,12 +104,20 @@ def test_points_that_two_parts_number_alike_stay_apart(tmp_path: Path) -> None:
     )
 
 
-def test_loads_stand_in_the_bulk_data_of_any_part(tmp_path: Path) -> None:
+GRAV = "GRAV,4,,9.81,0.,-1.,0.\n"
+FORCE = "FORCE,4,5,,3.,0.,1.,0.\n"
+
+
+@pytest.mark.parametrize(("load", "parts"), [(FORCE, (1,)), (GRAV, (1, 2))])
+def test_loads_stand_in_the_bulk_data_of_parts(
+    tmp_path: Path, load: str, parts: tuple[int, ...]
+) -> None:
     moved = []
-    for text in (
-        WHOLE + "FORCE,4,5,,3.,0.,1.,0.\n",
-        PARTS.replace("BEGIN SUPER=2", "FORCE,4,5,,3.,0.,1.,0.\nBEGIN SUPER=2"),
-    ):
+    divided = PARTS
+    for number in parts:
+        begin = f"BEGIN SUPER={number}\n"
+        divided = divided.replace(begin, begin + load)
+    for text in (WHOLE + load, divided):
         path = tmp_path / "loaded.bdf"
         path.write_text(text)
         model, cases = read_loaded_deck(path)
@@ -96,7 +125,14 @@ def test_loads_stand_in_the_bulk_data_of_any_part(tmp_path: Path) -> None:
             found = analysis.static(load_vectors(model, mesh(model).dofs, cases))
             moved.append(found[analysis.dofs.find(np.array([4, 5]), np.array([2, 2]))])
     np.testing.assert_allclose(moved[1], moved[0], rtol=1e-10)
-    assert (moved[0] > 0).all()
+    assert (moved[0] != 0).all()
+
+
+def test_gravity_on_some_parts_alone_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "loaded.bdf"
+    path.write_text(PARTS.replace("BEGIN SUPER=2\n", "BEGIN SUPER=2\n" + GRAV))
+    with pytest.raises(DeckError, match="GRAV acts on some parts only"):
+        read_loaded_deck(path)
 
 
 def test_a_field_of_a_part_is_edited_in_place(tmp_path: Path) -> None:
