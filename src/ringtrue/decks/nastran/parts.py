@@ -508,7 +508,8 @@ def _matrices(
     """The terms of K2GG or its like: those that case control takes, and that of each external
     superelement.
     """
-    terms = list(getattr(sections[0].model.case, command))
+    terms = []
+    taken = set()
     for section in sections[1:]:
         if "DMIG" not in section.model:
             continue
@@ -525,11 +526,12 @@ def _matrices(
                     card="DMIG",
                 )
         terms += [(factor, _named(name, section.number)) for factor, name in own]
-    if len(sections) > 1:  # a command above all subcases holds for the matrices of each part
-        table = sections[0].model.tables.get("DMIG")
-        mine = np.char.upper(table["NAME"].astype(str)).tolist() if table else []
-        terms = [(f, name) for f, name in terms if "@" in name or name in mine]
-    return tuple(terms)
+        taken |= {name for _, name in own}
+    # a command above all subcases holds for the matrices of each part, too
+    table = sections[0].model.tables.get("DMIG")
+    mine = np.char.upper(table["NAME"].astype(str)).tolist() if table else []
+    asked = getattr(sections[0].model.case, command)
+    return (*((f, name) for f, name in asked if name in mine or name not in taken), *terms)
 
 
 def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
