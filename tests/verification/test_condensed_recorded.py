@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+import ringtrue as rt
 from ringtrue.core.dofs import DofSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
@@ -72,3 +73,16 @@ def test_recorded_modes(deck: str) -> None:
         np.testing.assert_allclose(
             sign * here[~modal], moved, atol=SHAPES * np.abs(moved).max(), rtol=0
         )
+
+
+@pytest.mark.data
+def test_statics_of_superelements_are_those_of_one_mesh() -> None:
+    """Forces of 1 along -Y, and of 1 along -2 Y, at point 6 of the cantilever."""
+    parts = DATA / "cantilever_bar/part_super_guyan/guyanSuperStatic.dat"
+    if not parts.exists():
+        pytest.skip(f"reference data not found: {parts}")
+    found = rt.static(parts, responses=["3+Y", "6+Y", "11+Y"])
+    one = DATA / "cantilever_bar/no_super/noReduction.dat"
+    want = rt.static(one, forces={"6+Y": -1.0}, responses=["3+Y", "6+Y", "11+Y"]).values
+    assert found.cases == ("SUBCASE 1", "SUBCASE 2")
+    np.testing.assert_allclose(found.values, np.concatenate([want, 2 * want]), rtol=1e-9)
