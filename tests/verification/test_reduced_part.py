@@ -21,6 +21,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
+from ringtrue.io.op4 import read_op4
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 
@@ -129,34 +130,18 @@ def test_the_command_writes_the_part_and_what_each_mode_loses(
 def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -> None:
     part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW), number=5)
     part.write(folder / "cb")
-    with (folder / "part.op4").open("w") as file:
-        for name, matrix in (("KAA", part.external.stiffness), ("MAA", part.external.mass)):
-            _ascii(file, name, matrix)
-    assembly = (folder / "cb.asm").read_text().replace("EXTERNAL", "  EXTOP4")
-    bulk, _, points = assembly.partition("MANUAL")
-    assembly = f"{bulk}MANUAL{'71':>24}{points}"
-    punch = (folder / "cb.pch").read_text()
-    punch = punch.replace("SUPER=5", "SUPER       5").partition("DMIG")[0]
-    text = "ASSIGN INPUTT4='PART.op4',unit=71\n" + HEAD + PROPERTIES + FRAME + assembly + punch
-    (folder / "with_op4.bdf").write_text(text)
+    part.write(folder / "full", op4=True)
+    assembly = HEAD + PROPERTIES + FRAME + "INCLUDE 'full.asm'\nINCLUDE 'full.pch'\n"
+    text = "ASSIGN INPUTT4='FULL.op4',unit=105\n" + assembly
+    (folder / "with_op4.bdf").write_text(text.replace("SUPER=5", "SUPER       5"))
     np.testing.assert_allclose(
         frequencies(folder / "with_op4.bdf"), frequencies(folder / "with_cb.bdf"), rtol=1e-7
     )
-    (folder / "lost.bdf").write_text(text.replace("unit=71", "unit=72"))
-    with pytest.raises(DeckError, match="unit 71: name its file above"):
+    held = read_op4(folder / "full.op4")
+    np.testing.assert_array_equal(held["KAAX"].toarray(), part.external.stiffness)
+    (folder / "lost.bdf").write_text(text.replace("unit=105", "unit=72"))
+    with pytest.raises(DeckError, match="unit 105: name its file above"):
         read_deck(folder / "lost.bdf")
-
-
-def _ascii(file: object, name: str, matrix: Float) -> None:
-    """A matrix as OUTPUT4 writes it in text."""
-    n = len(matrix)
-    print(f"{n:8d}{n:8d}{6:8d}{2:8d}{name:<8s}1P,3E23.16", file=file)  # type: ignore[call-overload]
-    for j in range(n):
-        print(f"{j + 1:8d}{1:8d}{n:8d}", file=file)  # type: ignore[call-overload]
-        column = [f"{x:23.16E}" for x in matrix[:, j]]
-        for i in range(0, n, 3):
-            print("".join(column[i : i + 3]), file=file)  # type: ignore[call-overload]
-    print(f"{n + 1:8d}{1:8d}{1:8d}\n{1.0:23.16E}", file=file)  # type: ignore[call-overload]
 
 
 def test_what_cannot_be_reduced_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -69,9 +69,11 @@ class ReducedPart(Displayed):
     kept: tuple[str, ...]
     external: ExternalPart
 
-    def write(self, stem: str | Path) -> tuple[Path, Path]:
-        """Write `stem`.asm, for the main bulk data of a deck, and `stem`.pch, for its end."""
-        return write_part(self.external, stem)
+    def write(self, stem: str | Path, *, op4: bool = False) -> tuple[Path, ...]:
+        """Write `stem`.asm, for the main bulk data of a deck, and `stem`.pch, for its end; with
+        `op4` the matrices in `stem`.op4 in place of DMIG.
+        """
+        return write_part(self.external, stem, op4=op4)
 
 
 def reduce_model(

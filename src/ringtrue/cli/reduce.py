@@ -40,6 +40,10 @@ def reduce(
         float | None, typer.Option(metavar="HZ", help="Frequency of the dynamic condensation.")
     ] = None,
     number: Annotated[int, typer.Option(help="Of the superelement.", min=1, max=999)] = 1,
+    op4: Annotated[
+        bool,
+        typer.Option("--op4", help="The matrices in STEM.op4, in full precision, not as DMIG."),
+    ] = False,
     json: Json = None,
 ) -> int:
     """Reduce a part to some of its points, and say what that does to each of its modes.
@@ -53,7 +57,7 @@ def reduce(
     with progress("reduce") as show:
         show(0.1, f"reducing {deck}")
         part = reduce_model(deck, keep, settings, number=number)
-    written = part.write(target)
+    written = part.write(target, op4=op4)
     if json:
         names = ("frequencies", "reduced", "deviations", "captured")
         numbers = {name: _numbers(getattr(part, name)) for name in names}
@@ -72,6 +76,9 @@ def reduce(
             f"in any whole, a mode at {below:g} Hz moves by at most {part.bound:.2g} %, {others}"
         )
         out.print(f"written: {' '.join(map(str, written))}", soft_wrap=True)
+        if op4:
+            unit = part.external.unit
+            out.print(f"above SOL: ASSIGN INPUTT4='{written[-1]}', UNIT={unit}", soft_wrap=True)
     return 0
 
 

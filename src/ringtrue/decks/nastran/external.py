@@ -19,7 +19,7 @@ from ringtrue.decks.nastran.deck import any_case
 from ringtrue.decks.nastran.writer import format_card, write_bulk
 from ringtrue.errors import DeckError
 from ringtrue.io.files import atomic_write, existing, reads, writes
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.op4 import read_op4, write_op4
 from ringtrue.model.model import Model, Ragged, Table, table
 from ringtrue.model.superelements import listed_dofs
 
@@ -123,13 +123,27 @@ class ExternalPart(FrozenArrays):
     stiffness: Float
     mass: Float
 
+    @property
+    def unit(self) -> int:
+        """Of an OUTPUT4 file."""
+        return 100 + self.number
 
-def write_part(part: ExternalPart, stem: str | Path) -> tuple[Path, Path]:
+
+def write_part(part: ExternalPart, stem: str | Path, *, op4: bool = False) -> tuple[Path, ...]:
     """Write `stem`.asm and `stem`.pch: INCLUDE the one in the main bulk data of a deck, the other
     before its ENDDATA.
+
+    Parameters
+    ----------
+    part : ExternalPart
+    stem : str or Path
+    op4 : bool
+        The matrices in `stem`.op4, in full precision, in place of DMIG in the punch file; the deck
+        assigns it, as in ASSIGN INPUTT4='part.op4', UNIT=101.
     """
-    asm, pch = (Path(f"{stem}{ending}") for ending in (".asm", ".pch"))
-    writes(asm, pch)
+    asm, pch, matrices = (Path(f"{stem}{ending}") for ending in (".asm", ".pch", ".op4"))
+    written = (asm, pch, matrices) if op4 else (asm, pch)
+    writes(*written)
     scalar = part.rows.node[part.rows.direction == 0].tolist()
     ids = part.points["GRID"].ids.tolist()
     joined = [i for point in (*ids, *scalar) for i in (point, point)]
@@ -137,17 +151,23 @@ def write_part(part: ExternalPart, stem: str | Path) -> tuple[Path, Path]:
     if scalar:
         own += "".join(format_card("SPOINT", scalar[i : i + 8]) for i in range(0, len(scalar), 8))
     number = part.number
-    main = format_card("SEBULK", [number, "EXTERNAL", None, "MANUAL"])
+    medium = (
+        ["EXTOP4", None, "MANUAL", None, None, part.unit] if op4 else ["EXTERNAL", None, "MANUAL"]
+    )
+    main = format_card("SEBULK", [number, *medium])
     main += format_card("SECONCT", [number, 0, None, "NO", *[None] * 4, *joined])
     kept = part.rows.by_components()
     components = {node: c for c, nodes in kept.items() for node in nodes}
     listed = [x for node, c in sorted(components.items()) for x in (node, c)]
-    sets = format_card("EXTRN", listed)
-    sets += "".join(format_card("ASET1", [c, *nodes]) for c, nodes in kept.items())
-    dmig = dmig_table(part.rows, [("KAAX", part.stiffness), ("MAAX", part.mass)])
-    matrices = write_bulk(Model({"DMIG": dmig}))
+    bulk = format_card("EXTRN", listed)
+    bulk += "".join(format_card("ASET1", [c, *nodes]) for c, nodes in kept.items()) + own
+    named = {"KAAX": part.stiffness, "MAAX": part.mass}
+    if op4:
+        write_op4(matrices, named)
+    else:
+        bulk += write_bulk(Model({"DMIG": dmig_table(part.rows, list(named.items()))}))
     with atomic_write(asm) as file:
         file.write_text(main + own)
     with atomic_write(pch) as file:
-        file.write_text(f"BEGIN SUPER={number}\n" + sets + own + matrices)
-    return asm, pch
+        file.write_text(f"BEGIN SUPER={number}\n" + bulk)
+    return written
