@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         static,
         write_deck,
     )
+    from ringtrue.api.reduction import reduce_model
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
         SolverError,
         UnsupportedError,
     )
+    from ringtrue.reduction.part import ReductionSettings
     from ringtrue.solvers.matrices import MatrixModel
     from ringtrue.solvers.observed import at_factors
     from ringtrue.study.config_sections import CorrelateSection as CorrelateSettings
@@ -71,6 +73,8 @@ _PLACES = {  # module -> public names in it
     "api.comparison": "correlate",
     "api.inspection": "inspect_file",
     "api.improvement": "TestedModel fit_damping localise parameter tune_suspension update",
+    "api.reduction": "reduce_model",
+    "reduction.part": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
@@ -97,6 +101,7 @@ __all__ = [
     "ParameterSet",
     "PlanSettings",
     "PredictSettings",
+    "ReductionSettings",
     "RingtrueError",
     "SolverError",
     "TestedModel",
@@ -125,6 +130,7 @@ __all__ = [
     "read_modes",
     "read_record",
     "read_sensors",
+    "reduce_model",
     "run_study",
     "solve_modes",
     "static",

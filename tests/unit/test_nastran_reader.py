@@ -231,8 +231,8 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("SESET,1,2", "superelements: give the whole structure"),
-        ("BEGIN SUPER=1", "superelements: give the whole structure"),
+        ("SESET,1,2", "superelements: give them as parts"),
+        ("BEGIN AUXMODEL=1", "auxiliary models"),
         ("AXIC,0", "axisymmetric"),
         ("CPLSTN4,1,1,1,2,3,4", "axisymmetric, plane strain"),
         ("EGRID,1,,0.,0.,0.", "MSGMESH"),

@@ -27,6 +27,7 @@ from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_mat
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.references import FRAMES, NODES, REFERENCES, known_ids, missing, unused
+from ringtrue.model.superelements import KEPT, MODAL, OMITTED, condenses
 
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
 
@@ -239,9 +240,11 @@ def _lost_sets(model: Model) -> Iterator[Finding]:
             yield from at_rows(model, add, rows, "warning", what)
 
 
-_WHOLE = "kept, not applied: the modes here are those of the full model, not of the condensed one"
 _KEPT = (  # cards that are kept and what becomes of them
-    (("ASET", "ASET1", "OMIT", "OMIT1"), _WHOLE),
+    (
+        ("BSET", "BSET1", "CSET", "CSET1", "BNDFIX", "BNDFIX1", "BNDFREE", "BNDFREE1"),
+        "kept, not applied: component modes are those with all kept DOFs held",
+    ),
     (
         TABLES,
         "kept, not applied: the nominal stiffness and damping hold at all frequencies, as in SOL "
@@ -279,15 +282,26 @@ def unapplied(model: Model) -> Iterator[Finding]:
     if loads:
         what = "loads that are not read: ringtrue static refuses a set with them; no mode changes"
         yield Finding("info", f"{', '.join(loads)}: {what}")
-    if "GRID" in model:
-        rows = np.flatnonzero(model["GRID"]["SEID"] > 0)
-        yield from at_rows(model, "GRID", rows, "info", f"SEID {_WHOLE}")
+    if condenses(model):
+        yield Finding("info", condensation(model))
     for name in ("K2PP", "M2PP", "B2PP"):
         if getattr(model.case, name.lower()):
             yield Finding("info", f"{name} acts on responses (ringtrue frf), not on modes")
     for text in left_out(model):
         yield Finding("warning", text)
     yield from _idle_matrices(model)
+
+
+def condensation(model: Model) -> str:
+    """What of a deck is condensed, and which answers are."""
+    listed = [card for card in (*KEPT, *OMITTED, *MODAL) if card in model]
+    if "GRID" in model and (model["GRID"]["SEID"] > 0).any():
+        listed.append("superelements")
+    by = ", ".join(listed)
+    return (
+        f"{by}: ringtrue modes and frf condense as Nastran does; static is exact, and studies take "
+        "the whole mesh"
+    )
 
 
 def _idle_matrices(model: Model) -> Iterator[Finding]:

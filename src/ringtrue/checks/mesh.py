@@ -17,6 +17,7 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.model.refine import refined
+from ringtrue.model.superelements import whole_mesh
 
 NOTED = 0.02  # of a frequency: mesh errors that are named
 NAMED = 8  # modes named
@@ -84,7 +85,7 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
     ----------
     model : Model
     modes : ModeSet
-        Some of its modes, at DOFs, ascending.
+        Some of the modes of its whole mesh, at DOFs, ascending.
     solver : ModalSolver
         One that takes a model as it stands: embedded.
 
@@ -93,7 +94,7 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
     UnsupportedError
         If the mesh cannot be refined; see `model.refine.refined`.
     """
-    fine = refined(model)
+    fine = refined(whole_mesh(model))
     f = modes.frequencies
     nodes = model["GRID"].ids
     xyz = positions(model)

@@ -38,6 +38,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "modes": ("model", "modes"),
         "frf": ("respond", "frf"),
         "static": ("respond", "static"),
+        "reduce": ("reduce", "reduce"),
         "convert": ("convert", "convert"),
     },
     "Tests": {

@@ -34,6 +34,7 @@ from ringtrue.io.modes import WRITTEN, dump_modes
 from ringtrue.model.cards import effects
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesResult
+from ringtrue.model.superelements import condenses
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 
 ROUNDING = 1e-12  # of the largest value: below is 0
@@ -99,6 +100,10 @@ def modes(
     with progress("modes") as show:
         show(0.0, f"reading {deck}")
         model = read_deck(deck)
+        if mesh and condenses(model):
+            raise ConfigError(
+                "--mesh-error refines whole meshes; this deck is condensed (ASET, superelements)"
+            )
         found = solve_modes(
             model,
             band=band,

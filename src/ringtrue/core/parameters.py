@@ -16,7 +16,8 @@ Scale = Literal["log", "linear"]
 
 @dataclass(frozen=True, slots=True)
 class CardField:
-    """A field of a card: `CardField("MAT1", 7, "E")`; `CardField("PCOMP", 2, "T3")` is ply 3.
+    """A field of a card: `CardField("MAT1", 7, "E")`; `CardField("PCOMP", 2, "T3")` is ply 3,
+    `CardField("DMIG", 1, "A")` all terms of the first matrix.
 
     Attributes
     ----------
@@ -34,6 +35,11 @@ class CardField:
     field: str
     elements: tuple[int, ...] = ()
     step: float = 0.0
+
+
+def is_matrix(target: CardField) -> bool:
+    """Whether it is all terms of a matrix."""
+    return (target.card, target.field) == ("DMIG", "A")
 
 
 @dataclass(frozen=True, slots=True)

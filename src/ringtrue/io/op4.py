@@ -5,7 +5,7 @@ complex.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.errors import DataError
+from ringtrue.io.files import atomic_write
 
 BIG = 65536  # rows from which strings carry their length and row in two words
 MOST = 100_000_000  # rows and columns of all matrices of a file: 0.8 GB of pointers
@@ -38,6 +39,21 @@ def read_op4(path: Path) -> dict[str, sparse.csr_array]:
         return dict(_matrices(_Binary(raw) if binary else _Text(raw)))
     except (ValueError, IndexError, OverflowError) as e:
         raise DataError(f"{path}: not an OUTPUT4 file, or cut short: {e}") from e
+
+
+def write_op4(path: Path, matrices: Mapping[str, Float]) -> None:
+    """Real symmetric matrices (n, n) by name as an ascii OUTPUT4 file, in full double precision."""
+    lines = []
+    for name, matrix in matrices.items():
+        n = len(matrix)
+        lines.append(f"{n:8d}{n:8d}{6:8d}{2:8d}{name:<8s}1P,3E23.16")
+        for j, column in enumerate(matrix.T.tolist(), 1):
+            lines.append(f"{j:8d}{1:8d}{n:8d}")
+            numbers = [f"{x:23.16E}" for x in column]
+            lines += ["".join(numbers[i : i + 3]) for i in range(0, n, 3)]
+        lines += [f"{n + 1:8d}{1:8d}{1:8d}", f"{1.0:23.16E}"]
+    with atomic_write(path) as part:
+        part.write_text("\n".join(lines) + "\n")
 
 
 def fixed_numbers(

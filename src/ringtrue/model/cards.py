@@ -259,9 +259,17 @@ RTRPLT  EID GA GB GC CNA:c CNB:c CNC:c _ CMA:c CMB:c CMC:c _ _
 RTRPLT1 EID GA GB GC CMB:c CMC:c _ _
 RBE2    EID GN CM:c *GM
 SPC1    SID C:c *G
+ASET    ID C:c
+OMIT    ID C:c
+QSET    ID C:c
+EXTRN   ID C:c
+ASET1   C:c *ID
+OMIT1   C:c *ID
+QSET1   C:c *ID
 SPCADD  SID *S
 MPCADD  SID *S
 NSMADD  SID *S
+SEBULK  SEID TYPE:s RSEID METHOD:s=AUTO TOL:f=1e-5 LOC:s UNITNO
 EIGRL   SID V1:f=nan V2:f=nan ND MSGLVL MAXSET SHFSCL:f NORM:s _ _ _ _ _ _ _ _
 EIGRA   SID V1:f=nan V2:f=nan ND MSGLVL AMPFFACT:f SHFSCL:f NORM:s
 EIGR    SID METHOD:s F1:f=nan F2:f=nan NE ND _ _ NORM:s G C
@@ -307,6 +315,8 @@ SPECIAL = {
     "NSML": "SID TYPE:s ID VALUE:f",
     "NSM1": "SID TYPE:s VALUE:f *ID",
     "NSML1": "SID TYPE:s VALUE:f *ID",
+    # one entry a pair of points that are joined
+    "SECONCT": "SEIDA SEIDB TOL:f=1e-5 LOC:s *GIDA *GIDB",
     # one row a matrix, ID from 1 on
     "DMIG": "ID NAME:s IFO TIN TOUT POLAR NCOL *GJ *CJ *GI *CI *A:f *B:f",
 }
@@ -363,7 +373,7 @@ _CARRYING = """
 CQUAD CQUADX CTRIAX CTRIAX6 CTRAX3 CTRAX6 CQUADX4 CQUADX8 CPYRA5 CHEX8 CHEX20 CBEAM3 CSEAM CBUSH2D CDAMP5 CBAR3 CINTC
 CCONEAX CSLOT3 CSLOT4 CFLUID2 CFLUID3 CFLUID4 CHACAB CHACBR CRAC2D CRAC3D CTWIST CWEDGE PCOMPS PLPLANE PBEAM3
 PSEAM PBUSH2D PLSOLID PSHLN1 PSHLN2 PSLDN1 PBMSECT PBRSECT MAT3 MAT11 MATORT MATHP MFLUID RBE2GS RBE2F RSSCON RBAX
-DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEBULK SECONCT SEELT SESET SEBNDRY SELOC SEMPLN SETREE
+DMIGOUT DMIGROT GRIDB EGRID CORD3G CORD3R SPCAX MPCAX MPCD SEELT SEQSET SEQSET1 SESET SEBNDRY SELOC SEMPLN SETREE
 CSUPER CSUPEXT RELEASE PCOMPG1 PCOMPP MATCID BCONP BCTABLE BLSEG BSCONP SLBLOAD AXIC PDAMP5 TIE CONTACT JOINTG RBODY
 GMBC GMSPC GMBNDC GMBNDS PVAL SKIPON
 """
@@ -381,9 +391,10 @@ PRELOADS = (
     "LOAD",
 )
 _REASONS = (  # what cards have in common that are not read, and how their names begin
-    ("superelements: give the whole structure as one deck, or reduced matrices as DMIG with K2GG "
-     "and M2GG",
-     ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "EXTRN")),
+    ("auxiliary models, and superelements without a number: write BEGIN SUPER=n", ("BEGIN",)),
+    ("superelements: give them as parts (BEGIN SUPER=n, with SEBULK and SECONCT), or reduced matrices "
+     "as DMIG with K2GG and M2GG",
+     ("SE", "CSUP", "RELEASE", "EXTRN")),
     ("axisymmetric, plane strain and plane stress: ringtrue solves structures in space",
      ("AXIC", "CCONEAX", "CSLOT", "CQUADX", "CTRIAX", "CTRAX", "CPLST", "RINGAX", "SPCAX", "MPCAX")),
     ("MSGMESH: give the cards that it makes (ECHO = PUNCH)", ("EGRID", "CGEN", "GRIDB")),
@@ -420,7 +431,7 @@ _EFFECTS = (
     (("stiffness",), ("CBUSH2D", "PBUSH2D", "CRAC", "MATT", "PRETENS", "SPCR", *PRELOADS)),
     (("nothing",), ("CDAMP5", "PDAMP5")),
     (("mass",), ("CFLUID", "CHAC", "MFLUID", "CAABSF")),
-    (("mass", "stiffness", "constraints", "loads"), ("BEGIN SUPER", "SE", "CSUP", "RELEASE", "SKIPON", "/")),
+    (("mass", "stiffness", "constraints", "loads"), ("BEGIN", "SE", "CSUP", "RELEASE", "SKIPON", "/")),
 )  # fmt: skip
 TABLES = (
     "PBUSHT",

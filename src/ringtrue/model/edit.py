@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet, is_matrix
 from ringtrue.core.units import UnitSystem
 from ringtrue.errors import InputError, UnsupportedError, did_you_mean
 from ringtrue.model.cards import END_A, END_B, MADE, NONSTRUCTURAL, resectioned
@@ -58,6 +58,11 @@ def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
         raise InputError(
             f"{target.card} {target.id} has several values; give each a set of its own, united "
             "by NSMADD"
+        )
+    if isinstance(target, CardField) and is_matrix(target):
+        raise InputError(
+            f"DMIG {target.id} A is a whole matrix: its factor stands in no field; write it into "
+            "case control, as in K2GG = 1.1*KAAX"
         )
     if isinstance(table.columns.get(target.field), Ragged):
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
@@ -138,13 +143,15 @@ def has_fields(parameter: Parameter) -> bool:
     A lump is the mass of a card of its own, which the deck gets.
     """
     places = any(t.elements or t.step for t in parameter.targets) and not parameter.lump
+    places |= any(is_matrix(t) for t in parameter.targets)
     return not (parameter.shapes or parameter.substructures or places)
 
 
 def _refuse_what_no_field_holds(parameter: Parameter) -> None:
     if not has_fields(parameter):
         raise InputError(
-            f"parameter {parameter.name} moves nodes or places, or holds for some elements only: "
+            f"parameter {parameter.name} moves nodes or places, scales a matrix, or holds for some "
+            "elements only: "
             "it has derivatives, "
             "but cannot be written into the deck's fields; give those elements a property of "
             "their own"

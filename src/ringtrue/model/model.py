@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Int, frozen
+from ringtrue.core.dofs import NO_DOFS, DofSet
 from ringtrue.errors import DeckError, InputError, UnsupportedCard
 
 
@@ -162,6 +163,31 @@ class CaseControl:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Superelement:
+    """A part of a model, condensed onto the points around it; SEID of GRID names its interior
+    points.
+
+    Attributes
+    ----------
+    number : int
+    elements : (n,) int64
+        EID of all its elements.
+    modal : DofSet
+        Coordinates of its component modes; empty for the condensation of Guyan.
+    count : int
+        Component modes at most.
+    highest : float, Hz
+        Of these.
+    """
+
+    number: int
+    elements: Int
+    modal: DofSet = NO_DOFS
+    count: int = 0
+    highest: float = np.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Model:
     """A finite element model in the units of its deck.
 
@@ -181,6 +207,8 @@ class Model:
     time : float, s
         The unit of time of the deck, which `model.seconds.in_seconds` has put into PARAM,WTMASS; 1
         if it has not.
+    superelements : tuple of Superelement
+        Those with bulk data of their own (BEGIN SUPER).
     """
 
     tables: Mapping[str, Table]
@@ -190,6 +218,7 @@ class Model:
     kept: Mapping[str, int] = field(default_factory=dict)
     units: str = "SI"
     time: float = 1.0
+    superelements: tuple[Superelement, ...] = ()
 
     def __contains__(self, card: str) -> bool:
         return card in self.tables

@@ -92,6 +92,8 @@ REFERENCES: tuple[CardReference, ...] = (
     *_nodes("RBE3", "REFGRID G"),
     *_nodes("SPC", "G"),
     *_nodes("SPC1", "G"),
+    *(r for c in ("ASET", "OMIT", "QSET") for k in ("", "1") for r in _nodes(f"{c}{k}", "ID")),
+    *_nodes("EXTRN", "ID"),
     *_nodes("MPC", "G"),
     *_nodes("DMIG", "GJ GI"),
     *(CardReference(c, "MCID", FRAMES, False) for c in SHELLS),

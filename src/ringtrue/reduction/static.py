@@ -13,7 +13,7 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Any_, Float, FrozenArrays, Int, freeze_fields
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Factor, Labels, Pencil
-from ringtrue.errors import ConfigError, InputError
+from ringtrue.errors import ConfigError, InputError, SingularModel
 from ringtrue.shapes import pseudo_inverse
 
 CHUNK = 64  # right-hand sides solved at once
@@ -100,6 +100,9 @@ def craig_bampton(
                 normal = np.zeros((size, modes.values.size))
                 normal[inner] = modes.vectors
                 transform = np.concatenate([transform, normal], axis=1)
+        except SingularModel as e:
+            why = "it can move while the kept DOFs are held: keep one of these, too"
+            raise SingularModel(e.dofs, why) from e
         finally:
             pencil.close()
     k, m = (transform.T @ (A @ transform) for A in (stiffness, mass))

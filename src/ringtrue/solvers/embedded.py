@@ -23,15 +23,15 @@ from ringtrue.eigen.derivatives import MatrixDerivatives, eigenvector_derivative
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, residual_vectors, rounding
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import RESIDUAL_LIMIT, Pencil
-from ringtrue.errors import SingularModel
-from ringtrue.fem.assembly import System, assemble, refuse_held
-from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.errors import SingularModel, UnsupportedError
+from ringtrue.fem.assembly import System, refuse_held
 from ringtrue.fem.parametrisation.derivatives import system_derivatives
 from ringtrue.fem.response import CoupledModes, coupled, direct
 from ringtrue.fem.response import frf as superpose
 from ringtrue.model.case_control import ModalDamping
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.reduction.components import condensed, free_system
 
 NOT_HELD = (
     "no displacements balance the loads: the model is not held against rigid-body motion "
@@ -40,13 +40,21 @@ NOT_HELD = (
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 
 
+def named(free: DofSet, rows: Int) -> list[str]:
+    """Labels of some rows of the free DOFs."""
+    return list(DofSet(free.node[rows], free.direction[rows]).labels())
+
+
 class EmbeddedAnalysis:
     """An assembled model; see `ringtrue.model.ports.Analysis`.
 
     Attributes
     ----------
     system : System
-        K, M, damping and the transformation from free to full basic-frame DOFs.
+        K, M, damping and the transformation from free to full basic-frame DOFs; condensed where the
+        deck says so.
+    whole : System
+        The same before it is condensed.
     pencil : Pencil
     spins : DofSet or None
         DOFs of the system that are held, see `fem.massless_rotations`.
@@ -61,11 +69,13 @@ class EmbeddedAnalysis:
         model: Model,
         system: System,
         *,
+        whole: System | None = None,
         spins: DofSet | None = None,
         progress: Progress | None = None,
     ) -> None:
         self.model = model
         self.system = system
+        self.whole = system if whole is None else whole
         self.spins = spins
         self.progress = progress
         self.dofs: DofSet = system.dofs
@@ -74,8 +84,15 @@ class EmbeddedAnalysis:
         self._lowest: tuple[int, EigenModes] | None = None
 
     def _labels(self, rows: Int) -> list[str]:
-        free = self.system.free
-        return list(DofSet(free.node[rows], free.direction[rows]).labels())
+        return named(self.system.free, rows)
+
+    @cached_property
+    def _whole_pencil(self) -> Pencil:
+        """That of the system before it is condensed."""
+        a = self.whole
+        if a is self.system:
+            return self.pencil
+        return Pencil(a.stiffness, a.mass, labels=lambda rows: named(a.free, rows))
 
     def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band.
@@ -129,7 +146,17 @@ class EmbeddedAnalysis:
         )
 
     def slopes(self, parameters: ParameterSet) -> Sequence[MatrixDerivatives]:
-        """∂K/∂a and ∂M/∂a at a = 1, in the free DOFs."""
+        """∂K/∂a and ∂M/∂a at a = 1, in the free DOFs.
+
+        Raises
+        ------
+        UnsupportedError
+            Of a condensed system, whose coordinates change with the parameters.
+        """
+        if self.whole is not self.system:
+            raise UnsupportedError(
+                "derivatives of a condensed model: take the whole mesh (whole_mesh(model))"
+            )
         return system_derivatives(self.model, parameters.parameters, self.system)
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
@@ -165,7 +192,8 @@ class EmbeddedAnalysis:
             count = max(lowest.values.size + BUFFER, int(1.3 * count))
 
     def static(self, loads: Any_) -> Float:
-        """Displacements (dof, k) under loads (dof, k) or (dof,), basic frame.
+        """Displacements (dof, k) under loads (dof, k) or (dof,), basic frame: of the whole mesh, as
+        Nastran recovers them.
 
         Raises
         ------
@@ -177,12 +205,13 @@ class EmbeddedAnalysis:
                 list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)"
             )
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
-        loads = self.system.transform.T @ loads
-        moved = self.pencil.at(0.0).solve(loads)
-        rest = np.abs(self.system.stiffness @ moved - loads).max(axis=0, initial=0.0)
+        loads = self.whole.transform.T @ loads
+        moved = self._whole_pencil.at(0.0).solve(loads)
+        rest = np.abs(self.whole.stiffness @ moved - loads).max(axis=0, initial=0.0)
         if not (rest <= RESIDUAL_LIMIT * np.abs(loads).max(axis=0, initial=0.0)).all():
-            raise SingularModel(self._labels(np.argsort(-np.abs(moved).max(axis=1))[:6]), NOT_HELD)
-        return np.asarray(self.system.transform @ moved)
+            most = np.argsort(-np.abs(moved).max(axis=1))[:6]
+            raise SingularModel(named(self.whole.free, most), NOT_HELD)
+        return np.asarray(self.whole.transform @ moved)
 
     @property
     def has_damping(self) -> bool:
@@ -384,6 +413,8 @@ class EmbeddedAnalysis:
 
     def __exit__(self, *error: object) -> None:
         self.pencil.close()
+        if "_whole_pencil" in self.__dict__:
+            self._whole_pencil.close()
         if "dynamic" in self.__dict__:
             self.dynamic.close()
 
@@ -410,6 +441,8 @@ class EmbeddedSolver:
         InputError
             If nothing is free to move.
         """
-        system, spins = without_massless_rotations(model, assemble(model))
-        refuse_held(system)
-        return EmbeddedAnalysis(model, system, spins=spins, progress=self.progress)
+        whole, spins = free_system(model)
+        refuse_held(whole)
+        return EmbeddedAnalysis(
+            model, condensed(model, whole), whole=whole, spins=spins, progress=self.progress
+        )

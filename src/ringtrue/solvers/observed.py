@@ -14,12 +14,12 @@ from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import UnsupportedError
-from ringtrue.fem.assembly import assemble
-from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.components import free_system
 from ringtrue.reduction.parametric import ReducedModel, reduced_model
 from ringtrue.shapes import close_groups, rotation, unit
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -79,7 +79,7 @@ class FullModel:
 
     def _open(self, x: Float) -> Analysis:
         self.ledger.runs += 1
-        model = at_factors(self.model, self.parameters, self.parameters.factors(x))
+        model = at_factors(whole_mesh(self.model), self.parameters, self.parameters.factors(x))
         return self.solver.open(model, (self.parameters,))
 
     def reaching(self, high: float) -> FullModel:
@@ -206,7 +206,8 @@ def reduced(
     observation: Observation,
     count: int,
 ) -> ReducedModel:
-    """The reduced observed model of a deck: assemble, differentiate, project."""
-    system, _ = without_massless_rotations(model, assemble(model))
+    """The reduced observed model of the whole mesh of a deck: assemble, differentiate, project."""
+    model = whole_mesh(model)
+    system, _ = free_system(model)
     affine = observed_system(model, system, parameters, observation)
     return reduced_model(affine, count)

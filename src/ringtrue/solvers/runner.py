@@ -30,6 +30,7 @@ from ringtrue.errors import DataError, SolverFailed, SolverMissing, UnsupportedE
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.solvers import guard
 
 # what programs print where their disk is full
@@ -257,7 +258,7 @@ class DeckAnalysis:
         *,
         keep: Path | None = None,
     ) -> None:
-        self.model = model
+        self.model = whole_mesh(model)
         self.program = program
         self.dofs: DofSet = mesh(model).dofs
         self._temporary = None if keep else tempfile.mkdtemp(prefix=f"ringtrue-{program.name}-")

@@ -22,12 +22,12 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.eigenpairs import eigenvalue, frequencies, polish
 from ringtrue.eigen.shift import start_shift, suitable_shift
 from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
-from ringtrue.fem.assembly import System, assemble, refuse_held
-from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.assembly import System, refuse_held
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
+from ringtrue.reduction.components import condensed, free_system
 from ringtrue.solvers.runner import run_program, tail
 
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
@@ -200,7 +200,8 @@ class SlepcSolver:
             If nothing is free to move.
         """
         python, launcher = find_slepc()
-        system, _ = without_massless_rotations(model, assemble(model))
+        system, _ = free_system(model)
         refuse_held(system)
+        system = condensed(model, system)
         command = (launcher, "-n", str(self.ranks), python)
         return SlepcAnalysis(system, command, timeout=self.timeout)

@@ -24,6 +24,7 @@ from ringtrue.fem.loads import FACES, SURFACES
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.matrix_model import MatricesAtPoint, matrices_at
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
@@ -57,8 +58,8 @@ class Opened:
 
     @cached_property
     def analysis(self) -> EmbeddedAnalysis:
-        """The embedded solver's view."""
-        return EmbeddedSolver().open(self.model)
+        """The embedded solver's view, of the whole mesh."""
+        return EmbeddedSolver().open(whole_mesh(self.model))
 
     @cached_property
     def _modes(self) -> dict[float, ModesResult]:
@@ -83,7 +84,7 @@ class Opened:
     def _outside(self, request: ModesRequest) -> ModesResult:
         """By another solver, at the degrees of freedom of the embedded one."""
         assert self.engine is not None
-        with self.engine.open(self.model) as analysis:
+        with self.engine.open(whole_mesh(self.model)) as analysis:
             found = analysis.modes(request)
         labels = found.modes.labels
         dofs = self.analysis.dofs

@@ -60,6 +60,44 @@ def commands(top: Sequence[str]) -> dict[str, str]:
     return {**common, **chosen}
 
 
+_SUPER = re.compile(r"\s*SUPER\s*=?\s*(.+?)\s*", re.I)
+_SET = re.compile(r"\s*SET\s+(\d+)\s*=\s*(.+?)\s*", re.I)
+
+
+def of_superelement(top: Sequence[str], number: int) -> tuple[str, ...]:
+    """The lines that hold for one superelement, 0 for the residual structure: those above all
+    subcases, and of the subcases those whose SUPER names it, or that have none.
+
+    >>> top = ["CEND", "SUBCASE 1", "SUPER = 1", "METHOD = 10", "SUBCASE 2", "METHOD = 1"]
+    >>> of_superelement(top, 2)
+    ('CEND', 'SUBCASE 2', 'METHOD = 1')
+    """
+    blocks: list[list[str]] = [[]]
+    sets: dict[str, str] = {}
+    for line in _joined(top):
+        if _SUBCASE.match(line):
+            blocks.append([])
+        if found := _SET.fullmatch(line):
+            sets[found[1]] = found[2].upper()
+        blocks[-1].append(line)
+    kept = list(blocks[0])
+    for block in blocks[1:]:
+        named = [found[1] for line in block if (found := _SUPER.fullmatch(line))]
+        if not named or _names(named[-1].upper(), sets, number):
+            kept += block
+    return tuple(line for line in kept if not _SUPER.fullmatch(line))
+
+
+def _names(text: str, sets: Mapping[str, str], number: int) -> bool:
+    """Whether SUPER = `text` names a superelement: ALL, its number or a set of numbers."""
+    which = text.split(",")[0].strip()
+    listed = sets.get(which, which)
+    if listed == "ALL":
+        return True
+    ranges = re.findall(r"(\d+)(?:\s+THRU\s+(\d+))?", listed)
+    return any(int(a) <= number <= int(b or a) for a, b in ranges)
+
+
 def stiffening(top: Sequence[str]) -> tuple[str, ...]:
     """How the names of cards begin that carry stiffness because case control chooses them: glue,
     contact, MATT1.

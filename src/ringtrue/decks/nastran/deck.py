@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ _INCLUDE = re.compile(
     rb"(?i)[ \t]*INCLUDE(?=[ \t'\"])[ \t]*(?:'([^']*)'|\"([^\"]*)\"|([^\s$'\"][^\r\n$]*))[^\n]*\n?"
 )
 _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
+_SUPER = re.compile(rb"\bSUPER[ \t]*=?[ \t]*(\d{1,9})[ \t]*$")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
 WIDTH = 80
 DEPTH = 64  # of files that include each other
@@ -50,7 +51,10 @@ class Deck:
         Range in `raw` of the bulk data lines, comments and line ends left out.
     file, line : (n,) int64
         Where each line stands; lines count from 1.
-    superelements : (file, line) of the first BEGIN SUPER or BEGIN AUXMODEL, None without one
+    parts : mapping of int to Deck
+        The bulk data behind each BEGIN SUPER=n, by n.
+    unread : (file, line) of the first BEGIN AUXMODEL, or BEGIN SUPER without a number, None without
+        one
     """
 
     files: tuple[str, ...]
@@ -60,7 +64,18 @@ class Deck:
     stop: Int
     file: Int
     line: Int
-    superelements: tuple[int, int] | None
+    parts: Mapping[int, Deck] = field(default_factory=dict)
+    unread: tuple[int, int] | None = None
+
+    def joined(self) -> Deck:
+        """All bulk data lines as one, those of the parts behind the others."""
+        every = [self, *self.parts.values()]
+        lines = {
+            name: np.concatenate([getattr(d, name) for d in every])
+            for name in ("start", "stop", "file", "line")
+        }
+        order = np.argsort(lines["start"], kind="stable")
+        return replace(self, **{n: v[order] for n, v in lines.items()}, parts={})  # type: ignore[arg-type]
 
 
 class _Reading:
@@ -142,7 +157,7 @@ class _Reading:
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
         tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
-        for candidate in (*tried, *(there for t in tried if (there := _any_case(t)))):
+        for candidate in (*tried, *(there for t in tried if (there := any_case(t)))):
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
@@ -154,7 +169,7 @@ class _Reading:
         )
 
 
-def _any_case(path: Path) -> Path | None:
+def any_case(path: Path) -> Path | None:
     """The one file of this name in any case, as decks of Windows may name it; None without one or
     with several.
     """
@@ -227,24 +242,40 @@ def load(path: str | Path) -> Deck:
         )
     raw = b"".join([*(p.data for p in reading.pieces), b" " * WIDTH])
     start, stop, file, line = _lines(reading.pieces, raw)
-    first, last, supers = _bulk_range(raw, start, path)
+    sections = _sections(raw, start, path)
+    first = sections[0].first
     top = (
         tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True))
         if first
         else ()
     )
-    used = slice(first, last)
     stop = _without_comments(raw, start, stop)
-    return Deck(
-        files=tuple(str(f) for f in reading.files),
-        top=top[:-1],
-        raw=raw,
-        start=start[used],
-        stop=stop[used],
-        file=file[used],
-        line=line[used],
-        superelements=None if supers is None else (int(file[supers]), int(line[supers])),
-    )
+    unread = next((s.first - 1 for s in sections if s.number < 0), None)
+    lines = np.arange(start.size)
+    parts: dict[int, Deck] = {}
+    for section in sections:
+        used = lines[section.first : section.last]
+        made = Deck(
+            files=tuple(str(f) for f in reading.files),
+            top=top[:-1],
+            raw=raw,
+            start=start[used],
+            stop=stop[used],
+            file=file[used],
+            line=line[used],
+        )
+        if section.number in parts:
+            raise DeckError(
+                f"superelement {section.number} begins twice",
+                path=reading.main,
+                line=int(line[section.first - 1]),
+                card="BEGIN SUPER",
+            )
+        parts[section.number] = made
+    main = parts.pop(0)
+    parts.pop(-1, None)
+    place = None if unread is None else (int(file[unread]), int(line[unread]))
+    return replace(main, parts=parts, unread=place)
 
 
 def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0) -> Iterator[int]:
@@ -273,21 +304,34 @@ def _lines(pieces: list[_Piece], raw: bytes) -> tuple[Int, Int, Int, Int]:
     return start, ends - ((ends > start) & (data[ends - 1] == 13)), file, line
 
 
-def _bulk_range(raw: bytes, start: Int, path: Path) -> tuple[int, int, int | None]:
-    """First and last+1 bulk line, and the line of BEGIN SUPER if there is one."""
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """Bulk data lines of the main deck (0), of a superelement, or of what is not read (-1)."""
+
+    number: int
+    first: int
+    last: int
+
+
+def _sections(raw: bytes, start: Int, path: Path) -> list[_Section]:
+    """The sections of bulk data, the main one first."""
     upper = raw.upper()
     found = ((at, _BEGIN.match(upper, at)) for at in _lines_of(upper, b"BEGIN"))
-    begins = [(int(np.searchsorted(start, at)), m.group()) for at, m in found if m]
-    begins = [
-        (at, text) for at, text in begins if re.search(rb"\bBULK\b|\bSUPER\b|\bAUX|BEGIN\s*$", text)
-    ]
-    other = next((at for at, text in begins if re.search(rb"SUPER|AUX", text)), None)
-    main = next((at for at, text in begins if not re.search(rb"SUPER|AUX", text)), None)
-    if main is None:
-        if any(_CEND.match(upper, at) for at in _lines_of(upper, b"CEND")):
-            raise DeckError("the deck has CEND but no BEGIN BULK", path=path)
-        return 0, start.size if other is None else other, other
-    return main + 1, start.size if other is None else other, other
+    begins = [(int(np.searchsorted(start, at)), m.group().rstrip()) for at, m in found if m]
+    others = [(at, text) for at, text in begins if re.search(rb"\bSUPER|\bAUX", text)]
+    mains = [at for at, text in begins if re.search(rb"\bBULK\b|BEGIN\s*$", text)]
+    mains = [at for at in mains if at not in dict(others)]
+    if not mains and any(_CEND.match(upper, at) for at in _lines_of(upper, b"CEND")):
+        raise DeckError("the deck has CEND but no BEGIN BULK", path=path)
+    first = mains[0] + 1 if mains else 0
+    ends = [*(at for at, _ in others), start.size]
+    out = [_Section(0, first, ends[0])]
+    for (at, text), end in zip(others, ends[1:], strict=True):
+        number = _SUPER.search(text)
+        out.append(_Section(int(number[1]) if number else -1, at + 1, end))
+        if out[-1].number < 0:  # what stands behind it belongs to nothing that is read
+            break
+    return out
 
 
 def _without_comments(raw: bytes, start: Int, stop: Int) -> Int:

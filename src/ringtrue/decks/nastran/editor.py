@@ -107,7 +107,7 @@ def refuse_unwritable(model: Model, parameters: ParameterSet) -> None:
 
 def _loaded(model: Model) -> tuple[Cards, list[Path], list[list[bytes]]]:
     """The cards of the deck, its files, and what is in them."""
-    found = cards(load(_files(model)[0]))
+    found = cards(load(_files(model)[0]).joined())
     files = [Path(f) for f in found.deck.files]
     return found, files, [_lines_of(f.read_bytes()) for f in files]
 
@@ -162,7 +162,7 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
 def _inserted(data: bytes, text: str) -> bytes:
     newline = b"\r\n" if b"\r\n" in data else b"\n"
     lines = newline.join(line.encode() for line in text.splitlines()) + newline
-    end = re.search(rb"(?im)^[ \t]*ENDDATA", data)
+    end = re.search(rb"(?im)^[ \t]*(ENDDATA|BEGIN[^\n]*SUPER)", data)
     at = end.start() if end else len(data)
     gap = newline if at and not data[:at].endswith(b"\n") else b""
     return data[:at] + gap + lines + data[at:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from ringtrue.decks.nastran.cards import Cards
 from ringtrue.decks.nastran.case import load_sets
 from ringtrue.decks.nastran.defaults import written_out
 from ringtrue.decks.nastran.lexer import Reader
+from ringtrue.decks.nastran.parts import Numbers
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import PRELOADS
 
@@ -128,30 +129,93 @@ class LoadCase:
     loads: tuple[AnyLoad, ...]
 
 
-def load_cases(found: Cards) -> tuple[LoadCase, ...]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PartCards:
+    """The cards of a superelement with bulk data of its own, and the numbers that its points,
+    frames and elements have in the whole.
+    """
+
+    cards: Cards
+    numbers: Mapping[str, Numbers]
+
+
+def load_cases(found: Cards, parts: Sequence[PartCards] = ()) -> tuple[LoadCase, ...]:
     """The load cases of a deck: its subcases with a LOAD, in order.
 
     Raises
     ------
     DeckError
         If there is none, or none of which the set is in the deck, a field is no number, or
-        subcases have other SPC or MPC.
+        subcases have other SPC or MPC; if a subcase loads a superelement alone, or gravity acts on
+        some parts only.
     UnsupportedCard
         If a set has loads of other cards, such as ACCEL1 or RFORCE.
     """
     if not (asked := load_sets(found.deck.top)):
         raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
+    for part in parts:
+        if alone := [
+            name for name, of in load_sets(part.cards.deck.top) if (name, of) not in asked
+        ]:
+            raise DeckError(
+                f"{alone[0]} loads a superelement alone: give loads in subcases without SUPER",
+                path=found.deck.files[0],
+            )
     out = []
     absent = list[_AbsentSet]()
     for name, number in asked:
         try:
-            out.append(LoadCase(name, _of_set(found, number)))
+            out.append(LoadCase(name, _of_sections(found, parts, number)))
         except _AbsentSet as e:
             absent.append(e)
             log.warning("%s is left out: %s", name, e)
     if not out:
         raise absent[0]
     return tuple(out)
+
+
+def _of_sections(found: Cards, parts: Sequence[PartCards], number: int) -> tuple[AnyLoad, ...]:
+    """The loads of a set in the main bulk data and in those of all parts; gravity counts once."""
+    if not parts:
+        return _of_set(found, number)
+    out = list[AnyLoad]()
+    gravity = []
+    for part in (PartCards(found, {}), *parts):
+        try:
+            loads = _of_set(part.cards, number)
+        except _AbsentSet:
+            loads = ()
+        gravity.append([ld for ld in loads if _is_gravity(ld)])
+        out += [_placed(ld, part.numbers) for ld in loads if not _is_gravity(ld)]
+    if any(own != gravity[1] for own in gravity[2:]) or gravity[0] not in ([], gravity[1]):
+        raise DeckError(
+            f"load set {number}: GRAV acts on some parts only: give it in the bulk data of each",
+            path=found.deck.files[0],
+        )
+    if not (out or gravity[1]):
+        raise _AbsentSet(f"load set {number} is not in the deck", path=found.deck.files[0])
+    return (*out, *gravity[1])
+
+
+def _is_gravity(load: AnyLoad) -> bool:
+    return isinstance(load, Load) and load.card == "GRAV"
+
+
+def _placed(load: AnyLoad, numbers: Mapping[str, Numbers]) -> AnyLoad:
+    """A load by the numbers that its points, frames and elements have in the whole."""
+    points, frames, elements = (numbers.get(k, {}) for k in ("point", "frame", "element"))
+    if isinstance(load, Load):
+        ends = tuple(points.get(p, p) for p in load.ends)
+        node = points.get(load.node, load.node)
+        return replace(load, node=node, cid=frames.get(load.cid, load.cid), ends=ends)
+    if isinstance(load, Moved):
+        return replace(load, node=points.get(load.node, load.node))
+    if isinstance(load, LineLoad):
+        return replace(load, element=elements.get(load.element, load.element))
+    first, last = (elements.get(e, e) for e in (load.first, load.last))
+    nodes = tuple(points.get(p, p) for p in load.nodes)
+    cid = frames.get(load.cid, load.cid)
+    return replace(load, first=first, last=last, nodes=nodes, cid=cid)
 
 
 class _AbsentSet(DeckError):

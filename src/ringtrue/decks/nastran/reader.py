@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from ringtrue.decks.nastran.cards import Cards, cards
 from ringtrue.decks.nastran.case import (
     case_control,
     empty_choices,
+    of_superelement,
     only_sets,
     params,
     stiffening,
@@ -30,7 +31,9 @@ from ringtrue.decks.nastran.defaults import (
     open_bushes,
     written_out,
 )
-from ringtrue.decks.nastran.loads import LoadCase, load_cases
+from ringtrue.decks.nastran.external import op4_units
+from ringtrue.decks.nastran.loads import LoadCase, PartCards, load_cases
+from ringtrue.decks.nastran.parts import BulkSection, Numbers, joined
 from ringtrue.decks.nastran.special import SPECIAL, special_table
 from ringtrue.decks.nastran.tables import (
     empty,
@@ -47,8 +50,13 @@ from ringtrue.model.references import Missing, missing
 
 log = logging.getLogger(__name__)
 _SHARED_IDS = frozenset(  # several cards of one id belong together
-    ("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL)
+    (
+        *("SPC", "SPC1", "MPC", "SPOINT", "EPOINT", "SPCADD", "MPCADD", *NONSTRUCTURAL),
+        *("ASET", "OMIT", "QSET", "ASET1", "OMIT1", "QSET1", "EXTRN", "SECONCT"),
+    )
 )
+# a THRU passes over points that are not there
+_OF_POINTS_THERE = ("SPC1", "ASET1", "OMIT1", "QSET1")
 _ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
     ("MAT1", "MAT2", "MAT8", "MAT9"),
     ("PSHELL", "PCOMP", "PCOMPG"),
@@ -88,39 +96,57 @@ def read_deck(path: str | Path) -> Model:
     UnsupportedCard
         On a card that carries stiffness, mass or constraint and is not supported.
     """
-    return _read(load(path))[0]
+    return _read(load(path)).model
 
 
 def read_loaded_deck(path: str | Path) -> tuple[Model, tuple[LoadCase, ...]]:
     """Read a deck, as `read_deck` does, and its static load cases, as `load_cases` does."""
-    model, found = _read(load(path))
-    return model, load_cases(found)
+    found = _read(load(path))
+    parts = [PartCards(c, found.numbers[n]) for n, c in found.cards.items() if n]
+    return found.model, load_cases(found.cards[0], parts)
 
 
 def read_damped_deck(path: str | Path) -> tuple[Model, ModalDamping | None]:
     """Read a deck, as `read_deck` does, and the modal damping that its case control asks for
     (SDAMPING).
     """
-    model, found = _read(load(path))
-    return model, modal_damping(found, structural=model.params.get("KDAMP", 1) == -1)
+    found = _read(load(path))
+    structural = found.model.params.get("KDAMP", 1) == -1
+    return found.model, modal_damping(found.cards[0], structural=structural)
 
 
-def _read(deck: Deck) -> tuple[Model, Cards]:
-    if deck.superelements:
-        file, line = deck.superelements
-        raise UnsupportedCard(
-            "BEGIN SUPER", path=deck.files[file], line=line, why=reason("BEGIN SUPER")
-        )
-    found = cards(deck)
-    for at, name in _stopping(found):
-        path, line = found.place(at)
-        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
+@dataclass(frozen=True, slots=True, eq=False)
+class _ReadDeck:
+    """A deck as read: its model, and of the residual structure (0) and each superelement the cards
+    and the numbers that have changed.
+    """
+
+    model: Model
+    cards: Mapping[int, Cards]
+    numbers: Mapping[int, Mapping[str, Numbers]] = field(default_factory=dict)
+
+
+def _sections(deck: Deck) -> dict[int, Deck]:
+    """The residual structure (0) and the parts, each with the case control that holds for it."""
+    if not deck.parts:
+        return {0: deck}
+    every = {0: deck, **deck.parts}
+    return {n: replace(d, top=of_superelement(deck.top, n), parts={}) for n, d in every.items()}
+
+
+def _read(deck: Deck) -> _ReadDeck:
+    if deck.unread:
+        file, line = deck.unread
+        raise UnsupportedCard("BEGIN", path=deck.files[file], line=line, why=reason("BEGIN"))
+    every = {number: cards(d) for number, d in _sections(deck).items()}
+    models = {number: _section(found) for number, found in every.items()}
+    found = _ReadDeck(models[0], every)
+    if deck.parts or "SEBULK" in models[0]:
+        sections = [BulkSection(number, model) for number, model in models.items()]
+        made = joined(sections, _op4(deck))
+        found = _ReadDeck(made.model, every, made.numbers)
+    model = found.model
     path = deck.files[0]
-    model, skipped = _model(found)
-    for card, (why, place) in skipped.items():
-        raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
-    for wrong in unclear_sets(model, chosen=bool(deck.top)):
-        raise wrong
     for text in empty_choices(model):
         log.warning("%s: case control asks for %s", path, text)
     if model.case.others:
@@ -131,13 +157,39 @@ def _read(deck: Deck) -> tuple[Model, Cards]:
         )
     for text in left_out(model):
         log.warning("%s: %s", path, text)
+    return found
+
+
+def _op4(deck: Deck) -> dict[int, Path]:
+    """OUTPUT4 files that the file management section assigns, by their units."""
+    return op4_units(deck.top, Path(deck.files[0]).parent)
+
+
+def _section(found: Cards) -> Model:
+    """The model of one section of bulk data.
+
+    Raises
+    ------
+    DeckError
+        On what is wrong in it.
+    UnsupportedCard
+        On a card that is not supported.
+    """
+    for at, name in _stopping(found):
+        path, line = found.place(at)
+        raise UnsupportedCard(name, path=path, line=line, why=reason(name))
+    model, skipped = _model(found)
+    for card, (why, place) in skipped.items():
+        raise UnsupportedCard(card, path=place[0], line=place[1], why=why)
+    for wrong in unclear_sets(model, chosen=bool(found.deck.top)):
+        raise wrong
     out = idle(model)
     for fault_ in missing(model):
         if not np.isin(fault_.rows, out.get(fault_.reference.card, ())).all():
             raise _dangling(model, fault_)
     for wrong in (*_misnamed(model), *open_bushes(model)):
         raise wrong
-    return model, found
+    return model
 
 
 def survey(path: str | Path) -> Survey:
@@ -149,21 +201,36 @@ def survey(path: str | Path) -> Survey:
         On anything malformed.
     """
     deck = load(path)
-    found = cards(deck)
-    unsupported = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
-    if deck.superelements:
-        unsupported["BEGIN SUPER"] = f"{deck.files[deck.superelements[0]]}:{deck.superelements[1]}"
-    unsupported = {
-        card: ": ".join(t for t in (place, reason(card)) if t)
-        for card, place in unsupported.items()
-    }
-    model, skipped = _model(found)
-    unsupported |= {card: f"{place[0]}:{place[1]}: {why}" for card, (why, place) in skipped.items()}
-    faults = [_dangling(model, f) for f in missing(model, _foreign_ids(found, unsupported))]
-    faults += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
-    faults += [] if faults else open_bushes(model)
-    names, _, count = found.kinds()
-    counts = {n.decode(): c for n, c in zip(names.tolist(), count.tolist(), strict=True)}
+    unsupported: dict[str, str] = {}
+    faults: list[DeckError] = []
+    counts: dict[str, int] = {}
+    sections = []
+    for number, part in _sections(deck).items():
+        found = cards(part)
+        stopping = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
+        if deck.unread and not number:
+            stopping["BEGIN"] = f"{deck.files[deck.unread[0]]}:{deck.unread[1]}"
+        refused = {
+            card: ": ".join(t for t in (place, reason(card)) if t)
+            for card, place in stopping.items()
+        }
+        model, skipped = _model(found)
+        refused |= {card: f"{at[0]}:{at[1]}: {why}" for card, (why, at) in skipped.items()}
+        own = [_dangling(model, f) for f in missing(model, _foreign_ids(found, refused))]
+        own += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
+        own += [] if own else open_bushes(model)
+        names, _, count = found.kinds()
+        for name, n in zip(names.tolist(), count.tolist(), strict=True):
+            counts[name.decode()] = counts.get(name.decode(), 0) + n
+        unsupported = refused | unsupported
+        faults += own
+        sections.append(BulkSection(number, model))
+    if deck.parts or "SEBULK" in sections[0].model:
+        try:
+            model = joined(sections, _op4(deck)).model
+        except UnsupportedCard as e:
+            unsupported[e.card] = f"{e.path}:{e.line}: {e.why}"
+            model = sections[0].model
     return Survey(model, counts, unsupported, tuple(faults))
 
 
@@ -206,7 +273,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
         if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
             kept[name] = n
-        elif name in CARDS and name not in SPECIAL and name != "SPC1":
+        elif name in CARDS and name not in SPECIAL and name not in _OF_POINTS_THERE:
             tables[name] = make_table(found, name)
         elif name in SPECIAL:
             try:
@@ -217,7 +284,7 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
             if name in MADE:
                 tables[name] = dimensions(written_out(found, name), found.deck.files)
-        elif name not in DEFAULTS and name not in ("PARAM", "SPC1"):
+        elif name not in DEFAULTS and name not in ("PARAM", *_OF_POINTS_THERE):
             kept[name] = n
     if "INCLUDE" in kept:
         at = int(np.flatnonzero(found.name == b"INCLUDE")[0])
@@ -229,11 +296,12 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     # springs and masses between scalar points alone
     if "SPOINT" in tables and "GRID" not in tables:
         tables["GRID"] = empty("GRID")
-    if b"SPC1" in names:  # a THRU passes over points that are not there
-        points = [tables[n].ids for n in ("GRID",) if n in tables]
-        points += [tables[n].ragged("ID").values for n in ("SPOINT",) if n in tables]
-        there = np.unique(np.concatenate([*points, np.empty(0, dtype=np.int64)]))
-        tables["SPC1"] = make_table(found, "SPC1", there)
+    points = [tables[n].ids for n in ("GRID",) if n in tables]
+    points += [tables[n].ragged("ID").values for n in ("SPOINT",) if n in tables]
+    there = np.unique(np.concatenate([*points, np.empty(0, dtype=np.int64)]))
+    for name in _OF_POINTS_THERE:
+        if name.encode() in names:
+            tables[name] = make_table(found, name, there)
     tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
     refuse_magnitudes(tables.values(), found.deck.files)
     for group in _ONE_NUMBER:

@@ -50,7 +50,7 @@ def _spc(r: Reader) -> Iterator[Row]:
 # fields from row to row of a card that holds several rows
 _PITCH = {
     **dict.fromkeys(("CORD1R", "CORD1C", "CORD1S", "PELAS", "PVISC"), 4),
-    **dict.fromkeys(("PMASS", "PDAMP"), 2),
+    **dict.fromkeys(("PMASS", "PDAMP", "ASET", "OMIT", "QSET", "EXTRN"), 2),
 }
 
 
@@ -61,6 +61,9 @@ def _several(r: Reader) -> Iterator[Row]:
         if i == 0 or r.text(i):
             row: dict[str, Any] = {first.name: r.whole(i, first.name)}
             for k, spec in enumerate(others, start=i + 1):
+                if spec.kind == "c":
+                    row[spec.name] = r.text(k) or "0"
+                    continue
                 read = r.whole if spec.kind == "i" else r.real
                 row[spec.name] = read(k, spec.name, 0)
             yield row
@@ -75,6 +78,35 @@ def _mpc(r: Reader) -> Iterator[Row]:
         "G": [r.whole(i, "G") for i in at],
         "C": [r.whole(i + 1, "C", 0) for i in at],
         "A": [r.real(i + 2, "A", 0.0) for i in at],
+    }
+
+
+def _seconct(r: Reader) -> Iterator[Row]:
+    """SECONCT: pairs of points, and pairs of ranges `a THRU b c THRU d` of as many points each."""
+    texts = [i for i in range(8, len(r.card.fields)) if r.text(i)]
+    points: list[int] = []
+    others: list[int] = []
+    while texts:
+        many = len(texts) > 1 and r.text(texts[1]) == "THRU"
+        size = 6 if many else 2
+        if len(texts) < size:
+            raise r.fail("GIDB", "points are joined in pairs; one is missing")
+        ends = [r.whole(i, "GIDA") for i in texts[:size] if r.text(i) != "THRU"]
+        half = len(ends) // 2
+        first = [*range(ends[0], ends[half - 1] + 1)]
+        second = [*range(ends[half], ends[-1] + 1)]
+        if len(first) != len(second):
+            raise r.fail("GIDA", f"{len(first)} points are joined to {len(second)}")
+        points += first
+        others += second
+        texts = texts[size:]
+    yield {
+        "SEIDA": r.whole(0, "SEIDA"),
+        "SEIDB": r.whole(1, "SEIDB", 0),
+        "TOL": r.real(2, "TOL", 1e-5),
+        "LOC": r.text(3),
+        "GIDA": points,
+        "GIDB": others,
     }
 
 
@@ -161,6 +193,7 @@ def _pbush(r: Reader) -> Iterator[Row]:
 _ROWS: Mapping[str, Callable[[Reader], Iterable[Row]]] = {
     "SPC": _spc,
     "MPC": _mpc,
+    "SECONCT": _seconct,
     "RBE1": rbe1,
     "RBE3": _rbe3,
     "RSPLINE": rspline,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int
-from ringtrue.core.parameters import CardField, Parameter, Shape
+from ringtrue.core.parameters import CardField, Parameter, Shape, is_matrix
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.element_cards import ELEMENTS
 from ringtrue.fem.elements.curved_shell import with_neighbours
@@ -148,6 +148,10 @@ def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table
         return _with_ply(table, rows, ply[1], int(ply[2]), change)
     if field not in table.columns:
         raise InputError(f"{change.where}: no such field{did_you_mean(field, table.columns)}")
+    if is_matrix(CardField(table.card, 0, field)):
+        given = table.ragged(field)
+        inside = np.flatnonzero(np.isin(given.owner, rows))
+        return _with_entries(table, field, change.of(given.values, inside))
     column = table.columns[field]
     if isinstance(column, Ragged):
         raise InputError(f"{change.where} is a list; number its entries: {field}1, {field}2 ...")

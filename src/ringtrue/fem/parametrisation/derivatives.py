@@ -23,16 +23,23 @@ from ringtrue.fem.assembly import Sum, System, full_matrices, reduced, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.elements import given_matrices
-from ringtrue.fem.mesh import applied, union
+from ringtrue.fem.mesh import Mesh, applied, union
 from ringtrue.fem.parametrisation.element_derivatives import (
     ElementDerivatives,
     central_differences,
     element_derivatives,
+    matrix_derivatives,
     moves,
 )
 from ringtrue.fem.parametrisation.interpolation import SEARCH, interpolated, learn
 from ringtrue.fem.parametrisation.parameter_groups import Pair, few, groups_of, regions
-from ringtrue.fem.parametrisation.polynomials import SAMPLE, AffineTerm, PolynomialTerms, own_powers
+from ringtrue.fem.parametrisation.polynomials import (
+    SAMPLE,
+    AffineTerm,
+    PolynomialTerms,
+    own_powers,
+    power,
+)
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
 
@@ -74,7 +81,19 @@ def affine_terms(
         smooth = all(g in powers for g in region.groups)
         others.append(polynomials.add(region) if smooth else region.rows)
     rest = interpolated(m, groups, union(others), system=system, progress=part(progress, 0.5, 1.0))
-    return (*polynomials.terms(system), *rest)
+    return (*polynomials.terms(system), *rest, *_matrix_terms(m, parameters, system))
+
+
+def _matrix_terms(m: Mesh, parameters: ParameterSet, system: System) -> Iterator[AffineTerm]:
+    """Matrices of DMIG, which are proportional to their factors."""
+    for i, p in enumerate(parameters.parameters):
+        for found in matrix_derivatives(m, i, p):
+            sums = []
+            for matrix in (found.stiffness, found.mass):
+                total = Sum(m.size)
+                total.add(found.dofs, matrix)
+                sums.append(reduced(system.transform, total.total()))
+            yield AffineTerm(power(i), *sums)
 
 
 def matrices_kept(model: Model, *parameters: Parameter, most: int = SEARCH.most) -> int | None:

@@ -14,10 +14,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure
+from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure, is_matrix
+from ringtrue.errors import InputError
+from ringtrue.fem.assembly import turn
 from ringtrue.fem.element_cards import MATERIAL, PROPERTY, mesh, pieces, with_listed_mass
+from ringtrue.fem.elements.given_matrices import named_matrix
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
 from ringtrue.fem.parametrisation.changed_model import (
     changed,
@@ -161,6 +165,7 @@ def element_derivatives(
             yield from _by_differences(m, i, move)
         for s in p.substructures:
             yield from _common_factor(m, i, p.name, s)
+        yield from matrix_derivatives(m, i, p)
 
 
 def _bundles(
@@ -175,7 +180,7 @@ def _bundles(
     for i, p in enumerate(parameters):
         by_elements: dict[tuple[int, ...], list[CardField]] = {}
         for t in p.targets:
-            if not is_place(t):
+            if not (is_place(t) or is_matrix(t)):
                 by_elements.setdefault(t.elements, []).append(replace(t, elements=()))
         for elements, found in by_elements.items():
             targets = tuple(found)
@@ -408,3 +413,32 @@ def _common_factor(m: Mesh, i: int, name: str, s: Substructure) -> Iterator[Elem
             yield replace(whole, mass=np.zeros_like(whole.mass))
         else:
             yield replace(whole, stiffness=np.zeros_like(whole.stiffness))
+
+
+def matrix_derivatives(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
+    """The matrices of DMIG that a parameter scales, each as one element over its DOFs in basic.
+
+    Raises
+    ------
+    InputError
+        If the deck has no such matrix, or case control takes it neither by K2GG nor by M2GG.
+    """
+    for target in (t for t in p.targets if is_matrix(t)):
+        changed(m.model, p.name, [target], 1.0)  # names a target that is not there
+        table = m.model["DMIG"]
+        name = str(table["NAME"][table.find(np.array([target.id]))[0]])
+        case = m.model.case
+        scales = [
+            m.model.param(param, 1.0) * sum(f for f, n in terms if n == name.upper())
+            for param, terms in (("CK2", case.k2gg), ("CM2", case.m2gg))
+        ]
+        if not any(scales):
+            raise InputError(
+                f"parameter {p.name}: DMIG {name} is taken neither by K2GG nor by M2GG"
+            )
+        rotation = turn(m)
+        whole = sparse.csr_array(rotation @ named_matrix(m, name) @ rotation.T)
+        dofs = np.flatnonzero(np.diff(whole.indptr))
+        block = whole[dofs][:, dofs].toarray()[None]
+        stiffness, mass = (scale * block for scale in scales)
+        yield ElementDerivatives(np.array([i]), dofs[None], stiffness, mass)

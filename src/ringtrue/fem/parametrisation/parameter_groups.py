@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Int
-from ringtrue.core.parameters import CardField, Parameter
+from ringtrue.core.parameters import CardField, Parameter, is_matrix
 from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.element_cards import ELEMENTS, batches, with_listed_mass
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, common, union
@@ -88,6 +88,8 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterG
         )
     by_elements: dict[tuple[int, ...], list[CardField]] = {}
     for t in parameter.targets:
+        if is_matrix(t):
+            continue
         by_elements.setdefault(t.elements, []).append(t)
     found = []
     for elements, targets in by_elements.items():
