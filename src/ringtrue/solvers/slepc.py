@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -34,12 +35,21 @@ PYTHON = "RINGTRUE_SLEPC_PYTHON"
 WORKER = Path(__file__).with_name("slepc_worker.py")
 _INSTALL = (
     "install it with `pip install dolfinx-solver-real mpich` in a Python >= 3.12 or with Debian's "
-    f"python3-slepc4py-real, and set {PYTHON} to that Python"
+    f"python3-slepc4py-real, and set {PYTHON} to that Python (/usr/bin/python3)"
 )
 
 
-def find_slepc() -> tuple[Path, Path]:
-    """The Python with slepc4py (RINGTRUE_SLEPC_PYTHON, else this one) and its mpiexec.
+def find_slepc(launcher: str = "", ranks: int = 1) -> list[str | Path]:
+    """The command line that starts the Python with slepc4py (RINGTRUE_SLEPC_PYTHON, else this one)
+    on all ranks.
+
+    Parameters
+    ----------
+    launcher : str
+        A command of the user's, such as `srun -n 64`; else mpiexec beside that Python or on the
+        PATH.
+    ranks : int
+        Of that mpiexec.
 
     Raises
     ------
@@ -48,14 +58,15 @@ def find_slepc() -> tuple[Path, Path]:
     """
     python = Path(os.environ.get(PYTHON, sys.executable))
     own = python.with_name("mpiexec")
-    launcher = own if own.is_file() else Path(shutil.which("mpiexec") or "")
-    if not launcher.is_file():
-        raise SolverMissing(
-            f"slepc: no mpiexec in the folder of {python} or on the PATH; {_INSTALL}"
-        )
+    words: list[str | Path] = list(shlex.split(launcher))
+    if not words:
+        words = [own if own.is_file() else "mpiexec", "-n", str(ranks)]
+    if shutil.which(words[0]) is None:
+        where = f"in the folder of {python} or on the PATH" if not launcher else "on the PATH"
+        raise SolverMissing(f"slepc: no {Path(words[0]).name} {where}; {_INSTALL}")
     try:
         tried = subprocess.run(
-            [python, "-c", "from mpi4py import MPI; import petsc4py, slepc4py.SLEPc"],
+            [python, WORKER],
             capture_output=True,
             stdin=subprocess.DEVNULL,
             timeout=120,
@@ -66,7 +77,7 @@ def find_slepc() -> tuple[Path, Path]:
     if tried.returncode:
         why = tried.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
         raise SolverMissing(f"slepc: {python} has no working slepc4py ({''.join(why)}); {_INSTALL}")
-    return python, launcher
+    return [*words, python]
 
 
 class SlepcAnalysis:
@@ -177,16 +188,26 @@ class SlepcSolver:
     Parameters
     ----------
     ranks : int
-        MPI processes.
+        MPI processes; 1 if not given.
+    launcher : str
+        In place of ranks: what starts them, such as `srun -n 64` or `mpiexec --hostfile h -n 8`.
     timeout : float, s
     """
 
     name = "slepc"
 
-    def __init__(self, *, ranks: int = 1, timeout: float = 24 * 3600.0) -> None:
-        if ranks < 1:
+    def __init__(
+        self, *, ranks: int | None = None, launcher: str = "", timeout: float = 24 * 3600.0
+    ) -> None:
+        if ranks is not None and launcher:
+            raise ConfigError(
+                f"slepc: {ranks} ranks and the launcher {launcher!r}; the launcher says how many: "
+                "leave one of the two out"
+            )
+        if ranks is not None and ranks < 1:
             raise ConfigError(f"slepc: {ranks} ranks; at least 1")
-        self.ranks = ranks
+        self.ranks = ranks or 1
+        self.launcher = launcher
         self.timeout = timeout
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> SlepcAnalysis:
@@ -195,12 +216,11 @@ class SlepcSolver:
         Raises
         ------
         SolverMissing
-            If mpiexec or slepc4py is not installed.
+            If mpiexec, the launcher or slepc4py is not installed.
         InputError
             If nothing is free to move.
         """
-        python, launcher = find_slepc()
+        command = find_slepc(self.launcher, self.ranks)
         system, _ = without_massless_rotations(model, assemble(model))
         refuse_held(system)
-        command = (launcher, "-n", str(self.ranks), python)
         return SlepcAnalysis(system, command, timeout=self.timeout)

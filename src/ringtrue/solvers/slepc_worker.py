@@ -3,23 +3,42 @@ no ringtrue.
 
     mpiexec -n 4 python slepc_worker.py FOLDER
 
-reads `job.json` and the rows of K and M that each rank owns, and writes `values.npy`, `vectors.npy`
-(mode, dof) and `result.json`. The eigensolver is Krylov-Schur with shift-invert (Stewart, 2001)
-over MUMPS' LDLᵀ, for a band with spectrum slicing (Campos & Roman, Numer. Algorithms 60, 2012);
-inertia counts prove both.
+(without a folder: nothing but its imports) reads `job.json` and the rows of K and M that each rank
+owns, and writes `values.npy`, `vectors.npy` (mode, dof) and `result.json`. The eigensolver is
+Krylov-Schur with shift-invert (Stewart, 2001) over MUMPS' LDLᵀ, for a band with spectrum slicing
+(Campos & Roman, Numer. Algorithms 60, 2012); inertia counts prove both.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI  # first: it finds the MPI library that the others were built with
-from petsc4py import PETSc
-from slepc4py import SLEPc
+
+
+def find_debian(root: Path) -> None:
+    """Make petsc4py and slepc4py of Debian importable, which stand in folders named after version
+    and architecture; those that are importable or that PETSC_DIR and SLEPC_DIR name come first.
+    """
+    for name in ("petsc", "slepc"):
+        variable = f"{name.upper()}_DIR"
+        if variable in os.environ or find_spec(f"{name}4py"):
+            continue
+        found = sorted(root.glob(f"{name}dir/{name}*/*-real/lib/python3/dist-packages/{name}4py"))
+        if found:
+            os.environ[variable] = str(found[-1].parents[3])
+            sys.path.append(str(found[-1].parent))
+
+
+find_debian(Path("/usr/lib"))
+from petsc4py import PETSc  # noqa: E402
+from slepc4py import SLEPc  # noqa: E402
 
 MUMPS = {
     f"{p}mat_mumps_{k}": v
@@ -157,5 +176,5 @@ def main(folder: Path) -> None:
         (folder / "result.json").write_text(json.dumps(result))
 
 
-if __name__ == "__main__":
+if __name__ == "__main__" and len(sys.argv) > 1:
     main(Path(sys.argv[1]))
