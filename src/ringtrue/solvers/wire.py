@@ -1,0 +1,44 @@
+"""Arrays over a pipe between two Pythons, of which one has no ringtrue and perhaps an older numpy;
+nothing of ringtrue is imported here.
+
+A message is a line of JSON, with the types and shapes of the arrays, and their bytes behind it.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, BinaryIO
+
+import numpy as np
+
+
+def send(stream: BinaryIO, values: dict[str, Any], arrays: tuple[Any, ...]) -> None:
+    """Write a message.
+
+    Parameters
+    ----------
+    values : dict
+        Numbers and texts by name.
+    arrays : tuple of ndarray
+    """
+    contiguous = [np.ascontiguousarray(a) for a in arrays]
+    head = {"values": values, "arrays": [(a.dtype.str, a.shape) for a in contiguous]}
+    stream.write(json.dumps(head).encode() + b"\n")
+    for a in contiguous:
+        stream.write(a.data.cast("B") if a.size else b"")
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Any]] | None:
+    """Values and arrays of the next message; None where the other end is gone."""
+    line = stream.readline()
+    if not line.endswith(b"\n"):
+        return None
+    head = json.loads(line)
+    arrays = []
+    for dtype, shape in head["arrays"]:
+        a = np.empty(shape, dtype=np.dtype(dtype))
+        if a.size and stream.readinto(a.data.cast("B")) != a.nbytes:  # type: ignore[attr-defined]
+            return None
+        arrays.append(a)
+    return head["values"], arrays
