@@ -49,6 +49,8 @@ MUMPS = {
     for k, v in (("icntl_13", 1), ("icntl_24", 1), ("cntl_3", 1e-12))
 }  # for inertia: see SLEPc's manual
 COMM = MPI.COMM_WORLD
+TOGETHER = 64  # columns that a factor solves for at a time
+ITERATIONS = 500
 
 
 def owned(n: int, rank: int) -> tuple[int, int]:
@@ -124,6 +126,7 @@ def factored(K: Any, M: Any, cut: float) -> Any:
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     ksp = PETSc.KSP().create(PETSc.COMM_WORLD)
     ksp.setOperators(A)
+    A.destroy()  # the solver holds it; nothing that PETSc has made ends with its Python object
     cholesky(ksp)
     ksp.setUp()
     return ksp
@@ -132,6 +135,14 @@ def factored(K: Any, M: Any, cut: float) -> Any:
 def below(ksp: Any) -> int:
     """Number of eigenvalues under a shift: the negative pivots of its LDLᵀ (Sylvester)."""
     return int(ksp.getPC().getFactorMatrix().getInertia()[0])
+
+
+def below_cut(K: Any, M: Any, cut: float) -> int:
+    """Number of eigenvalues under `cut`; its factor is not kept."""
+    ksp = factored(K, M, cut)
+    count = below(ksp)
+    ksp.destroy()
+    return count
 
 
 class OwnedRows:
@@ -146,9 +157,12 @@ class OwnedRows:
         Of unit modal mass.
     factor : KSP
         Of K − σM, from the solution for the modes.
-    shift : float
-        σ.
+    solution : EPS or None
+        That owns the factor.
     """
+
+    factor: Any = None
+    solution: Any = None
 
     def matrices(self, n: int, *entries: Any) -> None:
         """Assemble K and M (n, n) of entries (data, row, column) of both."""
@@ -166,18 +180,18 @@ class OwnedRows:
         eps.solve()
         values = np.sort([eps.getEigenvalue(i).real for i in range(eps.getConverged())])
         if values.size < 2:
-            self.keep(eps, shift, eps.getST().getKSP())
+            self.keep(eps, eps.getST().getKSP())
             return {"complete": False, "proof": "too few eigenvalues converged to count any"}
         upper = values[min(max(min(count, values.size), 2) - 1, values.size - 2) :]
         gap = int(np.argmax(np.diff(upper)))
         cut = 0.5 * (upper[gap] + upper[gap + 1])
         found = int((values < cut).sum())
         factor = eps.getST().getKSP()
-        there = below(factored(self.K, self.M, cut)) - below(factor)
+        there = below_cut(self.K, self.M, cut) - below(factor)
         if found != there:
             eps.destroy()
             return self.band(shift, cut)
-        self.keep(eps, shift, factor)
+        self.keep(eps, factor)
         proof = f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
         return {"complete": True, "proof": proof}
 
@@ -189,25 +203,31 @@ class OwnedRows:
         eps.setKrylovSchurDetectZeros(True)
         eps.solve()
         found = eps.getConverged()
+        there = below_cut(self.K, self.M, high)
         factor = factored(self.K, self.M, low)
-        there = below(factored(self.K, self.M, high)) - below(factor)
-        self.keep(eps, low, factor)
+        there -= below(factor)
+        self.keep(eps, factor)
         proof = (
             f"{there} eigenvalues from {low:.6g} to {high:.6g} (rad/s)^2 by inertia, {found} found"
         )
         return {"complete": found == there, "proof": proof}
 
-    def keep(self, eps: Any, shift: float, factor: Any) -> None:
+    def keep(self, eps: Any, factor: Any) -> None:
         """Take over what was found: Rayleigh quotients, unit modal mass, the largest component
         positive.
         """
         count = eps.getConverged()
         values = np.array([eps.getEigenvalue(i).real for i in range(count)])
+        if self.solution is not None:
+            self.factor.destroy()
+            self.solution.destroy()
+        self.solution = eps
         x = self.K.createVecRight()
         vectors = np.empty((x.getLocalSize(), count), order="F")
         for k, i in enumerate(np.argsort(values, kind="stable").tolist()):
             eps.getEigenvector(i, x)
             vectors[:, k] = x.getArray()
+        x.destroy()
         mass = self.times(self.M, vectors)
         vectors *= self.signs(vectors) / np.sqrt(dots(vectors, mass))
         values = dots(vectors, self.times(self.K, vectors))
@@ -215,8 +235,6 @@ class OwnedRows:
         self.values = values[order]
         self.vectors = vectors[:, order]
         self.factor = factor
-        self.shift = shift
-        self.eps = eps  # owns the factor
 
     def signs(self, x: Any) -> Any:
         """1 or -1 for each column: the sign of its component of the largest size."""
@@ -228,23 +246,23 @@ class OwnedRows:
 
     def times(self, A: Any, x: Any) -> Any:
         """A times columns (rows, k)."""
-        out = np.empty(x.shape, order="F")
-        a, b = A.createVecs()
-        for k in range(x.shape[1]):
-            a.setArray(x[:, k])
-            A.mult(a, b)
-            out[:, k] = b.getArray()
-        return out
+        given = self.dense(x)
+        made = A.matMult(given)
+        return taken(made, given)
 
     def solved(self, x: Any) -> Any:
         """(K − σM)⁻¹ times columns (rows, k)."""
-        out = np.empty(x.shape, order="F")
-        a, b = self.K.createVecs()
-        for k in range(x.shape[1]):
-            a.setArray(x[:, k])
-            self.factor.solve(a, b)
-            out[:, k] = b.getArray()
-        return out
+        given = self.dense(x)
+        made = self.dense(np.zeros_like(x))
+        self.factor.getPC().getFactorMatrix().matSolve(given, made)
+        return taken(made, given)
+
+    def dense(self, x: Any) -> Any:
+        """Columns (rows, k) as a matrix of all ranks."""
+        size = ((len(x), self.size), (None, x.shape[1]))
+        made = PETSc.Mat().createDense(size, array=np.asfortranarray(x), comm=PETSc.COMM_WORLD)
+        made.assemble()
+        return made
 
     def residuals(self, count: int) -> Any:
         """‖Kφ − λMφ‖ / ‖Kφ‖ of the lowest modes, of rigid-body modes relative to ‖diag(K) φ‖."""
@@ -271,7 +289,21 @@ class OwnedRows:
 
     def columns(self, lam: Any, row: Any, loads: Any, tolerance: float) -> Any:
         """z (rows, k) of (K − λM) z = r in the M-orthogonal complement of the modes, for λ (k,) and
-        loads r of all ranks on some rows (l, k).
+        loads r of all ranks on some rows (l, k); TOGETHER at a time.
+        """
+        row, loads = sent(owner_of(row, self.size), row, loads)
+        first, last = owned(self.size, COMM.rank)
+        mass = self.times(self.M, self.vectors)
+        z = np.empty((last - first, lam.size))
+        for at in range(0, lam.size, TOGETHER):
+            cut = slice(at, at + TOGETHER)
+            r = np.zeros((last - first, lam[cut].size))
+            np.add.at(r, row - first, loads[:, cut])
+            z[:, cut] = self.complement(lam[cut], r, mass, tolerance)
+        return z
+
+    def complement(self, lam: Any, r: Any, mass: Any, tolerance: float) -> Any:
+        """z (rows, k) for loads r (rows, k), which are overwritten; `mass` is M times the modes.
 
         Conjugate gradients, preconditioned by the factor of K − σM: in the complement of all modes
         up to λ both are positive definite, and their quotient lies between that at the next mode
@@ -282,12 +314,7 @@ class OwnedRows:
         ArithmeticError
             If the modes that are known do not reach beyond λ.
         """
-        row, loads = sent(owner_of(row, self.size), row, loads)
-        first, last = owned(self.size, COMM.rank)
-        r = np.zeros((last - first, lam.size))
-        np.add.at(r, row - first, loads)
         phi = self.vectors
-        mass = self.times(self.M, phi)
         r -= mass @ summed(phi.T @ r)
         limit = tolerance**2 * dots(r, r)
         z = np.zeros_like(r)
@@ -296,7 +323,9 @@ class OwnedRows:
         p = y.copy()
         rho = dots(r, y)
         live = np.flatnonzero(rho > 0)
-        for _ in range(500):
+        if not live.size:
+            return z
+        for _ in range(ITERATIONS):
             q = self.times(self.K, p[:, live]) - self.times(self.M, p[:, live]) * lam[live]
             q -= mass @ summed(phi.T @ q)
             energy = dots(p[:, live], q)
@@ -314,6 +343,14 @@ class OwnedRows:
             p[:, live] = y + now / rho[live] * p[:, live]
             rho[live] = now
         raise ArithmeticError("derivatives of modes did not converge")
+
+
+def taken(made: Any, given: Any) -> Any:
+    """The rows (rows, k) of a dense matrix that this rank owns; it and what it was made of end."""
+    rows = np.array(made.getDenseArray(), order="F")
+    made.destroy()
+    given.destroy()
+    return rows
 
 
 def summed(a: Any) -> Any:
