@@ -19,7 +19,7 @@ from eigen_shell import shell
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.correlation.sensor_mapping import at_dofs
-from ringtrue.errors import ConfigError, DeckError, SolverMissing, UnsupportedError
+from ringtrue.errors import ConfigError, DeckError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
@@ -134,6 +134,16 @@ def test_an_updating_is_linearised_through_it(plate: Model) -> None:
     np.testing.assert_allclose(
         theirs.d_shapes * sign[:, None], ours.d_shapes, atol=1e-6 * np.abs(ours.d_shapes).max()
     )
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_time_limit_ends_the_ranks(plate: Model) -> None:
+    with SlepcSolver(ranks=2, timeout=0.1).open(plate) as analysis:
+        with pytest.raises(SolverFailed, match="did not end within"):
+            analysis.modes(ModesRequest(4))
+        assert analysis._ranks is not None
+        assert analysis._ranks.process.poll() is not None
 
 
 @pytest.mark.solver

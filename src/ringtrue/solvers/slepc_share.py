@@ -37,7 +37,7 @@ from ringtrue.fem.share import Share
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.solvers.wire import receive, send
+from ringtrue.solvers.wire import make_file, receive, send, write_columns
 
 POLL = 0.02  # s
 BUFFER = 4  # modes above the requested ones that derivatives converge on
@@ -300,7 +300,7 @@ class ShareOfModel:
         """
         total = self.transform.shape[0]
         if self.share.number == 0:
-            np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=(len(along), total))
+            make_file(str(path), (len(along), total))
         self.share.summed(np.zeros(1))
         number, size = self.share.number, self.share.size
         first, last = (total * k // size for k in (number, number + 1))
@@ -309,9 +309,7 @@ class ShareOfModel:
         motions = along @ read_npy(self._vectors)[:, cols]
         if rest is not None:
             motions += rest[:, cols]
-        file = np.lib.format.open_memmap(path, mode="r+")
-        file[:, first:last] = (rows[:, cols] @ motions.T).T
-        file.flush()
+        write_columns(str(path), first, (rows[:, cols] @ motions.T).T)
 
 
 def _entries(A: sparse.csr_array) -> tuple[Float, Int, Int]:

@@ -41,7 +41,7 @@ def find_debian(root: Path) -> None:
 find_debian(Path("/usr/lib"))
 from petsc4py import PETSc  # noqa: E402
 from slepc4py import SLEPc  # noqa: E402
-from wire import receive, send  # type: ignore[import-not-found]  # noqa: E402
+from wire import make_file, receive, send, write_columns  # type: ignore[import-not-found]  # noqa: E402
 
 MUMPS = {
     f"{p}mat_mumps_{k}": v
@@ -276,15 +276,9 @@ class OwnedRows:
     def write(self, path: str, columns: Any) -> None:
         """Columns (rows, k) as rows of a file (k, n), of which each rank writes its part."""
         if COMM.rank == 0:
-            np.lib.format.open_memmap(
-                path, mode="w+", dtype=np.float64, shape=(columns.shape[1], self.size)
-            )
+            make_file(path, (columns.shape[1], self.size))
         COMM.Barrier()
-        first, last = owned(self.size, COMM.rank)
-        if columns.size:
-            file = np.lib.format.open_memmap(path, mode="r+")
-            file[:, first:last] = columns.T
-            file.flush()
+        write_columns(path, owned(self.size, COMM.rank)[0], columns.T)
         COMM.Barrier()
 
     def columns(self, lam: Any, row: Any, loads: Any, tolerance: float) -> Any:

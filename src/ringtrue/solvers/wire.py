@@ -1,5 +1,5 @@
-"""Arrays over a pipe between two Pythons, of which one has no ringtrue and perhaps an older numpy;
-nothing of ringtrue is imported here.
+"""Arrays between two Pythons, of which one has no ringtrue and perhaps an older numpy: over a pipe,
+and in files of which each process writes some columns. Nothing of ringtrue is imported here.
 
 A message is a line of JSON, with the types and shapes of the arrays, and their bytes behind it.
 """
@@ -42,3 +42,21 @@ def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Any]] | None:
             return None
         arrays.append(a)
     return head["values"], arrays
+
+
+def make_file(path: str, shape: tuple[int, ...]) -> None:
+    """A .npy file of float64, filled with zeros."""
+    np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=shape)
+
+
+def write_columns(path: str, first: int, columns: Any) -> None:
+    """Write the columns (k, c) from `first` on of a file (k, n) that `make_file` has made.
+
+    By plain writes: a network's file system may write whole pages of what is mapped, and with them
+    old columns of others.
+    """
+    there = np.load(path, mmap_mode="r")
+    with open(path, "r+b") as file:
+        for k, row in enumerate(columns):
+            file.seek(there.offset + 8 * (k * there.shape[1] + first))
+            file.write(np.ascontiguousarray(row, dtype=np.float64).data)
