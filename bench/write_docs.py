@@ -29,6 +29,7 @@ from outcome import ROOT, THREADS, Row, costs, figure, read_rows
 RUNS = {  # name of the results: script and its options
     "modes": "bench/modes.py",
     "derivatives": "bench/derivatives.py",
+    "past_one_machine": "bench/past_one_machine.py",
     "elements": "bench/elements.py",
     "deck_reading": "bench/deck_reading.py",
     "nastran_corpus": "bench/nastran_corpus.py",
