@@ -30,6 +30,7 @@ RUNS = {  # name of the results: script and its options
     "modes": "bench/modes.py --kinds shell solid",
     "modes_tetra": "bench/modes.py --kinds tetra",
     "derivatives": "bench/derivatives.py",
+    "past_one_machine": "bench/past_one_machine.py",
     "elements": "bench/elements.py",
     "deck_reading": "bench/deck_reading.py",
     "nastran_corpus": "bench/nastran_corpus.py",

@@ -36,7 +36,7 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "eigen": {"pymklpardiso", "rslab"},
     "signal": {"h5py"},
     "virtual": {"h5py"},
-    "solvers": {"mpi4py", "petsc4py", "slepc4py"},
+    "solvers": {"mpi4py", "petsc4py", "slepc4py", "wire"},  # wire: without ringtrue, by its file
     "study": {"h5py", "pydantic"},
     "plots": {"plotly"},
     "report": {"jinja2", "plotly"},

@@ -2,25 +2,49 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
+import constrained_plate
+from eigen_shell import parameters as shell_parameters
 from eigen_shell import shell
 
-from ringtrue.errors import ConfigError, SolverMissing
+from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.correlation.sensor_mapping import at_dofs
+from ringtrue.errors import ConfigError, DeckError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.fem.element_cards import mesh
+from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.observed import FullModel
 from ringtrue.solvers.registry import solver
-from ringtrue.solvers.slepc import SlepcSolver, find_slepc
+from ringtrue.solvers.slepc import PYTHON, SlepcSolver, find_slepc
+from ringtrue.study.config_sections import ModelSection
 from ringtrue.testing import check_modal_solver
+
+DEBIAN = "/usr/bin/python3"
 
 
 @pytest.fixture
-def installed() -> None:
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SLEPc of RINGTRUE_SLEPC_PYTHON, else that of Debian, without variables that name its
+    folders.
+    """
+    monkeypatch.setenv(PYTHON, os.environ.get(PYTHON, DEBIAN))
+    monkeypatch.delenv("PETSC_DIR", raising=False)
+    monkeypatch.delenv("SLEPC_DIR", raising=False)
+    for asked in ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM"):  # of Open MPI, in containers
+        monkeypatch.setenv(f"OMPI_{asked}", "1")
+    for asked in ("rmaps_base_oversubscribe", "mpi_yield_when_idle"):
+        monkeypatch.setenv(f"OMPI_MCA_{asked}", "1")
     try:
         find_slepc()
     except SolverMissing as e:
@@ -29,15 +53,119 @@ def installed() -> None:
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
-def test_two_ranks() -> None:
+def test_two_ranks_of_a_launcher() -> None:
     model = shell(6, 4)
-    result = check_modal_solver(SlepcSolver(ranks=2), model, count=10)
+    result = check_modal_solver(SlepcSolver(launcher="mpiexec -n 2"), model, count=10)
     assert result.complete
     assert "by inertia" in result.proof
+    assert "2 ranks" in result.proof
     with EmbeddedSolver().open(model) as analysis:
         ours = analysis.modes(ModesRequest(10)).modes
     np.testing.assert_allclose(result.modes.frequencies, ours.frequencies, rtol=1e-7, atol=2e-3)
     assert result.residuals.max() < 1e-7
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Model:
+    return constrained_plate.deck(tmp_path)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_modes_assembled_on_ranks_are_those_of_the_whole_matrices(plate: Model) -> None:
+    with SlepcSolver(ranks=2).open(plate) as analysis:
+        found = analysis.modes(ModesRequest(12))
+        band = analysis.modes(ModesRequest(band=(20.0, 100.0)))
+    assert found.complete
+    with EmbeddedSolver().open(plate) as ours:
+        assert found.autospc.labels() == ours.modes(ModesRequest(12)).autospc.labels()
+        K, M = ours.system.stiffness, ours.system.mass
+        phi = np.asarray(ours.system.local @ found.modes.shapes)
+        full = ours.system.transform @ phi
+    lam = (2 * np.pi * found.modes.frequencies) ** 2
+    gram = phi.T @ (M @ phi)
+    np.testing.assert_allclose(gram, np.eye(12), atol=1e-10)
+    np.testing.assert_allclose(phi.T @ (K @ phi), np.diag(lam), atol=1e-10 * lam[-1])
+    np.testing.assert_allclose(full, found.modes.shapes, atol=1e-12 * np.abs(full).max())
+    inside = found.modes.frequencies[(found.modes.frequencies > 20) & (lam < lam[-1])]
+    inside = inside[inside < 100]
+    np.testing.assert_allclose(band.modes.frequencies, inside, rtol=1e-9)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("free", [True, False])
+def test_derivatives(plate: Model, *, free: bool) -> None:
+    """Of all DOFs, of more channels than parameters and, by adjoint motions, of fewer."""
+    if free:
+        model, parameters = shell(8, 5), shell_parameters()
+    else:
+        model, parameters = plate, constrained_plate.parameters()
+    with SlepcSolver(ranks=2).open(model) as analysis:
+        modes = analysis.modes(ModesRequest(9)).modes
+        d_lambda, d_phi = analysis.derivatives(modes, parameters)
+        every = sparse.csr_array(sparse.eye_array(len(analysis.dofs)))
+        rows = [every[2 : 6 * n : 6] for n in (2, 40)]
+        seen = [analysis.observed_derivatives(modes, parameters, r) for r in rows]
+    with EmbeddedSolver().open(model) as ours:
+        want_lambda, want_phi = ours.derivatives(modes, parameters)
+    size = np.abs(want_lambda).max()
+    np.testing.assert_allclose(d_lambda, want_lambda, rtol=1e-6, atol=1e-8 * size)
+    size = np.linalg.norm(want_phi, axis=0).max()
+    np.testing.assert_allclose(d_phi, want_phi, atol=1e-6 * size)
+    for r, (d, at_channels) in zip(rows, seen, strict=True):
+        np.testing.assert_array_equal(d, d_lambda)
+        want = np.einsum("cf,fmp->cmp", r.toarray(), d_phi)
+        np.testing.assert_allclose(at_channels, want, atol=1e-8 * size)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_an_updating_is_linearised_through_it(plate: Model) -> None:
+    parameters = constrained_plate.parameters().take(range(5))  # those on fields
+    observation = at_dofs(("14+Z", "33+Z", "50+Z", "902+X"), mesh(plate).dofs)
+    x = np.linspace(-0.2, 0.2, len(parameters))
+    asked = ModesRequest(6)
+    theirs = FullModel(plate, parameters, observation, asked, SlepcSolver(ranks=2)).linearise(x)
+    ours = FullModel(plate, parameters, observation, asked).linearise(x)
+    np.testing.assert_allclose(theirs.d_lambda, ours.d_lambda, rtol=1e-6, atol=1e-3)
+    sign = np.sign(np.sum(theirs.shapes * ours.shapes, axis=0))
+    assert np.abs(ours.d_shapes).max() > 0
+    np.testing.assert_allclose(
+        theirs.d_shapes * sign[:, None], ours.d_shapes, atol=1e-6 * np.abs(ours.d_shapes).max()
+    )
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_time_limit_ends_the_ranks(plate: Model) -> None:
+    with SlepcSolver(ranks=2, timeout=0.1).open(plate) as analysis:
+        with pytest.raises(SolverFailed, match="did not end within"):
+            analysis.modes(ModesRequest(4))
+        assert analysis._ranks is not None
+        assert analysis._ranks.process.poll() is not None
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_errors_of_the_model_are_those_of_the_embedded_solver(plate: Model) -> None:
+    held = replace(
+        plate, tables={k: t for k, t in plate.tables.items() if k not in ("PSHELL", "RBE2", "RBE3")}
+    )
+    missing = "CQUAD4 [0-9]+: PSHELL [12] is not in the deck"
+    with pytest.raises(DeckError, match=missing):
+        EmbeddedSolver().open(held)
+    with (
+        SlepcSolver(ranks=2).open(held) as analysis,
+        pytest.raises(DeckError, match=missing) as told,
+    ):
+        analysis.modes(ModesRequest(4))
+    assert told.value.line
+    moving = ParameterSet((Parameter("x", (CardField("GRID", 902, "X1"),)),))
+    with SlepcSolver(ranks=2).open(plate) as analysis:
+        modes = ModeSet(np.ones(1), np.zeros(1), np.zeros((len(analysis.dofs), 1)), analysis.dofs)
+        with pytest.raises(UnsupportedError, match="moves nodes"):
+            analysis.derivatives(modes, moving)
 
 
 def test_not_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -47,9 +175,32 @@ def test_not_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         SlepcSolver().open(shell(3, 2))
 
 
+def test_a_launcher_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(SolverMissing, match="no srun on the PATH"):
+        SlepcSolver(launcher="srun -n 64").open(shell(3, 2))
+
+
 def test_ranks_are_for_slepc() -> None:
     assert isinstance(solver("slepc", ranks=3), SlepcSolver)
     with pytest.raises(ConfigError, match="runs in one process"):
         solver("embedded", ranks=2)
+    with pytest.raises(ConfigError, match="runs in one process"):
+        solver("mystran", launcher="srun")
     with pytest.raises(ConfigError, match="0 ranks"):
         SlepcSolver(ranks=0)
+    with pytest.raises(ConfigError, match="leave one of the two out"):
+        SlepcSolver(ranks=2, launcher="srun")
+
+
+def test_a_study_names_ranks_or_a_launcher() -> None:
+    asked = ModelSection(deck="a.bdf", solver="slepc", launcher="srun -n 64").engine()
+    assert isinstance(asked, SlepcSolver)
+    assert asked.launcher == "srun -n 64"
+    four = ModelSection(deck="a.bdf", solver="slepc", ranks=4)
+    made = four.engine()
+    assert isinstance(made, SlepcSolver)
+    assert made.ranks == 4
+    assert four.engine("embedded") is None
+    with pytest.raises(ConfigError, match="runs in one process"):
+        ModelSection(deck="a.bdf", ranks=4).engine()

@@ -32,6 +32,7 @@ import modes
 import nastran_corpus
 import numpy as np
 import outcome
+import past_one_machine
 import pytest
 import records
 import results_files
@@ -50,6 +51,7 @@ from outcome import (
     within,
 )
 
+from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
 
 BENCH = Path(__file__).parents[2] / "bench"
@@ -63,6 +65,14 @@ SHARED = {
 SCRIPTS = sorted(p for p in BENCH.glob("*.py") if p.name not in SHARED)
 
 
+FASTER = ModeSet(1.01 * np.arange(1.0, 9.0), np.zeros(8), np.zeros((1, 8)), ("1+Z",))
+ON_RANKS = past_one_machine.Run(
+    modes=ModeSet(np.arange(1.0, 9.0), np.zeros(8), np.zeros((1, 8)), ("1+Z",)),
+    d_lambda=np.ones((8, 2)),
+    d_seen=np.ones((3, 8, 2)),
+    seconds={},
+    memory={},
+)
 RECORD = ambient_families.Outcome(
     found=5,
     of=5,
@@ -291,6 +301,16 @@ JUDGED: list[
         [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)],
     ),
     ("derivatives", derivatives.by_products, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES)]),
+    (
+        "past_one_machine",
+        past_one_machine.same,
+        (ON_RANKS, ON_RANKS),
+        [
+            (replace(ON_RANKS, modes=FASTER), ON_RANKS),
+            (replace(ON_RANKS, d_lambda=1.01 * ON_RANKS.d_lambda), ON_RANKS),
+            (replace(ON_RANKS, d_seen=1.01 * ON_RANKS.d_seen), ON_RANKS),
+        ],
+    ),
     (
         "elements",
         elements.solid,

@@ -196,6 +196,7 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
     assert (found["scaling"], read_modes(target).norm) == ("unit modal A", "unit modal A")
     assert "do not oscillate" in call(capsys, "modes", deck, "--complex", "--band", 1, 2)[1]
     assert "only the embedded" in refused(capsys, "modes", deck, "--complex", "--solver", "slepc")
+    assert "runs in one process" in refused(capsys, "modes", deck, "--launcher", "srun -n 64")
     deck.write_text(
         "BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,20.,1\n"
     )  # critically damped

@@ -158,6 +158,7 @@ def solve_modes(
     engine: str = EMBEDDED,
     damped: bool = False,
     ranks: int | None = None,
+    launcher: str = "",
     time_limit: float | None = None,
     progress: Progress = quiet,
 ) -> FeModes:
@@ -176,6 +177,8 @@ def solve_modes(
         Complex modes, by dashpots, GE, PARAM G and DMIG of the deck.
     ranks : int, optional
         Processes of the slepc engine.
+    launcher : str
+        What starts them, in place of their number, such as `srun -n 64`.
     time_limit : float, s, optional
         Longest run of an engine that is another program.
 
@@ -213,7 +216,7 @@ def solve_modes(
     if isinstance(model, MatrixModel):
         found = model.open(progress=progress).modes(ModesRequest(count or 20, band))
         return _fe_modes(model, found)
-    made = solver(engine, ranks=ranks, timeout=time_limit, progress=progress)
+    made = solver(engine, ranks=ranks, launcher=launcher, timeout=time_limit, progress=progress)
     with made.open(model) as analysis:
         solve = analysis.modes
         if damped:

@@ -17,7 +17,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.model.edit import field_changes
 from ringtrue.model.model import Model
 from ringtrue.shapes import paired_mac
-from ringtrue.solvers.registry import EMBEDDED, solver
+from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.direct import (
     AGREE,
@@ -151,7 +151,7 @@ def update_study(
         )
     engine = asked.engine or config.model.solver
     _refuse(config, asked, engine)
-    runner = None if engine == EMBEDDED else solver(engine, timeout=asked.time_limit)
+    runner = config.model.engine(engine, asked.time_limit)
     opened = open_model(model)
     config, target, modes, notes = read_target(config, opened, test)
     left_out = _left_out(asked.leave_out, len(modes))

@@ -72,6 +72,13 @@ def modes(
     ] = "embedded",
     time_limit: TimeLimit = None,
     ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
+    launcher: Annotated[
+        str,
+        typer.Option(
+            help="What starts them, in place of --ranks, such as 'srun -n 64'.",
+            metavar="COMMAND",
+        ),
+    ] = "",
     damped: Annotated[
         bool,
         typer.Option(
@@ -111,6 +118,7 @@ def modes(
             engine=solver_name,
             damped=damped,
             ranks=ranks,
+            launcher=launcher,
             time_limit=time_limit,
             progress=part(show, 0.2, 0.6 if mesh else 1.0),
         )

@@ -93,7 +93,7 @@ def _most_of(pencil: Pencil, count: int) -> bool:
 
 
 def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> EigenModes:
-    shift = start_shift(pencil.stiffness, pencil.mass)
+    shift = start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal())
     farthest = min(1e3 * shift, rounding_shift(pencil.stiffness, pencil.mass))
     values, vectors = _first_definite(pencil, (shift, 1e3 * shift, farthest))
     for _ in range(4):  # each pass places the shift better

@@ -84,8 +84,10 @@ SEARCH = ShiftSearch()
 SUBSPACE = SubspaceIteration()
 
 
-def start_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float:
-    """A first guess from the diagonals, far below the first elastic mode or near it."""
+def start_shift(stiffness: Float, mass: Float) -> float:
+    """A first guess from the diagonals (f,) of K and M, far below the first elastic mode or near
+    it.
+    """
     return -1e-7 * float(np.median(_stiffness_per_mass(stiffness, mass))) or -1.0
 
 
@@ -93,22 +95,24 @@ def rounding_shift(stiffness: sparse.csr_array, mass: sparse.csr_array) -> float
     """Below what rounding of the stiffest DOFs makes of rigid-body modes, where the usual ones are
     so soft that `start_shift` is not.
     """
-    return -1e3 * np.finfo(float).eps * float(_stiffness_per_mass(stiffness, mass).max())
+    return (
+        -1e3
+        * np.finfo(float).eps
+        * float(_stiffness_per_mass(stiffness.diagonal(), mass.diagonal()).max())
+    )
 
 
-def _stiffness_per_mass(stiffness: sparse.csr_array, mass: sparse.csr_array) -> Float:
-    """|k| / m of the DOFs that have mass, (k,)."""
-    k = stiffness.diagonal()
-    m = mass.diagonal()
-    massive = m > 1e-12 * m.max()
-    return np.asarray(np.abs(k[massive]) / m[massive])
+def _stiffness_per_mass(stiffness: Float, mass: Float) -> Float:
+    """|k| / m of the DOFs that have mass, (k,), from the diagonals (f,)."""
+    massive = mass > 1e-12 * mass.max()
+    return np.asarray(np.abs(stiffness[massive]) / mass[massive])
 
 
 def low_shift(pencil: Pencil, fmax: float) -> float:
     """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)², beyond the rounding of
     rigid-body modes.
     """
-    rounding = SEARCH.rounding * start_shift(pencil.stiffness, pencil.mass)
+    rounding = SEARCH.rounding * start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal())
     return min(-LOW * eigenvalue(fmax), rounding)
 
 
@@ -129,7 +133,7 @@ def find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
     The probe of the last shift is the beginning of the solution, in which so many modes near zero
     are known.
     """
-    shift = start_shift(pencil.stiffness, pencil.mass)
+    shift = start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal())
     nearest = SEARCH.rounding * shift
     known = (np.zeros((pencil.size, 0)), np.zeros(0))
     searched = False

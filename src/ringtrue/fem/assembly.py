@@ -15,8 +15,9 @@ from ringtrue.errors import InputError
 from ringtrue.fem.constraints import EPZERO, Stiffening, eliminate, singular_dofs
 from ringtrue.fem.element_cards import mesh, pieces, refuse
 from ringtrue.fem.elements import given_matrices
-from ringtrue.fem.mesh import ElementMatrices, Mesh, arm
+from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, arm
 from ringtrue.fem.negative_stiffness import refuse_negative
+from ringtrue.fem.share import WHOLE, Share
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
@@ -177,8 +178,9 @@ def turn(m: Mesh) -> sparse.csr_array:
     )
 
 
-def assemble(model: Model) -> System:
-    """Assemble a model.
+def assemble(model: Model, share: Share = WHOLE) -> System:
+    """Assemble a model, or a share of its elements: then K, M and dampings are to be summed over
+    the shares; all else is that of the whole model.
 
     Raises
     ------
@@ -191,11 +193,12 @@ def assemble(model: Model) -> System:
     refuse(model)
     refuse_negative(model)
     m = mesh(model)
-    K, M, B, S = _totals(m)
+    rows = share.rows(model)
+    K, M, B, S = _totals(m, rows)
     T_local, free = eliminate(m)
     rotation = turn(m)
     direct = None
-    given = given_matrices.given_matrices(m)
+    given = given_matrices.given_matrices(m) if share.number == 0 else None
     if given is not None:
         direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
         K = sparse.csr_array(K + direct)
@@ -208,7 +211,7 @@ def assemble(model: Model) -> System:
     drop = np.zeros(free.size, dtype=bool)
     if str(model.params.get("AUTOSPC", "YES")).upper() != "NO":
         epzero = m.model.param("EPZERO", EPZERO)
-        stiffening = Stiffening(pieces(m), direct, epzero)
+        stiffening = Stiffening(pieces(m, rows), direct, epzero, share.summed)
         drop = singular_dofs(stiffness, free, len(m.xyz), T, stiffening)
     keep = np.flatnonzero(~drop)
     if drop.any():
@@ -261,13 +264,13 @@ def rayleigh(model: Model) -> tuple[float, float]:
 
 
 def _totals(
-    m: Mesh,
+    m: Mesh, rows: Rows | None
 ) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array, sparse.csr_array]:
     """Stiffness, mass, viscous damping and Σ g_e K_e (n, n) over the full basic DOFs, each element
-    computed once.
+    computed once; of all elements, or of some rows of their cards.
     """
     K, M, B, S = (Sum(m.size) for _ in range(4))
-    for _, _, p in pieces(m):
+    for _, _, p in pieces(m, rows):
         K.add(p.dofs, p.stiffness)
         M.add(p.dofs, p.mass)
         if len(p.viscous):

@@ -6,7 +6,7 @@ AUTOSPC: directions in which nothing stiffens a node.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,11 +44,14 @@ class Stiffening:
         Stiffness that is given as a matrix (K2GG), in basic.
     tolerance : float
         PARAM,EPZERO.
+    summed : callable
+        Of `share.Share`, where parts and K are a share of the elements.
     """
 
     parts: Iterator[Part]
     direct: sparse.csr_array | None = None
     tolerance: float = EPZERO
+    summed: Callable[[Float], Float] = np.asarray
 
 
 def singular_dofs(
@@ -83,7 +86,7 @@ def singular_dofs(
     group = np.where(free < 6 * nodes, free // 3, free - 4 * nodes)
     place = np.where(free < 6 * nodes, free % 3, 0)
     count = int(group.max(initial=-1)) + 1
-    blocks = _blocks(K, group, place, count)
+    blocks = stiffening.summed(_blocks(K, group, place, count))
     there = np.zeros((count, 3), dtype=bool)
     there[group, place] = True
     size = np.abs(blocks).max(axis=(1, 2), initial=0.0)
@@ -99,6 +102,7 @@ def singular_dofs(
             count=doubtful.size,
             stiffening=stiffening,
         )
+        stiffened = stiffening.summed(stiffened)
         stiff = stiffened.any(axis=(1, 2))
         held[doubtful[stiff]] = _weak(stiffened[stiff], there[doubtful[stiff]], tolerance)
     return np.asarray((empty | held)[group, place])

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.fem.assembly import System
+from ringtrue.fem.share import WHOLE, Share
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)
@@ -30,7 +31,7 @@ TURNS = 1e-3  # of a unit turn, that a row must move to hold it
 NOTHING = 1e-10  # share of the turns' whole energy, and of their whole inertia
 
 
-def massless_rotations(model: Model, system: System) -> Int:
+def massless_rotations(model: Model, system: System, share: Share = WHOLE) -> Int:
     """Free DOFs (k,), rows of the system, one a spin: the one that turns most with it.
 
     Turned together about one axis, the nodes of a chain that are joined by rotational stiffness
@@ -42,7 +43,7 @@ def massless_rotations(model: Model, system: System) -> Int:
     at = np.flatnonzero(turning & np.isin(system.free.node, np.concatenate([none, *ends])))
     if not at.size:
         return none
-    K, M = (A[at][:, at] for A in (system.stiffness, system.mass))
+    K, M = (share.total(A[at][:, at]) for A in (system.stiffness, system.mass))
     count, label = connected_components(abs(K) + abs(M), directed=False)
     chain: Int = label.astype(np.int64)
     R = _turns(system, at)
@@ -91,35 +92,38 @@ def _shares(R: Float, A: sparse.csr_array, chain: Int, count: int) -> Float:
     return out / np.where(size > 0, size, 1.0)[:, None, None]
 
 
-def without_massless_rotations(model: Model, system: System) -> tuple[System, DofSet]:
+def without_massless_rotations(
+    model: Model, system: System, share: Share = WHOLE
+) -> tuple[System, DofSet]:
     """The system with its spins held, and the DOFs that hold them.
 
     Under PARAM,AUTOSPC,NO only DOFs that nothing uses are held, among those of `system.autospc`;
     PARAM,ASING,-1 leaves them, too, so that they are an error (MSC Nastran Quick Reference Guide,
-    ASING).
+    ASING). Of a system that is a share of the elements, by all shares together.
     """
     none: Int = np.empty(0, dtype=np.int64)
     if str(model.params.get("AUTOSPC", "YES")).upper() == "NO":
-        rows = _unused(system) if model.param("ASING", 0.0) != -1 else none
+        rows = _unused(system, share) if model.param("ASING", 0.0) != -1 else none
         node = np.concatenate([system.autospc.node, system.free.node[rows]])
         direction = np.concatenate([system.autospc.direction, system.free.direction[rows]])
         return replace(_held(system, rows), autospc=DofSet(node, direction)), DofSet(none, none)
-    rows = massless_rotations(model, system)
+    rows = massless_rotations(model, system, share)
     held = DofSet(system.free.node[rows], system.free.direction[rows])
     if rows.size:
         log.info("held against spinning without stiffness and mass: %s", " ".join(held.labels()))
     return _held(system, rows), held
 
 
-def _unused(system: System) -> Int:
+def _unused(system: System, share: Share) -> Int:
     """Rows of the system without stiffness and mass: scalar points, components that no element
     uses.
     """
-    rows = np.flatnonzero((system.stiffness.diagonal() == 0) & (system.mass.diagonal() == 0))
-    empty = [
-        np.asarray(abs(A[rows]).sum(axis=1)).ravel() == 0 for A in (system.stiffness, system.mass)
-    ]
-    return np.asarray(rows[empty[0] & empty[1]])
+    both = (system.stiffness, system.mass)
+    k, m = (share.summed(A.diagonal()) for A in both)
+    rows = np.flatnonzero((k == 0) & (m == 0))
+    sizes = (np.asarray(abs(A[rows]).sum(axis=1), dtype=np.float64).ravel() for A in both)
+    k, m = (share.summed(size) for size in sizes)
+    return np.asarray(rows[(k == 0) & (m == 0)])
 
 
 def _held(system: System, rows: Int) -> System:

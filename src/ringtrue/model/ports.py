@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.dofs import NO_DOFS, DofSet
@@ -78,6 +79,17 @@ class Analysis(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+@runtime_checkable
+class ObservedDerivatives(Protocol):
+    """An analysis that differentiates what channels see, without the shapes at all DOFs."""
+
+    def observed_derivatives(
+        self, modes: ModeSet, parameters: ParameterSet, readings: sparse.csr_array
+    ) -> tuple[Float, Float]:
+        """∂λ/∂a (m, p) and ∂φ/∂a (channel, m, p) at a = 1, by readings (channel, dof)."""
+        ...
 
 
 @runtime_checkable

@@ -16,7 +16,13 @@ from ringtrue.core.testmodel import Observation
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.parametrisation.changed_model import scaled
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest
+from ringtrue.model.ports import (
+    Analysis,
+    Linearisation,
+    ModalSolver,
+    ModesRequest,
+    ObservedDerivatives,
+)
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.components import free_system
@@ -140,14 +146,22 @@ class FullModel:
         ):
             return None
         try:
-            d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
+            d_lambda, d_seen = self._differentiated(analysis, modes)
         except UnsupportedError:
             return None
         self.ledger.runs += 1
         # the edited model is at a = 1 of itself
         relative = self.parameters.derivative(x) / self.parameters.factors(x)
-        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])
         return d_lambda * relative, d_seen * relative
+
+    def _differentiated(self, analysis: Analysis, modes: ModeSet) -> tuple[Float, Float]:
+        """∂λ/∂a (m, p) and ∂φ/∂a (channel, m, p)."""
+        if isinstance(analysis, ObservedDerivatives):
+            readings = self.observation.matrix
+            return analysis.observed_derivatives(modes, self.parameters, readings)
+        d_lambda, d_phi = analysis.derivatives(modes, self.parameters)
+        d_seen = self.observation(d_phi.reshape(d_phi.shape[0], -1))
+        return d_lambda, d_seen.reshape(-1, *d_phi.shape[1:])
 
     def _differences(self, here: ModeSet, x: Float) -> tuple[Float, Float]:
         """∂λ/∂x (k, p) and ∂φ/∂x (channel, k, p) of the lowest k <= m modes by one step of each

@@ -42,6 +42,7 @@ def solver(
     name: str = EMBEDDED,
     *,
     ranks: int | None = None,
+    launcher: str = "",
     timeout: float | None = None,
     progress: Progress | None = None,
 ) -> ModalSolver:
@@ -52,6 +53,8 @@ def solver(
     name : str
     ranks : int, optional
         Processes; only for a solver that takes them.
+    launcher : str
+        What starts them, in place of their number, such as `srun -n 64`.
     timeout : float, s, optional
         Longest time that a run may take; only for a solver that takes one.
     progress : callable, optional
@@ -66,10 +69,12 @@ def solver(
         raise ConfigError(f"no solver {name!r}{did_you_mean(name, names())}")
     make = BUILT_IN[name] if name in BUILT_IN else _plugins()[name].load()
     settings: dict[str, Any] = {}
-    if ranks is not None:
+    if ranks is not None or launcher:
         if name != "slepc":
-            raise ConfigError(f"solver {name!r} runs in one process; ranks are for 'slepc'")
-        settings["ranks"] = ranks
+            raise ConfigError(
+                f"solver {name!r} runs in one process; ranks and a launcher are for 'slepc'"
+            )
+        settings |= {"ranks": ranks, "launcher": launcher}
     if timeout is not None:
         if not timeout > 0:
             raise ConfigError(f"solver {name!r}: a time limit of {timeout:g} s; must be above 0")

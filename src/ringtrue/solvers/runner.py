@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, Self
@@ -33,6 +35,7 @@ from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.solvers import guard
 
+POLL = 0.02  # s
 # what programs print where their disk is full
 _DISK_FULL = (
     b"no space left",
@@ -89,40 +92,123 @@ def run_program(
     SolverFailed
         If it did not end in time or its disk is full.
     """
-    words = [str(c) for c in command]
-    log = folder / "ringtrue.log"
-    not_started = folder / guard.NOT_STARTED
-    not_started.unlink(missing_ok=True)
-    groups = hasattr(os, "killpg")
-    whole = [sys.executable, "-I", "-S", guard.__file__, *words] if groups else words
-    with log.open("wb") as sink:
-        try:
-            process = subprocess.Popen(
-                whole,
-                cwd=folder,
-                stdin=subprocess.PIPE if groups else subprocess.DEVNULL,
-                stdout=sink,
-                stderr=sink,
-                start_new_session=True,
-            )
-        except OSError as e:
-            raise SolverMissing(f"{name}: {words[0]} cannot be started: {e.strerror}") from e
-        try:
-            status = process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            longer = "give it longer by --time-limit SECONDS, or timeout= in Python"
+    running = Running(command, folder, name=name)
+    try:
+        status = running.process.wait(timeout)
+    except subprocess.TimeoutExpired:
+        raise running.late(timeout) from None
+    finally:
+        running.end()
+    running.check()
+    return Finished(folder, status, _last(running.log))
+
+
+class Running:
+    """A program that runs next to this process, and ends with it.
+
+    Parameters
+    ----------
+    command : sequence of str or Path
+    folder : Path
+        Must exist; the log is written there as `ringtrue.log`.
+    name : str
+        Of the solver, for messages.
+
+    Raises
+    ------
+    SolverMissing
+        If the program cannot be started.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str | Path],
+        folder: Path,
+        *,
+        name: str,
+    ) -> None:
+        words = [str(c) for c in command]
+        self.log = folder / "ringtrue.log"
+        self._folder = folder
+        self._name = name
+        self._program = words[0]
+        self._not_started = folder / guard.NOT_STARTED
+        self._not_started.unlink(missing_ok=True)
+        groups = hasattr(os, "killpg")
+        whole = [sys.executable, "-I", "-S", guard.__file__, *words] if groups else words
+        with self.log.open("wb") as sink:
+            try:
+                self.process = subprocess.Popen(
+                    whole,
+                    cwd=folder,
+                    stdin=subprocess.PIPE if groups else subprocess.DEVNULL,
+                    stdout=sink,
+                    stderr=sink,
+                    start_new_session=True,
+                )
+            except OSError as e:
+                raise SolverMissing(f"{name}: {words[0]} cannot be started: {e.strerror}") from e
+
+    def wait(self, path: Path, timeout: float, *, but: str) -> Path | None:
+        """Until the program has written a file, or in its place one of the pattern `but`, which is
+        given back.
+
+        Raises
+        ------
+        SolverMissing, SolverFailed
+            If it cannot be started, ends before, takes too long or its disk is full.
+        """
+        end = time.monotonic() + timeout
+        while not path.exists():
+            gone = self.process.poll() is not None
+            if others := sorted(self._folder.glob(but)):
+                return others[0]
+            if gone and not path.exists():
+                self.check()
+                status = self.process.returncode
+                raise SolverFailed(
+                    f"{self._name} ended with exit status {status}{tail(_last(self.log))}"
+                )
+            if time.monotonic() > end:
+                self.end()
+                raise self.late(timeout)
+            time.sleep(POLL)
+        return None
+
+    def late(self, timeout: float) -> SolverFailed:
+        """That it did not end in time."""
+        longer = "give it longer by --time-limit SECONDS, or timeout= in Python"
+        return SolverFailed(
+            f"{self._name} did not end within {timeout:g} s and was stopped: {longer}"
+            f"{tail(self.log)}"
+        )
+
+    def check(self) -> None:
+        """Raise what kept it from its work."""
+        if self._not_started.exists():
+            why = os.strerror(int(self._not_started.read_text()))
+            raise SolverMissing(f"{self._name}: {self._program} cannot be started: {why}")
+        if _disk_was_full(self.log):
+            free = shutil.disk_usage(self._folder).free / 1e9
             raise SolverFailed(
-                f"{name} did not end within {timeout:g} s and was stopped: {longer}{tail(log)}"
-            ) from None
-        finally:
-            _end(process)
-    if not_started.exists():
-        why = os.strerror(int(not_started.read_text()))
-        raise SolverMissing(f"{name}: {words[0]} cannot be started: {why}")
-    if _disk_was_full(log):
-        free = shutil.disk_usage(folder).free / 1e9
-        raise SolverFailed(f"{name}: the disk of {folder} is full ({free:.2f} GB free){tail(log)}")
-    return Finished(folder, status, _last(log))
+                f"{self._name}: the disk of {self._folder} is full ({free:.2f} GB free)"
+                f"{tail(self.log)}"
+            )
+
+    def end(self, patience: float = 0.0) -> None:
+        """End what is left of it and of the processes it started, if it does not end by itself
+        within so many seconds.
+        """
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(patience)
+        if self.process.poll() is None:
+            if hasattr(os, "killpg"):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            else:
+                self.process.kill()
+            self.process.wait()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
 
 
 def _disk_was_full(log: Path) -> bool:
@@ -143,18 +229,6 @@ def _last(log: Path) -> str:
     with log.open("rb") as source:
         source.seek(max(log.stat().st_size - 65_536, 0))
         return source.read().decode("latin-1")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End what is left of the program and of the processes it started."""
-    if process.poll() is None:
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()
-        process.wait()
-    if process.stdin is not None:
-        process.stdin.close()
 
 
 def tail(log: str | Path) -> str:

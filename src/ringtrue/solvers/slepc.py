@@ -1,45 +1,65 @@
-"""SLEPc with MUMPS under mpiexec, for models that outgrow one process; the matrices go over by
-files.
+"""SLEPc with MUMPS on MPI ranks, for models that outgrow one process: the ranks assemble, factor
+and solve; no process holds a matrix of the whole model.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import pickle
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.eigen.eigenpairs import eigenvalue, frequencies, polish
-from ringtrue.eigen.shift import start_shift, suitable_shift
-from ringtrue.errors import ConfigError, SolverFailed, SolverMissing, UnsupportedError
-from ringtrue.fem.assembly import System, refuse_held
+from ringtrue.eigen.eigenpairs import eigenvalue, frequencies
+from ringtrue.errors import ConfigError, SolverMissing, UnsupportedError
+from ringtrue.fem.element_cards import mesh
+from ringtrue.fem.parametrisation.element_derivatives import moves
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
-from ringtrue.reduction.components import condensed, free_system
-from ringtrue.solvers.runner import run_program, tail
+from ringtrue.model.superelements import condenses
+from ringtrue.solvers import slepc_share
+from ringtrue.solvers.runner import Running
+from ringtrue.solvers.slepc_share import ANSWERS, QUESTION, Asked, failed, place, put
 
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
 WORKER = Path(__file__).with_name("slepc_worker.py")
+# this ringtrue, not another that is installed; no variable reaches other hosts
+SHARE = (
+    f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r}); "
+    f"from {slepc_share.__name__} import main; main()"
+)
 _INSTALL = (
     "install it with `pip install dolfinx-solver-real mpich` in a Python >= 3.12 or with Debian's "
-    f"python3-slepc4py-real, and set {PYTHON} to that Python"
+    f"python3-slepc4py-real, and set {PYTHON} to that Python (/usr/bin/python3)"
 )
 
 
-def find_slepc() -> tuple[Path, Path]:
-    """The Python with slepc4py (RINGTRUE_SLEPC_PYTHON, else this one) and its mpiexec.
+def find_slepc(launcher: str = "", ranks: int = 1) -> list[str | Path]:
+    """The command line that starts the Python with slepc4py (RINGTRUE_SLEPC_PYTHON, else this one)
+    on all ranks.
+
+    Parameters
+    ----------
+    launcher : str
+        A command of the user's, such as `srun -n 64`; else mpiexec next to that Python or on the
+        PATH.
+    ranks : int
+        Of that mpiexec.
 
     Raises
     ------
@@ -48,14 +68,22 @@ def find_slepc() -> tuple[Path, Path]:
     """
     python = Path(os.environ.get(PYTHON, sys.executable))
     own = python.with_name("mpiexec")
-    launcher = own if own.is_file() else Path(shutil.which("mpiexec") or "")
-    if not launcher.is_file():
-        raise SolverMissing(
-            f"slepc: no mpiexec in the folder of {python} or on the PATH; {_INSTALL}"
-        )
+    words: list[str | Path] = list(shlex.split(launcher))
+    if not words:
+        words = [own if own.is_file() else "mpiexec", "-n", str(ranks)]
+    if shutil.which(words[0]) is None:
+        where = f"in the folder of {python} or on the PATH" if not launcher else "on the PATH"
+        raise SolverMissing(f"slepc: no {Path(words[0]).name} {where}; {_INSTALL}")
+    _tried(python)
+    return [*words, python]
+
+
+@cache
+def _tried(python: Path) -> None:
+    """Raise SolverMissing if a Python has no slepc4py."""
     try:
         tried = subprocess.run(
-            [python, "-c", "from mpi4py import MPI; import petsc4py, slepc4py.SLEPc"],
+            [python, WORKER],
             capture_output=True,
             stdin=subprocess.DEVNULL,
             timeout=120,
@@ -66,35 +94,25 @@ def find_slepc() -> tuple[Path, Path]:
     if tried.returncode:
         why = tried.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
         raise SolverMissing(f"slepc: {python} has no working slepc4py ({''.join(why)}); {_INSTALL}")
-    return python, launcher
 
 
 class SlepcAnalysis:
-    """An assembled model, solved by ranks of their own; see `ringtrue.model.ports.Analysis`."""
+    """A model on ranks that assemble it and answer until the analysis ends; see
+    `ringtrue.model.ports.Analysis`.
 
-    capabilities = frozenset({"modes"})
+    Shapes are files that the ranks write and this process maps.
+    """
 
-    def __init__(
-        self,
-        system: System,
-        command: Sequence[str | Path],
-        *,
-        timeout: float,
-    ):
-        self.system = system
-        self.dofs = system.dofs
+    capabilities = frozenset({"modes", "derivatives"})
+
+    def __init__(self, model: Model, command: Sequence[str | Path], *, timeout: float) -> None:
+        self.dofs = mesh(model).dofs
+        self._model = model
         self._command = command
         self._timeout = timeout
         self._folder = Path(tempfile.mkdtemp(prefix="ringtrue-slepc-"))
-        for name, matrix in (("K", system.stiffness), ("M", system.mass)):
-            # plain arrays that each rank can map and read its rows of
-            for part, values in (
-                ("p", matrix.indptr.astype(np.int64)),
-                ("i", matrix.indices),
-                ("x", matrix.data),
-            ):
-                np.save(self._folder / f"{name}_{part}.npy", values)
-        self._shift = start_shift(system.stiffness, system.mass)
+        self._ranks: Running | None = None
+        self._questions = 0
         self._done: dict[ModesRequest, ModesResult] = {}
 
     def modes(self, request: ModesRequest) -> ModesResult:
@@ -104,70 +122,105 @@ class SlepcAnalysis:
         ------
         SolverFailed
             If a rank fails or writes no modes.
+        InputError, UnsupportedError, NumericalError
+            Of the model, as of the embedded solver.
         """
         if request not in self._done:
             self._done[request] = self._modes(request)
         return self._done[request]
 
     def _modes(self, request: ModesRequest) -> ModesResult:
-        values, vectors, residuals, result = self._solve(request)
-        # a shift much nearer to zero than the first elastic mode loses digits
-        if (residuals > 1e-7).any():
-            self._shift = -suitable_shift(values)
-            values, vectors, residuals, result = self._solve(request)
-        shapes = self.system.transform @ vectors
-        f = frequencies(values)
+        answer, shapes, _ = self._answer(Asked(request))
+        f = frequencies(np.array(answer["values"]))
         modes = ModeSet(
             frequencies=f,
             damping=np.zeros(f.size),
-            shapes=shapes,
+            shapes=shapes.T,
             labels=self.dofs,
             norm=Norm.MASS,
             source="slepc",
         )
-        return ModesResult(modes, residuals, bool(result["complete"]), str(result["proof"]))
-
-    def _solve(self, request: ModesRequest) -> tuple[Float, Float, Float, dict[str, object]]:
-        band = None
-        if request.band is not None:
-            low, high = (eigenvalue(f) for f in request.band)
-            band = (self._shift if low <= 0 else low, high)
-        count = min(request.count, self.system.stiffness.shape[0])
-        job = {"count": count, "band": band, "shift": self._shift}
-        (self._folder / "job.json").write_text(json.dumps(job))
-        (self._folder / "result.json").unlink(missing_ok=True)
-        done = run_program(
-            [*self._command, WORKER, self._folder],
-            self._folder,
-            name="slepc",
-            timeout=self._timeout,
+        node, direction = (np.array(a, dtype=np.int64) for a in answer["autospc"])
+        return ModesResult(
+            modes,
+            np.array(answer["residuals"]),
+            bool(answer["complete"]),
+            str(answer["proof"]),
+            autospc=DofSet(node, direction),
         )
-        if done.status or not (self._folder / "result.json").is_file():
-            raise SolverFailed(f"slepc ended with exit status {done.status}{tail(done.log)}")
-        result = read_json(self._folder / "result.json")
-        values = np.array(read_npy(self._folder / "values.npy"))
-        vectors = np.array(read_npy(self._folder / "vectors.npy")).T
-        if not values.size:
-            return values, vectors.reshape(self.system.stiffness.shape[0], 0), np.empty(0), result
-        values, vectors, residuals, _ = polish(
-            self.system.stiffness, self.system.mass, values, vectors
-        )
-        return values, vectors, residuals, result
 
     def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
-        """Not offered.
+        """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this analysis.
 
         Raises
         ------
         UnsupportedError
-            Always; `capabilities` says so beforehand.
+            If a parameter moves nodes, ends of beams or orientations.
         """
-        raise UnsupportedError("slepc gives no derivatives; use the embedded solver")
+        return self._derivatives(modes, parameters, None)
+
+    def observed_derivatives(
+        self, modes: ModeSet, parameters: ParameterSet, readings: sparse.csr_array
+    ) -> tuple[Float, Float]:
+        """∂λ/∂a (m, p), and those of the shapes at channels (channel, m, p): by adjoint motions of
+        the channels where these are fewer than the parameters.
+
+        Raises
+        ------
+        UnsupportedError
+            If a parameter moves nodes, ends of beams or orientations.
+        """
+        return self._derivatives(modes, parameters, readings)
+
+    def _derivatives(
+        self, modes: ModeSet, parameters: ParameterSet, readings: sparse.csr_array | None
+    ) -> tuple[Float, Float]:
+        if moving := [p.name for p in parameters.parameters if moves(p)]:
+            raise UnsupportedError(
+                f"slepc: {moving[0]} moves nodes, ends of beams or orientations; the embedded "
+                "solver has derivatives of these"
+            )
+        lam = np.array([eigenvalue(f) for f in modes.frequencies])
+        top = float(lam.max(initial=0.0)) * (1 + 1e-9)
+        answer, found, lowest = self._answer(
+            Asked(ModesRequest(len(modes)), parameters, top, readings)
+        )
+        d_shapes = np.asarray(found).reshape(len(parameters), len(lowest), -1)
+        # signs and rotations of the given modes
+        turn = np.linalg.lstsq(lowest.T, modes.shapes)[0]
+        d_stiffness, d_mass = (np.array(answer[k]) for k in ("stiffness", "mass"))
+        change = np.einsum("jm,pjk,km->mp", turn, d_stiffness, turn, optimize=True)
+        change -= lam[:, None] * np.einsum("jm,pjk,km->mp", turn, d_mass, turn, optimize=True)
+        return change, np.einsum("pjf,jm->fmp", d_shapes, turn, optimize=True)
+
+    def _answer(self, asked: Asked) -> tuple[dict[str, Any], Float, Float]:
+        """What the ranks say, and the files that they have written: shapes or their derivatives,
+        and the modes that these are of.
+        """
+        if self._ranks is None:
+            (self._folder / "model.pickle").write_bytes(pickle.dumps(self._model))
+            command = (*self._command, WORKER, self._folder, sys.executable, "-c", SHARE)
+            self._ranks = Running(command, self._folder, name="slepc")
+        self._put(asked)
+        target, *files = (place(self._folder, self._questions, what) for what in ANSWERS)
+        errors = self._ranks.wait(target, self._timeout, but="error-*.pickle")
+        if errors is not None:
+            raise failed(errors.read_bytes())
+        answer: dict[str, Any] = read_json(target)
+        shapes, modes = (read_npy(f) if f.is_file() else np.empty((0, 0)) for f in files)
+        return answer, shapes, modes
+
+    def _put(self, asked: Asked | None) -> None:
+        self._questions += 1
+        put(place(self._folder, self._questions, QUESTION), pickle.dumps(asked))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
+        if self._ranks is not None:
+            self._put(None)
+            self._ranks.end(patience=10.0)
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
@@ -177,31 +230,41 @@ class SlepcSolver:
     Parameters
     ----------
     ranks : int
-        MPI processes.
+        MPI processes; 1 if not given.
+    launcher : str
+        In place of ranks: what starts them, such as `srun -n 64` or `mpiexec --hostfile h -n 8`.
     timeout : float, s
     """
 
     name = "slepc"
 
-    def __init__(self, *, ranks: int = 1, timeout: float = 24 * 3600.0) -> None:
-        if ranks < 1:
+    def __init__(
+        self, *, ranks: int | None = None, launcher: str = "", timeout: float = 24 * 3600.0
+    ) -> None:
+        if ranks is not None and launcher:
+            raise ConfigError(
+                f"slepc: {ranks} ranks and the launcher {launcher!r}; the launcher says how many: "
+                "leave one of the two out"
+            )
+        if ranks is not None and ranks < 1:
             raise ConfigError(f"slepc: {ranks} ranks; at least 1")
-        self.ranks = ranks
+        self.ranks = ranks or 1
+        self.launcher = launcher
         self.timeout = timeout
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> SlepcAnalysis:
-        """Assemble the model and hand its matrices over.
+        """Find the program; the ranks assemble the model when they are first asked.
 
         Raises
         ------
         SolverMissing
-            If mpiexec or slepc4py is not installed.
-        InputError
-            If nothing is free to move.
+            If mpiexec, the launcher or slepc4py is not installed.
+        UnsupportedError
+            If the deck is condensed.
         """
-        python, launcher = find_slepc()
-        system, _ = free_system(model)
-        refuse_held(system)
-        system = condensed(model, system)
-        command = (launcher, "-n", str(self.ranks), python)
-        return SlepcAnalysis(system, command, timeout=self.timeout)
+        if condenses(model):
+            raise UnsupportedError(
+                "slepc: the deck is condensed (ASET, QSET or superelements); the embedded solver "
+                "condenses as Nastran does"
+            )
+        return SlepcAnalysis(model, find_slepc(self.launcher, self.ranks), timeout=self.timeout)

@@ -12,7 +12,8 @@ from ringtrue.core.parameters import CardField, Parameter
 from ringtrue.core.units import UnitName
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.errors import did_you_mean
-from ringtrue.solvers.registry import EMBEDDED
+from ringtrue.model.ports import ModalSolver
+from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.updating.damping_regions import DampingRegion
 from ringtrue.updating.selection.candidates import Kind
 
@@ -230,10 +231,27 @@ class ModelSection(StudySection):
     """Modes are computed up to here, Hz; as high as a pair may be if not given."""
     solver: str = EMBEDDED
     """Of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in."""
+    ranks: int | None = Field(default=None, ge=1)
+    """MPI processes of `solver = "slepc"`."""
+    launcher: str = ""
+    """What starts them, in place of `ranks`: "srun -n 64", "mpiexec --hostfile h -n 8"."""
     refine: int = Field(default=0, ge=0, le=3)
     """How often the mesh is refined before anything is computed."""
     regions: dict[str, list[int]] = {}
     """Name -> property numbers, for drawing and naming."""
+
+    def engine(self, name: str = "", timeout: float | None = None) -> ModalSolver | None:
+        """The solver, or another that is named; None for the embedded one.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of this name, or it takes no ranks, launcher or time limit.
+        """
+        name = name or self.solver
+        ranks, launcher = (self.ranks, self.launcher) if name == self.solver else (None, "")
+        made = solver(name, ranks=ranks, launcher=launcher, timeout=timeout)
+        return None if name == EMBEDDED else made
 
 
 class TestSection(StudySection):

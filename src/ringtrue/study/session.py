@@ -24,7 +24,6 @@ from ringtrue.errors import ConfigError, about
 from ringtrue.model.edit import carried, in_seconds
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
-from ringtrue.solvers.registry import EMBEDDED, solver
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import ConfigurationSection, ModelSection
 from ringtrue.study.measured_data import (
@@ -163,7 +162,7 @@ class Session:
     @cached_property
     def engine(self) -> ModalSolver | None:
         """The solver of the study; None for the embedded one."""
-        return None if self.deck.solver == EMBEDDED else solver(self.deck.solver)
+        return self.deck.engine()
 
     def opened(self, main: Path) -> Opened:
         """A deck in the solver of the study."""

@@ -138,7 +138,7 @@ def system_derivatives(
     size = T.shape[0]
     sums = [(Sum(size), Sum(size)) for _ in parameters]
     for piece in element_derivatives(model, parameters):
-        for i, at in _by_owner(piece):
+        for i, at in by_owner(piece):
             sums[i][0].add(piece.dofs[at], piece.stiffness[at])
             sums[i][1].add(piece.dofs[at], piece.mass[at])
     out = []
@@ -154,7 +154,7 @@ def system_derivatives(
     return out
 
 
-def _by_owner(part: ElementDerivatives) -> Iterator[tuple[int, Int]]:
+def by_owner(part: ElementDerivatives) -> Iterator[tuple[int, Int]]:
     """Each parameter among the derivatives, and the positions of its elements."""
     order = np.argsort(part.owner, kind="stable")
     present, first = np.unique(part.owner[order], return_index=True)
@@ -246,7 +246,7 @@ def congruent(
     count = vectors.shape[1]
     full = _padded(system, vectors)
     for piece in element_derivatives(model, parameters):
-        for i, at in _by_owner(piece):
+        for i, at in by_owner(piece):
             x = full[piece.dofs[at]]
             made = [np.zeros((0, 0)), np.zeros((0, 0))]
             for k, A in enumerate((piece.stiffness[at], piece.mass[at])):

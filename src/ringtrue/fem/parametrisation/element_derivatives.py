@@ -31,6 +31,7 @@ from ringtrue.fem.parametrisation.changed_model import (
     users_of_nodes,
     within,
 )
+from ringtrue.fem.share import WHOLE, Share
 from ringtrue.model.edit import field_value
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model
@@ -145,9 +146,10 @@ def central_differences(size: float, reach: float) -> Iterator[tuple[float, floa
 
 
 def element_derivatives(
-    model: Model, parameters: Sequence[Parameter]
+    model: Model, parameters: Sequence[Parameter], share: Share = WHOLE
 ) -> Iterator[ElementDerivatives]:
-    """The derivatives at a = 1 of the matrices of all elements that any of the parameters changes.
+    """The derivatives at a = 1 of the matrices of all elements of a share that any of the
+    parameters changes.
 
     Raises
     ------
@@ -155,17 +157,20 @@ def element_derivatives(
         If a target or element is not in the model.
     """
     m = mesh(model)
+    own = share.rows(model)
     bundles, moduli = _bundles(model, parameters)
+    moduli = [{c: _within(own, c, o) for c, o in layer.items()} for layer in moduli]
     for sweep in _merged(model, bundles):
-        yield from _stepped(m, sweep, moduli)
+        yield from _stepped(m, sweep, moduli, own)
     for layer in moduli:
         yield from _nominal(m, layer)
     for i, p in enumerate(parameters):
         for move in moves(p):
-            yield from _by_differences(m, i, move)
+            yield from _by_differences(m, i, move, own)
         for s in p.substructures:
-            yield from _common_factor(m, i, p.name, s)
-        yield from matrix_derivatives(m, i, p)
+            yield from _common_factor(m, i, p.name, s, own)
+        if share.number == 0:
+            yield from matrix_derivatives(m, i, p)
 
 
 def _bundles(
@@ -319,11 +324,31 @@ def sole_material(model: Model, card: str) -> Int:
     return out
 
 
-def _stepped(m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]]) -> Iterator[ElementDerivatives]:
+def _within(own: Rows | None, card: str, owner: Int) -> Int:
+    """The owners of rows of a card, -1 where a row is not among one's own."""
+    if own is None:
+        return owner
+    kept = np.full(owner.size, -1)
+    if card in own:
+        kept[own[card]] = owner[own[card]]
+    return kept
+
+
+def _common(own: Rows | None, rows: Rows) -> Rows:
+    """Rows that are among one's own."""
+    if own is None:
+        return rows
+    both = {card: np.intersect1d(at, own[card]) for card, at in rows.items() if card in own}
+    return {card: at for card, at in both.items() if at.size}
+
+
+def _stepped(
+    m: Mesh, sweep: _Sweep, moduli: list[dict[str, Int]], own: Rows | None
+) -> Iterator[ElementDerivatives]:
     """Imaginary parts for the sweep; real ones for owners of moduli on the same elements, who are
     struck off.
     """
-    owner = _owners(sweep)
+    owner = {card: _within(own, card, rows) for card, rows in _owners(sweep).items()}
     rows = _owned(owner)
     there = with_listed_mass(
         replace(m, model=changed(m.model, "", sweep.targets, 1 + 1j * COMPLEX_STEP))
@@ -370,9 +395,9 @@ def _derivatives(
     return ElementDerivatives(owner, p.dofs, take(p.stiffness), mass)
 
 
-def _by_differences(m: Mesh, i: int, move: Move) -> Iterator[ElementDerivatives]:
+def _by_differences(m: Mesh, i: int, move: Move, own: Rows | None) -> Iterator[ElementDerivatives]:
     """Central differences of the elements that a place changes."""
-    rows = move.rows(m.model)
+    rows = _common(own, move.rows(m.model))
     size = move.size(m.model)
     if size == 0 or not rows:
         return
@@ -405,9 +430,12 @@ def _shortest_edge(m: Mesh, rows: Rows) -> float:
     return shortest
 
 
-def _common_factor(m: Mesh, i: int, name: str, s: Substructure) -> Iterator[ElementDerivatives]:
+def _common_factor(
+    m: Mesh, i: int, name: str, s: Substructure, own: Rows | None
+) -> Iterator[ElementDerivatives]:
     """The element matrices themselves: the derivative to a common factor on them."""
-    for _, at, part in pieces(m, rows_of_elements(m.model, name, s.elements), SPAN):
+    rows = _common(own, rows_of_elements(m.model, name, s.elements))
+    for _, at, part in pieces(m, rows, SPAN):
         whole = _derivatives(m, np.full(at.size, i), part, np.asarray)
         if s.matrix == "stiffness":
             yield replace(whole, mass=np.zeros_like(whole.mass))
