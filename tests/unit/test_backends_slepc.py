@@ -76,6 +76,7 @@ def test_modes_assembled_on_ranks_are_those_of_the_whole_matrices(plate: Model) 
     with SlepcSolver(ranks=2).open(plate) as analysis:
         found = analysis.modes(ModesRequest(12))
         band = analysis.modes(ModesRequest(band=(20.0, 100.0)))
+        assert not len(analysis.modes(ModesRequest(band=(1.0, 5.0))).modes)
     assert found.complete
     with EmbeddedSolver().open(plate) as ours:
         assert found.autospc.labels() == ours.modes(ModesRequest(12)).autospc.labels()
