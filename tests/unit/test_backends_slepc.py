@@ -43,8 +43,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SLEPC_DIR", raising=False)
     for asked in ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM"):  # of Open MPI, in containers
         monkeypatch.setenv(f"OMPI_{asked}", "1")
-    for asked in ("rmaps_base_oversubscribe", "mpi_yield_when_idle"):
-        monkeypatch.setenv(f"OMPI_MCA_{asked}", "1")
+    monkeypatch.setenv("OMPI_MCA_rmaps_base_oversubscribe", "1")
     try:
         find_slepc()
     except SolverMissing as e:
