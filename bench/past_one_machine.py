@@ -13,7 +13,6 @@ Not covered: several hosts; more ranks than this machine has cores.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -164,5 +163,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
     main()

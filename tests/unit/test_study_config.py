@@ -19,7 +19,7 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
     [
         (
             MODEL + "fmx = 3.0\n",
-            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, refine, regions, "
+            "unknown key 'model.fmx'; did you mean 'fmax'? Allowed: deck, fmax, launcher, ranks, refine, regions, "
             "solver, units",
         ),
         (MODEL + "[modl]\n", "unknown key 'modl'; did you mean 'model'?"),

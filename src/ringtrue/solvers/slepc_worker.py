@@ -246,6 +246,8 @@ class OwnedRows:
 
     def times(self, A: Any, x: Any) -> Any:
         """A times columns (rows, k)."""
+        if not x.shape[1]:
+            return x
         given = self.dense(x)
         made = A.matMult(given)
         return taken(made, given)
@@ -349,7 +351,7 @@ def taken(made: Any, given: Any) -> Any:
 
 def summed(a: Any) -> Any:
     """The sum over all ranks."""
-    out = np.empty_like(a)
+    out = np.empty(a.shape)
     COMM.Allreduce(np.ascontiguousarray(a), out)
     return out
 

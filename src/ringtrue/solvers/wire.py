@@ -46,7 +46,10 @@ def receive(stream: BinaryIO) -> tuple[dict[str, Any], list[Any]] | None:
 
 def make_file(path: str, shape: tuple[int, ...]) -> None:
     """A .npy file of float64, filled with zeros."""
-    np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=shape)
+    if 0 in shape:  # cannot be mapped
+        np.save(path, np.empty(shape))
+    else:
+        np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=shape)
 
 
 def write_columns(path: str, first: int, columns: Any) -> None:
@@ -55,6 +58,8 @@ def write_columns(path: str, first: int, columns: Any) -> None:
     By plain writes: a network's file system may write whole pages of what is mapped, and with them
     old columns of others.
     """
+    if not columns.size:
+        return
     there = np.load(path, mmap_mode="r")
     with open(path, "r+b") as file:
         for k, row in enumerate(columns):
