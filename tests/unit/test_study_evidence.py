@@ -190,9 +190,13 @@ def test_only_stated_limits_judge(done: StudyRun) -> None:
     names = [c.name for c in verdict(done.config, done.results)]
     assert names == [
         "updating",
-        "used modes: mean |Δf| improved",
-        "left-out modes: mean |Δf| improved",
+        "used modes: mean |Δf|",
+        "left-out modes: mean |Δf|",
     ]
+    informative = [c for c in verdict(done.config, done.results) if not c.required]
+    assert [c.code for c in informative] == ["change", "change"]
+    assert all(re.fullmatch(r"fell from [\d.]+ to [\d.]+ %", c.got) for c in informative)
+    assert not any(c.wanted for c in informative)  # no limit of the user's
     assert all(c.held for c in verdict(done.config, done.results))
 
 
