@@ -24,6 +24,8 @@ from ringtrue.correlation.table import repeatability
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.study.acceptance import Acceptance as Acceptance
 from ringtrue.study.acceptance import AcceptanceCheck
+from ringtrue.study.conclusion import Conclusion
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -301,10 +303,9 @@ def signs(text: str) -> str:
 class Stages:
     """What a report is made of; a stage that was not run is None."""
 
-    title: str
-    system_text: str
+    info: StudyInfo
     acceptance: Acceptance
-    checks: Sequence[AcceptanceCheck] = ()
+    conclusion: Conclusion | None = None
     photos: Sequence[Photo] = ()
     model: ModelStage | None = None
     plan: PlanStage | None = None
