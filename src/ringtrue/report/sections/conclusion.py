@@ -20,6 +20,7 @@ from ringtrue.report.parts import (
     Stages,
     Text,
     fixed,
+    sentence,
 )
 from ringtrue.study.acceptance import AcceptanceCheck
 from ringtrue.study.conclusion import Change, Conclusion, Question, Unseen, Verdict
@@ -82,7 +83,7 @@ def section(data: Stages) -> Section | None:
     if c.unseen is not None:
         blocks.append(_unseen(c.unseen, c.level))
     blocks += _checks(c)
-    if failed := [_failure(check) for check in c.failed]:
+    if failed := [sentence(_failure(check)) for check in c.failed]:
         blocks += [Heading("What failed"), Items(failed)]
     blocks += [Heading("What was changed, and why it is plausible"), *_changes(c)]
     heads = ("|Open", "|What settles it")
@@ -125,7 +126,7 @@ def _what(data: Stages, c: Conclusion) -> str:
     if reference is not None and count:
         f = reference.frequencies
         text += f" from {number(float(f.min()))} to {number(float(f.max()))} Hz"
-    rigid = len(data.correlate.reference.rigid) if data.correlate is not None else 0
+    rigid = len(data.final.rigid) if data.final is not None else 0
     text += f" and {rigid} rigid-body modes." if rigid else "."
     if not data.info.use:
         text += " The study does not say what the model is for ([study] use)."
@@ -182,7 +183,10 @@ def _changes(c: Conclusion) -> list[Block]:
     interval = f"{100 * c.level:g} % interval" if math.isfinite(c.level) else "Interval"
     heads = ("|Parameter", "Factor", "±", interval, "|Why it is plausible, or not")
     rows = [_change(x) for x in c.changes]
-    return [*out, ReportTable(heads, rows, "The factors, updated over initial.")]
+    return [
+        *out,
+        ReportTable(heads, rows, "The factors, updated over initial; ±: one standard deviation."),
+    ]
 
 
 def _change(x: Change) -> list[str | Cell]:
@@ -191,12 +195,12 @@ def _change(x: Change) -> list[str | Cell]:
     if x.interval is not None:
         within = " to ".join(with_error(end, x.std)[0] for end in x.interval)
     if x.rigid:
-        reason: str | Cell = "tuned to the rigid-body modes; σ is from their fit"
+        reason: str | Cell = "tuned to the rigid-body modes"
     elif x.doubts:
         reason = Cell("; ".join(DOUBTS[d] for d in x.doubts), "doubt")
     elif math.isfinite(x.kept):
         kept = number(100 * x.kept, 2)
-        reason = f"its interval excludes 1; {kept} % of the change stays without any fold of modes"
+        reason = f"excludes 1; at least {kept} % of it stays with modes left out"
     elif x.interval is None:
         reason = "no interval is known"
     else:
@@ -227,5 +231,5 @@ def _signatures(data: Stages) -> list[Block]:
     signed = (("Author", info.author), ("Checked", info.checked_by), ("Approved", info.approved_by))
     if not any(name for _, name in signed):
         return []
-    rows = [(role, name, "") for role, name in signed]
+    rows = [(role, name, Cell("", "signature")) for role, name in signed]
     return [ReportTable(("|Role", "|Name", "|Date and signature"), rows, "Sign-off.")]
