@@ -64,8 +64,8 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
     want = (
-        "conclusion summary survey model plan signals frfs identification diagrams tests initial remodelled "
-        "localisation sensitivities"
+        "conclusion summary survey model plan signals frfs identification diagrams tests initial "
+        "remodelled localisation sensitivities"
     )
     rest = "updating suspension final shapes uncertainty response damping prediction provenance"
     assert ids(full) == [*want.split(), *rest.split()]
