@@ -25,6 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
 from ringtrue.report.parts import fixed, number
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.results import IdentifyStage
 
 PIXEL = (
@@ -55,8 +56,7 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
     return build(
         stages,
         folder / "report.html",
-        title="Spinning <bay>",
-        system_text=text,
+        info=StudyInfo(title="Spinning <bay>", system=text),
         photos=photos,
         checks=checks(stages),
     )
@@ -64,8 +64,8 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
     want = (
-        "summary survey model plan signals frfs identification diagrams tests initial remodelled "
-        "localisation sensitivities"
+        "conclusion summary survey model plan signals frfs identification diagrams tests initial "
+        "remodelled localisation sensitivities"
     )
     rest = "updating suspension final shapes uncertainty response damping prediction provenance"
     assert ids(full) == [*want.split(), *rest.split()]
@@ -106,7 +106,9 @@ def test_leaves_out_what_was_not_run(
     present: set[str],
     absent: set[str],
 ) -> None:
-    there = set(ids(build({n: stages[n] for n in names}, tmp_path / "r.html", title="part")))
+    there = set(
+        ids(build({n: stages[n] for n in names}, tmp_path / "r.html", info=StudyInfo(title="part")))
+    )
     assert present <= there
     assert not absent & there
 
@@ -124,7 +126,7 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     first = identify.records[0]
     many = tuple(replace(first, name=f"h{k:02}") for k in range(62))
     stage = replace(identify, ambient=replace(ambient, others=others), records=many)
-    page = build({"identify": stage}, tmp_path / "r.html", title="mast")
+    page = build({"identify": stage}, tmp_path / "r.html", info=StudyInfo(title="mast"))
     order = ids(page)
     assert order[:4] == ["summary", "identification", "shapes", "diagrams"]
     assert order[-1] == "signals"
@@ -139,9 +141,19 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
 def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     with pytest.raises(InputError, match="no such file"):
-        build({"model": stages["model"]}, out, title="", photos=[Photo(tmp_path / "lost.png", "")])
+        build(
+            {"model": stages["model"]},
+            out,
+            info=StudyInfo(title=""),
+            photos=[Photo(tmp_path / "lost.png", "")],
+        )
     with pytest.raises(ConfigError, match=r"allowed are .*\.png"):
-        build({"model": stages["model"]}, out, title="", photos=[Photo(tmp_path / "deck.bdf", "")])
+        build(
+            {"model": stages["model"]},
+            out,
+            info=StudyInfo(title=""),
+            photos=[Photo(tmp_path / "deck.bdf", "")],
+        )
     assert not list(tmp_path.iterdir())
 
 
@@ -235,7 +247,7 @@ def test_any_name_of_a_region_leaves_every_figure(
     monkeypatch.setattr(
         fake_study, "CANDIDATES", (*HOSTILE, *fake_study.CANDIDATES[len(HOSTILE) :])
     )
-    path = build(fake_study.study(), tmp_path / "r.html", title="<!--<script>")
+    path = build(fake_study.study(), tmp_path / "r.html", info=StudyInfo(title="<!--<script>"))
     with chromium.page(tmp_path / "profile") as opened:
         opened.call("Page.navigate", url=path.as_uri())
         assert opened.until(DRAWN, 300.0), opened.evaluate(
@@ -294,7 +306,9 @@ def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
     model, correlated = stages["model"], stages["correlate"]
     early = replace(model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2])
     page = build(
-        {"model": early, "correlate": correlated}, tmp_path / "r.html", title="Short"
+        {"model": early, "correlate": correlated},
+        tmp_path / "r.html",
+        info=StudyInfo(title="Short"),
     ).read_text()
     f = correlated.fe_initial.frequencies
     assert len(f) > 2
@@ -311,7 +325,9 @@ def test_orthogonality_is_judged_only_where_the_mass_keeps_the_modes_of_the_mode
     kinds = [replace(c, verdict=replace(c.verdict, passed=apart)) for c in measures.checks]
     evidence = replace(final.evidence, measures=replace(measures, checks=tuple(kinds)))
     page = build(
-        {"final": replace(final, evidence=evidence)}, tmp_path / "r.html", title="Few channels"
+        {"final": replace(final, evidence=evidence)},
+        tmp_path / "r.html",
+        info=StudyInfo(title="Few channels"),
     ).read_text()
     assert ("no verdict" in page) != apart
     assert bool(re.search(r"pairs ≥ \d+ %", page)) == apart

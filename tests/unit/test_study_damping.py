@@ -15,6 +15,7 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.report.build import build
 from ringtrue.study.config import parse_config
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import damping
 
@@ -83,7 +84,7 @@ def test_the_damped_deck_holds_the_loss_factors_and_is_else_the_delivered_one(
 
 def test_the_report_shows_it(done: StudyRun, tmp_path: Path) -> None:
     page = build(
-        {"damping": done.results["damping"]}, tmp_path / "r.html", title="Damping"
+        {"damping": done.results["damping"]}, tmp_path / "r.html", info=StudyInfo(title="Damping")
     ).read_text()
     assert '<section id="damping">' in page
     assert "MAT1 10 GE" in page

@@ -26,6 +26,8 @@ from ringtrue.report.parts import Items, ReportTable, Stages
 from ringtrue.report.sections import summary, system
 from ringtrue.shapes import paired_mac
 from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
+from ringtrue.study.conclusion import Conclusion, Verdict, conclude
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.evidence import ModelModes, channel_mass, evidence, on_sheet, synthesised
 from ringtrue.study.messages import left_out_sentence, run_messages
 from ringtrue.study.reference import reference_modes
@@ -190,10 +192,49 @@ def test_only_stated_limits_judge(done: StudyRun) -> None:
     names = [c.name for c in verdict(done.config, done.results)]
     assert names == [
         "updating",
-        "used modes: mean |Δf| improved",
-        "left-out modes: mean |Δf| improved",
+        "used modes: mean |Δf|",
+        "left-out modes: mean |Δf|",
     ]
+    informative = [c for c in verdict(done.config, done.results) if not c.required]
+    assert [c.code for c in informative] == ["change", "change"]
+    assert all(re.fullmatch(r"fell from [\d.]+ to [\d.]+ %", c.got) for c in informative)
+    assert not any(c.wanted for c in informative)  # no limit of the user's
     assert all(c.held for c in verdict(done.config, done.results))
+
+
+def test_the_verdict_follows_from_the_required_limits(done: StudyRun) -> None:
+    """No limit: not judged; limits that hold: validated; one that fails: not validated."""
+
+    def concluded(**limit: object) -> Conclusion:
+        section = type(done.config.correlate).model_validate(limit)
+        config = done.config.model_copy(update={"correlate": section})
+        found = conclude(done.results, verdict(config, done.results), Acceptance.of(section))
+        assert found is not None
+        return found
+
+    free = concluded()
+    assert free.verdict is Verdict.NOT_JUDGED
+    assert not free.failed
+    assert concluded(accept_mean_percent=2.0).verdict is Verdict.VALIDATED
+    strict = concluded(accept_mean_percent=1e-9)
+    assert strict.verdict is Verdict.NOT_VALIDATED
+    assert [c.name for c in strict.failed] == ["final model: mean |Δf|"]
+    table = done.results["final"].table
+    assert free.band == pytest.approx((table.all_test_hz[0], table.all_test_hz[-1]))
+    assert free.unseen is not None
+    assert free.unseen.kind == "left out"
+    assert free.unseen.count == int((~table.used).sum())
+    assert free.unseen.mean == pytest.approx(table.mean_deviation(~table.used))
+    assert free.unseen.before > free.unseen.mean
+    assert [c.name for c in free.changes] == list(done.results["update"].best.parameters)
+    nothing = {k: v for k, v in done.results.items() if k != "correlate"}
+    assert conclude(nothing, (), Acceptance()) is None
+
+
+def test_a_narrow_rule_of_acceptance_ends_the_band(done: StudyRun) -> None:
+    found = conclude(done.results, (), Acceptance(percent=1e-9))
+    assert found is not None
+    assert found.band == (0.0, 0.0)
 
 
 def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> None:
@@ -236,7 +277,7 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
         "correlate": SimpleNamespace(initial=first, remodelling=None),
         "final": SimpleNamespace(table=won),
     }
-    rows = summary.stages_table(Stages("", "", Acceptance(), **stages)).rows  # type: ignore[arg-type]
+    rows = summary.stages_table(Stages(StudyInfo(), Acceptance(), **stages)).rows  # type: ignore[arg-type]
     assert [tuple(r[:4]) for r in rows if r[1] != "used in the updating"] == [
         ("Initial", "all", "2", "17.50"),
         ("", "left out", "1", "15.00"),
@@ -381,7 +422,7 @@ def record(name: str, setup: str, drawn: bool) -> RecordSummary:
 def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
     records = tuple(record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2))
     found = replace(done.results["identify"], records=records)
-    data = Stages("", "", Acceptance(), identify=found)
+    data = Stages(StudyInfo(), Acceptance(), identify=found)
     section = system.survey(data)
     assert section is not None
     table = next(b for b in section.blocks if isinstance(b, ReportTable) and "Record" in b.heads[1])

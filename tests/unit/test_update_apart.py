@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 
 from ringtrue.cli.main import run
-from ringtrue.cli.study import settles
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.io.modes import write_modes
-from ringtrue.study.acceptance import AcceptanceCheck
+from ringtrue.study.acceptance import AcceptanceCheck, settles
 from ringtrue.study.opened import Opened
 from ringtrue.updating.identifiability import stood_for, told_apart, unmoved
 

@@ -26,6 +26,7 @@ from ringtrue.api.measurements import (
 )
 from ringtrue.cli.show import Json, file_to, progress, tell, write_json
 from ringtrue.core.choice import Choice
+from ringtrue.core.digits import with_error
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import summary
 from ringtrue.core.signals import TimeHistory
@@ -116,10 +117,10 @@ def _lines(modes: ModeSet, std: Uncertainty) -> list[str]:
     collinear = shape_collinearity(modes)
     out = []
     for i, (f, z) in enumerate(zip(modes.frequencies, modes.damping, strict=True)):
-        spread = _known(std.frequency[i], ".1e")
-        damping = f"{100 * z:8.3f}  {_known(100 * std.damping[i], '.2g'):>7}"
+        hertz, spread = with_error(float(f), float(std.frequency[i]), 5)
+        damping, its_spread = with_error(100 * float(z), 100 * float(std.damping[i]), 3)
         out.append(
-            f"{f:9.5g} {spread:>8}  {damping}   "
+            f"{hertz:>9} {spread:>10} {damping:>8} {its_spread:>7}   "
             f"{_known(collinear[i], '.2f'):>4}  {modes.confidence[i]:5.2f}"
         )
     return out

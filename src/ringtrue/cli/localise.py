@@ -25,7 +25,6 @@ from ringtrue.cli.show import (
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
 from ringtrue.study.placing import seats_json
-from ringtrue.updating.selection.proposal import Proposed as Member
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 
@@ -137,16 +136,9 @@ def _tables(found: DirectProposal) -> list[str]:
     return out
 
 
-def _size(m: Member) -> tuple[str, str]:
-    """Factor and its error in per cent, or what is added and the error of that."""
-    if m.lump:
-        return f"+ {m.added:.3g}", f"{m.lump * m.std:.2g}"
-    return f"{m.factor:.3g}", f"{100 * m.std:.1f} %"
-
-
 def _print(deck: Path, found: DirectProposal) -> None:
     body = [
-        (i, m.name, *_size(m), f"{m.worth:.1f}", len(m.collinear) + len(m.rivals))
+        (i, m.name, *m.digits(), f"{m.worth:.1f}", len(m.collinear) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)
     ]
     heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not distinguishable")

@@ -19,10 +19,9 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
-from ringtrue.core.iterate import Outcome
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.study.acceptance import AcceptanceCheck, limits, missed_words
+from ringtrue.study.acceptance import AcceptanceCheck, limits, missed_words, settles
 from ringtrue.study.messages import run_messages
 from ringtrue.study.stages import STAGES
 
@@ -30,14 +29,19 @@ ORDER = ", ".join(s.name for s in STAGES)
 
 
 def _verdict(checks: tuple[AcceptanceCheck, ...]) -> int:
-    if checks:
-        body = [("yes" if c.held else "NO", c.name, c.got, c.wanted) for c in checks]
-        rows("What must hold", ("held", "what", "got", "wanted"), body)
+    for title, required in (("What must hold", True), ("For information", False)):
+        body = [
+            ("yes" if c.held else "NO", c.name, c.got, c.wanted)
+            for c in checks
+            if c.required is required
+        ]
+        if body:
+            rows(title, ("held", "what", "got", "wanted"), body)
     return _status(checks)
 
 
 def _status(checks: tuple[AcceptanceCheck, ...]) -> int:
-    return 0 if all(c.held for c in checks) else 1
+    return 0 if all(c.held for c in checks if c.required) else 1
 
 
 def _summary(folder: Path) -> Any:
@@ -124,16 +128,6 @@ def run(
     if outcome is not None and not outcome.ok:
         err.print(f"the updating did not converge: {outcome}")
     return _status(stated) if settles(outcome, stated) else ExitStatus.FAILED
-
-
-def settles(outcome: Outcome | None, stated: tuple[AcceptanceCheck, ...]) -> bool:
-    """Whether the end of an updating leaves it to the limits of the study whether its model is
-    good.
-
-    Where no step lowers the objective any more the end is as good as it gets, and stated limits
-    judge it; one that was cut short is no result.
-    """
-    return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
 
 
 def report(

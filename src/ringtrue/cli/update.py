@@ -11,6 +11,7 @@ import typer
 from ringtrue.api.study_update import SIDES, UpdateRequest, update_json, update_study
 from ringtrue.cli.model import TimeLimit
 from ringtrue.cli.show import Json, err, out, progress, rows, tell, warn_of_units, write_json
+from ringtrue.core.digits import number, with_error
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
 
@@ -36,10 +37,10 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
     """Print the JSON of an updating as tables."""
     body: list[tuple[object, ...]] = []
     for p in summary["parameters"]:
-        deviation = f"{100 * p['relative_std']:.1f}"
-        body.append(
-            (p["name"], f"{p['factor']:.4f}", deviation, f"{p['posterior_over_prior']:.2f}")
-        )
+        std = p["relative_std"]
+        factor, _ = with_error(p["factor"], p["factor"] * std)
+        ratio = f"{p['posterior_over_prior']:.2f}"
+        body.append((p["name"], factor, number(100 * std, 2), ratio))
     rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
     body = []
     for i, m in enumerate(summary["modes"], start=1):

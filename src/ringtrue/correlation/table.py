@@ -289,6 +289,37 @@ def _discoveries(p: Float) -> Bool:
     return out
 
 
-def table_significance(table: CorrelationTable) -> Significance:
-    """`significance` of the pairs of a table, whose second set is known exactly."""
-    return significance(table.test_hz, table.fe_hz, table.std_hz)
+def repeatability(table: CorrelationTable) -> float:
+    """Relative standard deviation with which one test repeats the frequencies of another.
+
+    The deviations of two tests have √2 times that of each. It is taken from their median,
+    1.4826 median |d| / √2 (Hampel, 1974), so that a wrong pair says nothing.
+
+    Parameters
+    ----------
+    table : CorrelationTable
+        Two tests of one structure.
+
+    Returns
+    -------
+    float
+        NaN without a pair.
+    """
+    deviation = np.abs(table.fe_hz / table.test_hz - 1)
+    if not deviation.size:
+        return float("nan")
+    return float(1.4826 * np.median(deviation) / np.sqrt(2))
+
+
+def table_significance(table: CorrelationTable, repeats: float = float("nan")) -> Significance:
+    """`significance` of the pairs of a table, whose second set is known exactly.
+
+    Parameters
+    ----------
+    table : CorrelationTable
+        A test and a model.
+    repeats : float
+        `repeatability` of the test: no frequency is known better than it was repeated. Where the
+        test states no standard deviation this is the one; NaN: nothing was repeated.
+    """
+    return significance(table.test_hz, table.fe_hz, np.fmax(table.std_hz, repeats * table.test_hz))

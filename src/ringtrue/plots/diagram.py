@@ -6,6 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float, Int
+from ringtrue.core.digits import plus_minus
 from ringtrue.identification.common.diagram import IdentificationDiagram
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.plots.correlation import MatrixSide, labels, matrix
@@ -196,10 +197,12 @@ def mode_texts(shown: IdentificationDiagram) -> list[str]:
     for k, (kind, remark, mpc) in enumerate(
         zip(shown.classes, shown.remarks, shown.mpc, strict=True)
     ):
+        damping = 100 * float(modes.damping[k])
+        spread = 100 * float(std.damping[k])
         lines = [
             f"<b>{kind} mode</b>",
-            f"{modes.frequencies[k]:.6g} Hz ± {_known(std.frequency[k], '.1e')}",
-            f"damping {100 * modes.damping[k]:.3g} ± {_known(100 * std.damping[k], '.1g')} %",
+            f"{plus_minus(float(modes.frequencies[k]), float(std.frequency[k]), 5)} Hz",
+            f"damping {plus_minus(damping, spread, 3)} %",
             f"MPC {_known(mpc, '.2f')}, confidence {modes.confidence[k]:.2f}",
             *([remark] if remark else []),
         ]

@@ -20,6 +20,7 @@ from ringtrue.plots.scene import thinned
 from ringtrue.plots.style import packed
 from ringtrue.report.parts import Acceptance, Photo, Plot, Scene3D, Section, Stages
 from ringtrue.report.sections import (
+    conclusion,
     correlation,
     damping,
     identified,
@@ -32,7 +33,9 @@ from ringtrue.report.sections import (
     updated,
 )
 from ringtrue.study.acceptance import AcceptanceCheck, verdict
+from ringtrue.study.conclusion import conclude
 from ringtrue.study.config import StudyConfig
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
 from ringtrue.viewer.view import asset, script_json
@@ -40,6 +43,7 @@ from ringtrue.viewer.view import asset, script_json
 __all__ = ["Acceptance", "Photo", "build"]
 
 SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
+    conclusion.section,
     summary.summary,
     system.survey,
     system.model,
@@ -90,8 +94,7 @@ def build(
     stages: Mapping[str, Any],
     out: Path,
     *,
-    title: str,
-    system_text: str = "",
+    info: StudyInfo,
     acceptance: Acceptance | None = None,
     photos: Sequence[Photo] = (),
     checks: Sequence[AcceptanceCheck] = (),
@@ -105,8 +108,9 @@ def build(
         provenance; a section whose stages are absent is left out.
     out : Path
         The HTML file; it appears complete or not at all.
-    title, system_text : str
-        Headline, and the system under test in words (paragraphs parted by empty lines).
+    info : StudyInfo
+        Headline, the system under test in words (paragraphs parted by empty lines), what the model
+        is for, and who signs.
     acceptance : Acceptance
         When a mode is accepted.
     photos : sequence of Photo
@@ -129,7 +133,7 @@ def build(
         most = min(max(DRAWN // max(len(model.modes), 1), FEWEST), MOST)
         stages["model"] = replace(model, scene=thinned(model.scene, most))
     accepted = acceptance or Acceptance()
-    data = Stages(title, system_text, accepted, checks, photos, **stages)
+    data = Stages(info, accepted, conclude(stages, checks, accepted), photos, **stages)
     of_test = data.model is None and data.identify is not None
     order = TEST_SECTIONS if of_test else SECTIONS
     sections = [s for s in (make(data) for make in order) if s is not None]
@@ -289,8 +293,7 @@ def write_report(run: StudyRun, out: Path, checks: Sequence[AcceptanceCheck] | N
     return build(
         stages,
         out,
-        title=config.study.title,
-        system_text=config.study.system,
+        info=config.study,
         acceptance=Acceptance.of(config.correlate),
         photos=photos,
         checks=verdict(config, stages) if checks is None else checks,

@@ -16,11 +16,16 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.digits import MISSING as MISSING
+from ringtrue.core.digits import number as number
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.table import repeatability
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.study.acceptance import Acceptance as Acceptance
 from ringtrue.study.acceptance import AcceptanceCheck
+from ringtrue.study.conclusion import Conclusion
+from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.results import (
     CompareStage,
     ConfigurationsStage,
@@ -269,28 +274,6 @@ class Section:
     blocks: Sequence[Block]
 
 
-MISSING = "–"
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, plain where that is readable; `–` where
-    unknown.
-    """
-    if value is None or not math.isfinite(value):
-        return MISSING
-    if value == 0:
-        return "0"
-    power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
-    if power < -4 or power > 6:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        return f"{mantissa.replace('-', '−')} × 10{raised}"
-    text = f"{value:.{max(digits - 1 - power, 0)}f}"
-    if abs(value) >= 10000:
-        text = f"{value:,.0f}".replace(",", "\u202f")
-    return text.replace("-", "−")
-
-
 def plain(value: float) -> str:
     """A setting as a person would write it: 16, 0.0625, 1.5."""
     return f"{value:.4g}".replace("-", "−")
@@ -320,10 +303,9 @@ def signs(text: str) -> str:
 class Stages:
     """What a report is made of; a stage that was not run is None."""
 
-    title: str
-    system_text: str
+    info: StudyInfo
     acceptance: Acceptance
-    checks: Sequence[AcceptanceCheck] = ()
+    conclusion: Conclusion | None = None
     photos: Sequence[Photo] = ()
     model: ModelStage | None = None
     plan: PlanStage | None = None
@@ -356,6 +338,11 @@ class Stages:
         if hammer is not None and hammer.modes.frequency_only:
             return None
         return self.identify.test
+
+    @property
+    def repeats(self) -> float:
+        """How far one test repeats the frequencies of another, relative; NaN where there is one."""
+        return repeatability(self.compare.table) if self.compare is not None else float("nan")
 
     @property
     def computed(self) -> Float:

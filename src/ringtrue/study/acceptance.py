@@ -5,12 +5,14 @@ accepted.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from ringtrue.core.arrays import Bool
+from ringtrue.core.digits import number
+from ringtrue.core.iterate import Outcome
 from ringtrue.correlation.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
@@ -29,12 +31,27 @@ ORTHOGONALITY = {"accept_orthogonality", "accept_off_diagonal"}
 
 @dataclass(frozen=True, slots=True)
 class AcceptanceCheck:
-    """One thing that must hold."""
+    """One thing that must hold, or that informs.
+
+    Attributes
+    ----------
+    name : str
+        What is judged, in words.
+    wanted, got : str
+        The limit and the value in words; a limit of "" is in `got`.
+    held : bool
+    code : {"limit", "outcome", "change"}
+        A limit, how the updating ended, or what it has changed.
+    required : bool
+        One that is not informs: the model may be accepted without it.
+    """
 
     name: str
     wanted: str
     got: str
     held: bool
+    code: Literal["limit", "outcome", "change"] = "limit"
+    required: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +220,17 @@ def convergence(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     if update is None:
         return ()
     outcome = update.best.outcome
-    return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok),)
+    return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok, "outcome"),)
+
+
+def settles(outcome: Outcome | None, stated: tuple[AcceptanceCheck, ...]) -> bool:
+    """Whether the end of an updating leaves it to the limits of the study whether its model is
+    good.
+
+    Where no step lowers the objective any more the end is as good as it gets, and stated limits
+    judge it; one that was cut short is no result.
+    """
+    return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
@@ -251,10 +278,17 @@ def _improved(
     )
     if not np.isfinite(a):
         return []
-    name = f"{name}: mean |Δf| improved"
-    return [AcceptanceCheck(name, f"< {a:.2f} %", f"{b:.2f} %", bool(b < a))]
+    way = "fell" if b < a else "rose"
+    got = f"{way} from {number(a, 2)} to {number(b, 2)} %"
+    return [AcceptanceCheck(f"{name}: mean |Δf|", "", got, bool(b < a), "change", required=False)]
 
 
 def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     """What must hold of any study, and what this one states."""
-    return (*convergence(results), *limits(config, results), *improvement(results))
+    stated = limits(config, results)
+    update: UpdateStage | None = results.get("update")
+    ended = convergence(results)
+    if update is not None and settles(update.best.outcome, stated):
+        # one that stalled is judged by the limits
+        ended = tuple(replace(c, required=c.held) for c in ended)
+    return (*ended, *stated, *improvement(results))

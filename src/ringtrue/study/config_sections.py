@@ -218,6 +218,18 @@ class StudyInfo(StudySection):
     """A paragraph or more for the report."""
     seed: int = 0
     """Of all random numbers."""
+    use: str = ""
+    """What the model is for, as it follows "validated for"."""
+    client: str = ""
+    """Whom the report is for."""
+    revision: str = ""
+    """Of the report."""
+    author: str = ""
+    """Who signs for the work."""
+    checked_by: str = ""
+    """Who signs for the check."""
+    approved_by: str = ""
+    """Who signs for the release."""
 
 
 class ModelSection(StudySection):

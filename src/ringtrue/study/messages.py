@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.digits import plus_minus, with_error
 from ringtrue.core.notes import sentence
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
@@ -335,22 +336,20 @@ def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, 
 def _factor_sentence(
     name: str, factor: float, std: float, within: tuple[float, float, float] | None
 ) -> str:
-    digits = int(np.clip(1 - np.floor(np.log10(std)), 3, 6)) if np.isfinite(std) and std > 0 else 3
-    ends = (
-        f" ({100 * within[0]:g} %: {within[1]:.{digits}f} to {within[2]:.{digits}f})"
-        if within
-        else ""
-    )
-    return f"{name}: times {factor:.{digits}f} ± {std:.{digits}f}{ends}"
+    ends = ""
+    if within:
+        low, high = (with_error(end, std)[0] for end in within[1:])
+        ends = f" ({100 * within[0]:g} %: {low} to {high})"
+    return f"{name}: times {plus_minus(factor, std)}{ends}"
 
 
 def _added_mass(
     name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None
 ) -> str:
-    mass = f"{total * (factor - 1):.4g} ± {total * std:.2g}"
+    mass = plus_minus(total * (factor - 1), total * std)
     if within:
-        low, high = (total * max(a - 1, 0.0) for a in within[1:])
-        mass += f" ({100 * within[0]:g} %: {low:.3g} to {high:.3g})"
+        low, high = (with_error(total * max(a - 1, 0.0), total * std)[0] for a in within[1:])
+        mass += f" ({100 * within[0]:g} %: {low} to {high})"
     return (
         f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has "
         "it as a CONM2"

@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import complete_json
 from ringtrue.correlation.sensor_mounting import mendings_json
-from ringtrue.correlation.table import CorrelationTable, table_significance
+from ringtrue.correlation.table import CorrelationTable, repeatability, table_significance
 from ringtrue.planning.exciters import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
 from ringtrue.study.placing import seats_json
@@ -36,11 +36,11 @@ from ringtrue.study.results import (
 from ringtrue.study.run import StudyRun
 
 
-def pairs(table: CorrelationTable) -> list[dict[str, Any]]:
+def pairs(table: CorrelationTable, repeats: float = float("nan")) -> list[dict[str, Any]]:
     """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations
-    of the test.
+    of the test, which knows no frequency better than it `repeats` it.
     """
-    significance = table_significance(table)
+    significance = table_significance(table, repeats)
     return [
         {
             "test_mode": r.test,
@@ -152,6 +152,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     """The summary of a run; parts that were not run are absent."""
     r = run.results
     out: dict[str, Any] = {"title": run.config.study.title, "seed": run.config.study.seed}
+    repeats = _repeats(r)
     model: ModelStage | None = r.get("model")
     if model is not None:
         out |= {
@@ -170,8 +171,9 @@ def summarise(run: StudyRun) -> dict[str, Any]:
         out["ambient_vs_hammer_unpaired"] = unpaired(compare.table)
     correlate: CorrelateStage | None = r.get("correlate")
     if correlate is not None:
-        out |= {"initial": pairs(correlate.initial), "remodelled": pairs(correlate.remodelled)}
-        out["rigid_body"] = {"before": pairs(correlate.rigid_initial), "after": []}
+        out["initial"] = pairs(correlate.initial, repeats)
+        out["remodelled"] = pairs(correlate.remodelled, repeats)
+        out["rigid_body"] = {"before": pairs(correlate.rigid_initial, repeats), "after": []}
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
         if correlate.sensors.alignment:
             out["alignment"] = correlate.sensors.alignment
@@ -192,6 +194,12 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     }
     out["timings_s"] = dict(run.timings)
     return out
+
+
+def _repeats(r: Mapping[str, Any]) -> float:
+    """How far one test repeats the frequencies of another, relative; NaN where there is one."""
+    compare: CompareStage | None = r.get("compare")
+    return repeatability(compare.table) if compare is not None else float("nan")
 
 
 def _sensors(placement: SensorPlacement) -> dict[str, Any]:
@@ -394,12 +402,13 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 for o in tune.others
             ]
     if final is not None:
-        out["final"] = pairs(final.table)
-        out["left_out"] = [p for p in pairs(final.table) if not p["used"]]
+        repeats = _repeats(r)
+        out["final"] = pairs(final.table, repeats)
+        out["left_out"] = [p for p in out["final"] if not p["used"]]
         out["unpaired"] = unpaired(final.table)
         out["rigid_body"] = {
-            "before": pairs(r["correlate"].rigid_initial),
-            "after": pairs(final.rigid),
+            "before": pairs(r["correlate"].rigid_initial, repeats),
+            "after": pairs(final.rigid, repeats),
         }
         out["rigid_body_unpaired"] = unpaired(final.rigid)
     return out

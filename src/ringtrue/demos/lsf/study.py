@@ -115,6 +115,7 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         'title = "Large spinning facility"',
         f'system = "{_SYSTEM}"',
         f"seed = {seed}",
+        'use = "running the rotor up to its service speed"',
         "",
         "[model]",
         f'deck = "deck/{MAIN}"',

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ringtrue.core.digits import standard_deviations
 from ringtrue.correlation.table import (
     CorrelationRow,
     CorrelationTable,
@@ -27,6 +28,7 @@ from ringtrue.report.parts import (
     Stages,
     Text,
     fixed,
+    number,
     sentence,
     signs,
 )
@@ -58,7 +60,8 @@ def pairs(
     test decides.
     """
     a, b = table.names
-    deviations = judged or table_significance(table)
+    deviations = judged or table_significance(table, data.repeats)
+    floor = data.repeats if judged is None else float("nan")
     heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz"]
     heads += ["MAC, %", "Subspace MAC, %", "Δf/σ", "|Acceptance"]
     heads += ["|Updating", "|"] if updating else ["|"]
@@ -67,19 +70,24 @@ def pairs(
     rows = [_row(i, r, data, updating, s) for i, (r, s) in enumerate(every, start=1)]
     _, deviation, _, *macs = _means(table)
     foot = ["Mean, of |Δf|", deviation, "", *macs, *[""] * (len(heads) - 9)]
-    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations)}"
+    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations, floor)}"
     return ReportTable(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
 
 
-def _scatter(deviations: Significance) -> str:
+def _scatter(deviations: Significance, repeats: float) -> str:
+    """What the deviations are divided by; `repeats` is the least that it is, relative."""
     known = np.isfinite(deviations.z)
     if not known.any():
         return ""
     inside = int((known & ~deviations.significant).sum())
-    return (
+    text = (
         f" Δf/σ: in standard deviations of the measurement; {inside} of {int(known.sum())} are "
         f"within its scatter (false discovery rate {100 * deviations.rate:g} %)."
     )
+    if np.isfinite(repeats):
+        least = number(100 * repeats, 2)
+        text += f" σ is at least {least} %: so far the two tests repeat a frequency."
+    return text
 
 
 def _row(
@@ -98,7 +106,7 @@ def _row(
         fixed(r.subspace_mac_percent, 1),
     ]
     z, beyond = scatter
-    shown = fixed(z, 1 if z < 99.95 else 0)
+    shown = standard_deviations(z)
     within = np.isfinite(z) and not beyond
     row.append(Cell(shown, "good", "within the scatter") if within else shown)
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
@@ -158,7 +166,7 @@ def tests(data: Stages) -> Section | None:
     table = data.compare.table
     e = data.compare.evidence
     caption = "The two tests at their common channels."
-    judged = e.measures.significance if e else None
+    judged = e.measures.significance if e else table_significance(table)
     body = blocks(table, data, caption, updating=False, judged=judged)
     body += evidence.brief(e, table, "Channels and close modes")
     return Section("tests", "Ambient against hammer", body)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ringtrue.core.digits import plus_minus, with_error
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.correlation.frf import InputSummary
 from ringtrue.plots import correlation, identification, signals
@@ -124,7 +125,7 @@ def _damping_table(data: Stages) -> ReportTable:
         (
             str(k + 1),
             fixed(f.modes.frequencies[k], 3),
-            fixed(100 * f.damping[k], 2),
+            number(100 * float(f.damping[k])),
             f.damping_from[k],
         )
         for k in range(int(np.size(f.damping)))
@@ -192,8 +193,8 @@ def _regions(r: DampedRegions) -> ReportTable:
             if ratio > TOLD
             else fixed(ratio, 2)
         )
-        known = f"{number(r.expected[i], 2)} ± {number(r.expected_std[i], 2)}"
-        values = [number(x, 3 - k) for k, x in enumerate((r.coefficients[i], r.std[i]))]
+        known = plus_minus(r.expected[i], r.expected_std[i])
+        values = with_error(r.coefficients[i], r.std[i])
         rows.append(
             [name, Cell(r.targets[i], "muted"), unit[r.natures[i]], *values, known, described]
         )
@@ -223,10 +224,9 @@ def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
             m.test[i],
             str(int(m.fe[i]) + 1),
             fixed(m.hertz[i], 3),
-            *(
-                fixed(100 * x[i], 3)
-                for x in (m.measured, m.measured_std, m.before, m.after, m.after_std)
-            ),
+            *with_error(100 * m.measured[i], 100 * m.measured_std[i], 3),
+            number(100 * m.before[i]),
+            *with_error(100 * m.after[i], 100 * m.after_std[i], 3),
             fixed(100 * float(m.after[i] / m.measured[i] - 1), 0, sign=True),
             *(fixed(100 * x[i], 0) for x in (m.frf_before, m.frf_after)),
             "used" if m.used[i] else Cell("left out", "chip"),

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from ringtrue.core.digits import with_error
 from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.identification.common.diagram import IdentificationDiagram, SpectrumAccount
 from ringtrue.plots import diagram as plots
@@ -36,7 +39,7 @@ def section(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    blocks = [block for caption, found in _tests(ident) for block in _modes(found, caption)]
+    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data.repeats)]
     if ident.merge_notes:
         blocks.append(
             Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
@@ -117,8 +120,11 @@ def _account(account: SpectrumAccount) -> list[Block]:
     return out
 
 
-def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
-    """A row a mode of any class, ascending in frequency, and why some are not natural."""
+def _modes(found: IdentifiedModes, caption: str, repeats: float) -> list[Block]:
+    """A row a mode of any class, ascending in frequency, and why some are not natural.
+
+    No frequency is known better than one test `repeats` another, relative.
+    """
     shown = found.diagram
     unnamed = [""] * (len(found) - len(found.reasons))
     natural = iter(enumerate([*found.reasons, *unnamed], start=1))
@@ -126,9 +132,10 @@ def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
     for k, kind in enumerate(shown.classes):
         count, why = next(natural) if kind == "natural" else ("–", "")
         mark = Cell(f"{plots.GLYPHS[kind]} {kind}", TONES[kind])
-        rows.append((str(count), *_numbers(shown, k, why), mark, shown.remarks[k]))
+        rows.append((str(count), *_numbers(shown, k, why, repeats), mark, shown.remarks[k]))
     heads = ("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "MPC", "Confidence, %", "|Class", "|Remark")
-    table = ReportTable(heads, rows, f"{caption}.")
+    text = f"{caption}. {_scatter(found, repeats)}"
+    table = ReportTable(heads, rows, text.strip())
     if not any(shown.remarks) and not len(found.others):
         table = replace(table, heads=heads[:-2], rows=[row[:-2] for row in rows])
     out: list[Block] = [table]
@@ -139,15 +146,24 @@ def _modes(found: IdentifiedModes, caption: str) -> list[Block]:
     return out
 
 
-def _numbers(shown: IdentificationDiagram, k: int, why: str) -> list[str | Cell]:
+def _scatter(found: IdentifiedModes, repeats: float) -> str:
+    """What the standard deviations of the frequencies hold."""
+    if np.isfinite(repeats):
+        least = number(100 * repeats, 2)
+        return f"σ of a frequency is at least {least} %: so far the two tests repeat it."
+    if np.isfinite(found.uncertainty.frequency).any():
+        return "σ is the scatter inside this test; another test, day or level may differ by more."
+    return ""
+
+
+def _numbers(shown: IdentificationDiagram, k: int, why: str, repeats: float) -> list[str | Cell]:
     modes = shown.modes
     std = shown.uncertainty
     confidence = float(modes.confidence[k])
+    frequency = float(modes.frequencies[k])
     return [
-        fixed(modes.frequencies[k], 3),
-        number(float(std.frequency[k]), 2),
-        fixed(100 * modes.damping[k], 2),
-        number(100 * float(std.damping[k]), 2),
+        *with_error(frequency, float(np.fmax(std.frequency[k], repeats * frequency)), 5),
+        *with_error(100 * float(modes.damping[k]), 100 * float(std.damping[k]), 3),
         fixed(None if modes.frequency_only else float(shown.mpc[k]), 2),
         Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),
     ]

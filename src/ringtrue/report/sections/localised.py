@@ -189,7 +189,7 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     own = s.candidates.parameters.take([m.index])
     low, high = (x[0] for x in own.bounds())
     x = own.vector(np.array([m.factor]))[0]
-    factor = f"+ {number(m.added, 3)}" if m.lump else fixed(m.factor, 3)
+    factor, _ = m.digits()
     shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
     lost = ", ".join((*m.collinear, *m.rivals)) or "–"
     what = Cell(s.candidates.what[m.index], "muted", _few(s.candidates.elements[m.index]))

@@ -13,7 +13,6 @@ from ringtrue.report.parts import (
     MISSING,
     Block,
     Cell,
-    Checks,
     Code,
     Columns,
     Fact,
@@ -116,8 +115,7 @@ def _outcome(data: Stages) -> list[Block]:
     final = data.final
     assert final is not None
     before = data.correlate.initial if data.correlate is not None else None
-    left: list[Block] = [Heading("What must hold"), Checks(data.checks)] if data.checks else []
-    left += _evidence(data)
+    left = _evidence(data)
     picture = shapes.first(data)
     if left and picture is not None:
         left = [Columns([left, [picture]])]

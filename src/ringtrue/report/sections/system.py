@@ -39,7 +39,7 @@ from ringtrue.study.results import ModelStage, RecordSummary
 
 def survey(data: Stages) -> Section | None:
     """The system in words and numbers, the tests in a table."""
-    blocks: list[Block] = [Text(p.strip()) for p in data.system_text.split("\n\n") if p.strip()]
+    blocks: list[Block] = [Text(p.strip()) for p in data.info.system.split("\n\n") if p.strip()]
     if data.model is not None:
         blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.digits import with_error
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
@@ -173,11 +174,14 @@ def _parameters(u: UpdateStage, s: SetResult, std: Float) -> ReportTable:
         low, high = (float(x) for x in s.bounds[j])
         factor = float(s.factor[j])
         at_bound = min(abs(factor / low - 1), abs(factor / high - 1)) < 0.01
+        shown, _ = with_error(factor, factor * std[j])
+        value = u.updated_values.get(name, np.nan)
+        updated_value, _ = with_error(value, abs(value) * std[j])
         row = [
             name,
             number(u.initial_values.get(name), 4),
-            number(u.updated_values.get(name), 4),
-            Cell(fixed(factor, 3), "warn", "at its bound") if at_bound else fixed(factor, 3),
+            updated_value,
+            Cell(shown, "warn", "at its bound") if at_bound else shown,
             number(100 * std[j], 2),
             f"{plain(low)} to {plain(high)}",
             number(s.identifiability[j], 2),
@@ -205,7 +209,10 @@ def suspension(data: Stages) -> Section | None:
             for table, when in ((o.before, "before"), (o.after, "after"))
         ]
     heads = ("|Suspension parameter", "Factor", "σ, %")
-    rows = [(k, fixed(v, 3), number(100 * t.std.get(k, np.nan), 2)) for k, v in t.factors.items()]
+    known = {k: t.std.get(k, np.nan) for k in t.factors}
+    rows = [
+        (k, with_error(v, v * known[k])[0], number(100 * known[k], 2)) for k, v in t.factors.items()
+    ]
     blocks.append(ReportTable(heads, rows, "Tuned stiffnesses of the suspension."))
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]
     blocks += [Text(sentence(v)) for v in t.flags]

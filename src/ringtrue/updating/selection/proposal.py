@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
+from ringtrue.core.digits import number, with_error
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.errors import InputError
 from ringtrue.updating.identifiability import cosines
@@ -114,11 +115,20 @@ class Proposed:
         """The mass that it adds, in units of the deck; 0 of a factor."""
         return self.lump * (self.factor - 1)
 
+    def digits(self) -> tuple[str, str]:
+        """What is added and the error of that, else the factor and its error in per cent."""
+        if self.lump:
+            added, error = with_error(self.added, self.lump * self.std)
+            return f"+ {added}", error
+        factor, _ = with_error(self.factor, self.factor * self.std)
+        return factor, f"{number(100 * self.std, 2)} %"
+
     def said(self) -> str:
         """Name and factor, or what is added."""
+        size, error = self.digits()
         if self.lump:
-            return f"{self.name}: {self.added:.3g} ± {self.lump * self.std:.2g}"
-        return f"{self.name} x {self.factor:.3g} (± {100 * self.std:.1f} %)"
+            return f"{self.name}: {size.removeprefix('+ ')} ± {error}"
+        return f"{self.name} x {size} (± {error})"
 
     @property
     def named(self) -> tuple[str, ...]:
