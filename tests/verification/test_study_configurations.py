@@ -257,7 +257,7 @@ def test_a_deck_that_carries_nothing_is_refused(tmp_path: Path) -> None:
             f"PBEAM,{k},{k},", f"PBEAM,{k},{k + 50},"
         )
     (tmp_path / "deck/loaded.bdf").write_text(
-        text.replace("PSHELL,10,10,0.1,10,,10", "PSHELL,10,60,0.1,60,,60")
+        text.replace("PSHELL,10,10,0.1,10,3.0,10", "PSHELL,10,60,0.1,60,3.0,60")
     )
     with pytest.raises(ConfigError, match="its deck has no card of a candidate"):
         run_study(study, until="configurations")
