@@ -9,7 +9,7 @@ import pytest
 from ringtrue.report.parts import Checks, Facts, Items, ReportTable, Stages, Text
 from ringtrue.report.sections.conclusion import QUESTIONS, section
 from ringtrue.study.acceptance import Acceptance, AcceptanceCheck
-from ringtrue.study.conclusion import Change, Conclusion, Question, Unseen, Verdict
+from ringtrue.study.conclusion import Change, Conclusion, Question, Unseen, Validation
 from ringtrue.study.config_sections import StudyInfo
 
 PAIRS = AcceptanceCheck("final model: pairs", "≥ 18", "21", True)
@@ -55,10 +55,10 @@ def lead(found: Conclusion, use: str = "") -> Text:
 
 
 def test_a_failed_requirement_is_the_verdict_however_many_others_hold() -> None:
-    assert conclusion(PAIRS).verdict is Verdict.VALIDATED
-    assert conclusion(PAIRS, PAIRS, PAIRS, MEAN).verdict is Verdict.NOT_VALIDATED
-    assert conclusion(PAIRS, ROSE, STALLED).verdict is Verdict.VALIDATED
-    assert conclusion(ROSE).verdict is Verdict.NOT_JUDGED
+    assert conclusion(PAIRS).verdict is Validation.VALIDATED
+    assert conclusion(PAIRS, PAIRS, PAIRS, MEAN).verdict is Validation.NOT_VALIDATED
+    assert conclusion(PAIRS, ROSE, STALLED).verdict is Validation.VALIDATED
+    assert conclusion(ROSE).verdict is Validation.NOT_JUDGED
     assert lead(conclusion(PAIRS), "the run-up").text == (
         "Validated for the run-up, from 0.575 to 41.0 Hz."
     )

@@ -28,7 +28,7 @@ from ringtrue.study.results import (
 from ringtrue.updating.prediction import validated_band
 
 
-class Verdict(StrEnum):
+class Validation(StrEnum):
     """Whether a model is validated."""
 
     VALIDATED = "validated"
@@ -130,13 +130,13 @@ class Conclusion:
         return tuple(sorted((c for c in self.checks if not c.held), key=lambda c: not c.required))
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Validation:
         """Not validated where anything required failed; not judged where no limit was stated."""
         required = [c for c in self.checks if c.required]
         if not all(c.held for c in required):
-            return Verdict.NOT_VALIDATED
+            return Validation.NOT_VALIDATED
         limits = any(c.code == "limit" for c in required)
-        return Verdict.VALIDATED if limits else Verdict.NOT_JUDGED
+        return Validation.VALIDATED if limits else Validation.NOT_JUDGED
 
 
 def conclude(
@@ -204,7 +204,7 @@ def _unseen(results: Mapping[str, Any], correlate: CorrelateStage) -> Unseen | N
             inside = int((bands.inside & ~bands.used & np.isfinite(bands.predicted)).sum())
         mean, largest = float(left_out.mean()), float(left_out.max())
         before = correlate.initial.mean_deviation(first)
-        return Unseen("left out", left_out.size, mean, largest, before, inside)
+        return Unseen("left out", left_out.size, mean, largest, before=before, inside=inside)
     if known is not None and known.held.in_turn.any():
         at = known.held.in_turn
         error = 100 * np.abs(known.held.error[at])
@@ -232,7 +232,8 @@ def _changes(results: Mapping[str, Any]) -> tuple[Change, ...]:
             std = factor * float(p.relative[i])
             kept = float(known.kept[i])
             kinds = tuple(dict.fromkeys(doubts))
-            out.append(Change(name, factor, std, (low, high), kept, kinds))
+            change = Change(name, factor, std, interval=(low, high), kept=kept, doubts=kinds)
+            out.append(change)
     elif update is not None:
         best = update.best
         spread = zip(best.parameters, best.factor.tolist(), best.std.tolist(), strict=True)

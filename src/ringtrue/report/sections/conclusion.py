@@ -23,7 +23,7 @@ from ringtrue.report.parts import (
     sentence,
 )
 from ringtrue.study.acceptance import AcceptanceCheck
-from ringtrue.study.conclusion import Change, Conclusion, Question, Unseen, Verdict
+from ringtrue.study.conclusion import Change, Conclusion, Question, Unseen, Validation
 
 DOUBTS = {
     "interval": "the bound limits its interval, not the test: widen the bound",
@@ -95,18 +95,22 @@ def section(data: Stages) -> Section | None:
 
 
 def _tone(c: Conclusion) -> str:
-    tones = {Verdict.VALIDATED: "good", Verdict.NOT_VALIDATED: "bad", Verdict.NOT_JUDGED: "warn"}
+    tones = {
+        Validation.VALIDATED: "good",
+        Validation.NOT_VALIDATED: "bad",
+        Validation.NOT_JUDGED: "warn",
+    }
     return tones[c.verdict]
 
 
 def _verdict(data: Stages, c: Conclusion) -> str:
     use = f" for {data.info.use}" if data.info.use else ""
     low, high = c.band
-    if c.verdict is Verdict.NOT_VALIDATED:
+    if c.verdict is Validation.NOT_VALIDATED:
         count = sum(check.required for check in c.failed)
         plural = "requirements" if count > 1 else "requirement"
         return f"Not validated{use}: {count} {plural} failed."
-    if c.verdict is Verdict.NOT_JUDGED:
+    if c.verdict is Validation.NOT_JUDGED:
         return f"Not judged{use}: the study states no limit that the model must keep."
     if high <= 0:
         return f"The limits hold{use}, but the model does not hold the lowest mode of the test."
@@ -130,7 +134,7 @@ def _what(data: Stages, c: Conclusion) -> str:
     text += f" and {rigid} rigid-body modes." if rigid else "."
     if not data.info.use:
         text += " The study does not say what the model is for ([study] use)."
-    if c.verdict is Verdict.NOT_JUDGED:
+    if c.verdict is Validation.NOT_JUDGED:
         text += " Limits are set under [correlate]: accept_percent, accept_mac and others."
     return text
 
@@ -154,7 +158,7 @@ def _unseen(u: Unseen, level: float) -> Facts:
 
 
 def _checks(c: Conclusion) -> list[Block]:
-    """Required ones and those that inform, apart."""
+    """Required ones, then those that inform."""
     columns: list[list[Block]] = []
     for title, required in (("Required", True), ("For information", False)):
         if found := [check for check in c.checks if check.required is required]:
