@@ -26,7 +26,7 @@ from ringtrue.report.parts import Items, ReportTable, Stages
 from ringtrue.report.sections import summary, system
 from ringtrue.shapes import paired_mac
 from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
-from ringtrue.study.conclusion import Conclusion, Verdict, conclude
+from ringtrue.study.conclusion import Conclusion, Validation, conclude
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.evidence import ModelModes, channel_mass, evidence, on_sheet, synthesised
 from ringtrue.study.messages import left_out_sentence, run_messages
@@ -213,11 +213,11 @@ def test_the_verdict_follows_from_the_required_limits(done: StudyRun) -> None:
         return found
 
     free = concluded()
-    assert free.verdict is Verdict.NOT_JUDGED
+    assert free.verdict is Validation.NOT_JUDGED
     assert not free.failed
-    assert concluded(accept_mean_percent=2.0).verdict is Verdict.VALIDATED
+    assert concluded(accept_mean_percent=2.0).verdict is Validation.VALIDATED
     strict = concluded(accept_mean_percent=1e-9)
-    assert strict.verdict is Verdict.NOT_VALIDATED
+    assert strict.verdict is Validation.NOT_VALIDATED
     assert [c.name for c in strict.failed] == ["final model: mean |Δf|"]
     table = done.results["final"].table
     assert free.band == pytest.approx((table.all_test_hz[0], table.all_test_hz[-1]))
