@@ -23,7 +23,7 @@ CQUAD8 and CTRIA6: curved shells of second order with assumed strains, six DOFs 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -109,6 +109,34 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
 
 def _corners(model: Model, card: str) -> Int:
     return model[card].stack(*(f"G{i + 1}" for i in range(FLAT_SHELLS[card])))
+
+
+def flat_and_curved(
+    normals: Any_, axes: Any_, plane: Callable[[Bool | slice], Any_], curved: Callable[[Int], Any_]
+) -> Any_:
+    """Stiffness (e, d, d) of flat elements with axes (e, 3, 3) and normals (e, k, 3) at the nodes:
+    by `plane` where these are their own, else by `curved`; each gets which elements.
+    """
+    flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
+    if flat.all():
+        return plane(slice(None))
+    at = np.flatnonzero(~flat)
+    of_curved = in_spans(at.size, lambda i: curved(at[i]))
+    of_plane = plane(flat)
+    K = np.empty((flat.size, *of_curved.shape[1:]), np.result_type(of_plane, of_curved))
+    K[flat] = of_plane
+    K[at] = of_curved
+    return K
+
+
+def joined_to_plane(x: Any_, normals: Any_, axes: Any_, lift: Any_) -> tuple[Any_, Any_, Any_]:
+    """Rigid arms (e, k, 3) along the normals at the nodes x (e, k, 3) to a plane that is `lift` (e,
+    k) above them; where they end, and that in the element's plane, (e, k, 2).
+    """
+    arms = (lift / np.einsum("eka,ea->ek", normals, axes[:, 2]))[..., None] * normals
+    x = x + arms
+    xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
+    return arms, x, xy
 
 
 def with_neighbours(model: Model, rows: Rows) -> Rows:

@@ -11,9 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_
+from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.fem.elements.curved_shell import drilling as director_drilling
-from ringtrue.fem.elements.curved_shell import law, node_normals, plane_strains, tied_shear
+from ringtrue.fem.elements.curved_shell import (
+    flat_and_curved,
+    joined_to_plane,
+    law,
+    node_normals,
+    plane_strains,
+    tied_shear,
+)
 from ringtrue.fem.elements.elasticity import gram, jacobian
 from ringtrue.fem.elements.shape_functions import TRIA3
 from ringtrue.fem.elements.shell_material import contract
@@ -78,6 +85,15 @@ def _turns(t: Any_, length: Any_) -> Any_:
     return R
 
 
+def _corner_slopes(e: int) -> Any_:
+    """(βx, βy) at the corners over (w, θx, θy) of each node: (e, 3, 2, 3, 3)."""
+    H = np.zeros((e, 3, 2, 3, 3))
+    for k in range(3):
+        H[:, k, 0, k, 2] = 1.0
+        H[:, k, 1, k, 1] = -1.0
+    return H
+
+
 def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     """(βx, βy) at corners and mid-sides over (w, θx, θy) of each node: (e, 6, 2, 3, 3).
 
@@ -86,9 +102,7 @@ def _slopes(t: Any_, R: Any_, phi: Any_) -> Any_:
     for φ > 0 (Katili 1993, eq. 31).
     """
     H = np.zeros((len(t), 6, 2, 3, 3), dtype=np.result_type(R, phi))
-    for k in range(3):
-        H[:, k, 0, k, 2] = 1.0
-        H[:, k, 1, k, 1] = -1.0
+    H[:, :3] = _corner_slopes(len(t))
     for s, (i, j) in enumerate(_SIDES):
         more = (-1.5 / (1 + phi[:, s]))[:, None, None] * R[:, s]
         H[:, 3 + s] = (H[:, i] + H[:, j]) / 2 + t[:, s, :, None, None] * more[:, None]
@@ -140,21 +154,22 @@ def kernel(xy: Any_, area: Any_, s: ShellSection, residual: bool) -> Any_:
     e = len(xy)
     back = np.linalg.inv(np.einsum("nr,ena->era", _DL, xy))
     g1 = np.broadcast_to(np.einsum("ear,nr->ena", back, _DL)[:, None], (e, 3, 3, 2))
-    g2 = np.einsum("ear,gnr->egna", back, TRIANGLE.functions(2, _P)[1])
     w = np.repeat(area[:, None] / 3, 3, axis=1)
     w1, w2, w3 = (s.weights(w, _L, p) for p in (1, 2, 3))
     t, length = _sides(xy)
     R = _turns(t, length)
-    phi = _shear_flexibility(t, length, s)
-    H = _slopes(t, R, phi)
     across = _of_sides(t, s, w1)
     if residual:
-        H, g2 = H[:, :3], g1
+        H = _corner_slopes(e)
+        g2 = g1
         across = in_series(across, _bending_flexibility(t, length, area, s))
     else:
+        phi = _shear_flexibility(t, length, s)
+        H = _slopes(t, R, phi)
+        g2 = np.einsum("ear,gnr->egna", back, TRIANGLE.functions(2, _P)[1])
         share = phi / (1 + phi)
         across = share[:, :, None] * across * share[:, None]
-    H = H.reshape(e, -1, 9)
+    H = H.reshape(e, 2 * H.shape[1], 9)
     R = R.reshape(e, 3, 9)
     bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
     bend = bend + R.swapaxes(1, 2) @ across @ R
@@ -176,9 +191,7 @@ def curved_kernel(x: Any_, normals: Any_, axes: Any_, s: ShellSection) -> Any_:
     curved surface; each node is joined to the offset plane by a rigid arm along its normal.
     """
     e = len(x)
-    arms = (s.offset[:, None] / np.einsum("eka,ea->ek", normals, axes[:, 2]))[..., None] * normals
-    x = x + arms
-    xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
+    arms, x, xy = joined_to_plane(x, normals, axes, s.offset[:, None])
     J, det, _ = jacobian(_DLP, xy)
     w = det * TRIA3.weights
     rows = plane_strains(TRIA3, x, normals, np.linalg.inv(J))
@@ -213,11 +226,16 @@ def build(t: CardRows) -> ElementMatrices:
     s = oriented(t, section(t, 3), axes, x)
     mass = s.masses(np.repeat(area[:, None] / 3, 3, axis=1), _L) @ _L
     residual = t.mesh.model.param("RESBEND", 1.0) > 0
-    K = to_nodes(kernel(xy, area, s, residual), s, axes, np.zeros(nodes.shape))
-    normals = node_normals(t.mesh, nodes, axes[:, 2])
-    bent = np.flatnonzero((normals != axes[:, None, 2]).any(axis=(1, 2)))
-    if residual and bent.size:
-        of_curved = curved_kernel(x[bent], normals[bent], axes[bent], taken(s, bent))
-        K = K.astype(np.result_type(K, of_curved))
-        K[bent] = of_curved
+    own = np.broadcast_to(axes[:, None, 2], x.shape)
+    normals = node_normals(t.mesh, nodes, axes[:, 2]) if residual else own
+
+    def curved(at: Int) -> Any_:
+        return curved_kernel(x[at], normals[at], axes[at], taken(s, at))
+
+    def plane(at: Bool | slice) -> Any_:
+        part = taken(s, at)
+        flat = kernel(xy[at], area[at], part, residual)
+        return to_nodes(flat, part, axes[at], np.zeros(xy[at].shape[:2]))
+
+    K = flat_and_curved(normals, axes, plane, curved)
     return finish(t, nodes, K, section=s, axes=axes, mass=mass)

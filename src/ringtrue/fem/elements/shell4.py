@@ -13,9 +13,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.fem.elements.curved_shell import drilling as director_drilling
-from ringtrue.fem.elements.curved_shell import law, node_normals, plane_strains, tied_shear
+from ringtrue.fem.elements.curved_shell import (
+    flat_and_curved,
+    joined_to_plane,
+    law,
+    node_normals,
+    plane_strains,
+    tied_shear,
+)
 from ringtrue.fem.elements.elasticity import determinants, gram, incompatible, jacobian
 from ringtrue.fem.elements.shape_functions import QUAD4
 from ringtrue.fem.elements.shell_material import contract
@@ -26,7 +33,6 @@ from ringtrue.fem.elements.shell_section import (
     drilling,
     finish,
     in_series,
-    in_spans,
     neutral_bending,
     of_rotations,
     oriented,
@@ -191,11 +197,7 @@ def curved_kernel(
     along its normal.
     """
     e = len(x)
-    arms = ((s.offset[:, None] - heights) / np.einsum("eka,ea->ek", normals, axes[:, 2]))[
-        ..., None
-    ] * normals
-    x = x + arms
-    xy = np.einsum("eij,ekj->eki", axes[:, :2], x - x.mean(axis=1, keepdims=True))
+    arms, x, xy = joined_to_plane(x, normals, axes, s.offset[:, None] - heights)
     J, det, _ = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
     soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=s.weights(det, _N, 1))
@@ -275,11 +277,9 @@ def build(t: CardRows) -> ElementMatrices:
     s = oriented(t, section(t, 4), axes, x)
     mass = s.masses(jacobian(_DN, xy)[1], _N) @ _N
     normals = node_normals(t.mesh, nodes, axes[:, 2])
-    flat = (normals == axes[:, None, 2]).all(axis=(1, 2))
     residual = t.mesh.model.param("RESBEND", 1.0) > 0
 
-    def curved(i: slice) -> Any_:
-        at = np.flatnonzero(~flat)[i]
+    def curved(at: Int) -> Any_:
         return curved_kernel(
             x[at], heights[at], normals[at], axes=axes[at], s=taken(s, at), residual=residual
         )
@@ -288,12 +288,5 @@ def build(t: CardRows) -> ElementMatrices:
         part = taken(s, at)
         return to_nodes(kernel(xy[at], part, residual), part, axes[at], heights[at])
 
-    if flat.all():
-        K = plane(slice(None))
-    else:
-        of_curved = in_spans(int((~flat).sum()), curved)
-        of_plane = plane(flat)
-        K = np.empty((len(t), 24, 24), dtype=np.result_type(of_plane, of_curved))
-        K[flat] = of_plane
-        K[~flat] = of_curved
+    K = flat_and_curved(normals, axes, plane, curved)
     return finish(t, nodes, K, section=s, axes=axes, mass=mass)

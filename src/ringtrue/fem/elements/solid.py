@@ -71,13 +71,10 @@ class EnhancedStrains:
         Each is of mean zero.
     pair : (m,) int
         Which entry of PAIRS it stands in, in natural coordinates.
-    centre : (1, n, 3) float64
-        Derivatives of the shape functions where the natural coordinates have their axes.
     """
 
     values: Float
     pair: Int
-    centre: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,10 +87,12 @@ class Linear:
     bubbles : (gp, m, 3) float64
         Natural derivatives of incompatible modes, which are condensed out.
     centre : (1, n, 3) float64
-        Derivatives of the shape functions where those modes take their Jacobian.
+        Derivatives of the shape functions where those modes, or the enhanced strains, take their
+        Jacobian.
     pressure : (gp, k) float64
         What the dilatation is projected on, for an element without bubbles.
-    enhanced : EnhancedStrains
+    enhanced : EnhancedStrains, optional
+        In place of incompatible modes.
     """
 
     stiffness: SolidRule
@@ -248,7 +247,8 @@ class SolidShape:
             at = slice(first, first + size)
             some = taken(material, at)
             if linear and lin.enhanced is not None:
-                parts.append(enhanced(x[at], some, rule, lin.enhanced))
+                assert lin.centre is not None
+                parts.append(enhanced(x[at], some, rule, lin.enhanced, lin.centre))
             elif pressure is not None:
                 parts.append(projected(x[at], some, rule, pressure))
             else:
@@ -280,15 +280,19 @@ def kernel(
 
 
 def enhanced(
-    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, strains: EnhancedStrains
+    x: Any_,
+    material: Isotropic | Anisotropic,
+    rule: SolidRule,
+    strains: EnhancedStrains,
+    centre: Float,
 ) -> Any_:
-    """As `kernel`, with enhanced strains (Simo and Rifai 1990): constant strains are untouched on
-    any distortion.
+    """As `kernel`, with enhanced strains (Simo and Rifai 1990), in the natural axes at the centre:
+    constant strains are untouched on any distortion.
     """
     _, det, g = jacobian(rule.derivatives, x)
     e, points, n, _ = g.shape
     m = strains.pair.size
-    J0 = jacobian(strains.centre, x)[0][:, 0]
+    J0 = jacobian(centre, x)[0][:, 0]
     natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
     length = np.sqrt((natural * natural).sum(axis=2, keepdims=True))
     natural = natural / length  # else those of thin cells differ by decades
@@ -396,8 +400,7 @@ def _hexa_strains(p: Float) -> EnhancedStrains:
         (z, x, z * y, x * y),
     )
     pair = np.repeat(np.arange(6), [len(values) for values in by_pair])
-    centre = HEXAHEDRON.functions(1, np.zeros((1, 3)))[1]
-    return EnhancedStrains(np.column_stack([v for values in by_pair for v in values]), pair, centre)
+    return EnhancedStrains(np.column_stack([v for values in by_pair for v in values]), pair)
 
 
 _HEXA_POINTS = HEXAHEDRON.nodes(1) / np.sqrt(3)
@@ -409,6 +412,7 @@ HEXA = SolidShape(
     linear=Linear(
         _HEXA_RULE,
         _HEXA_RULE,
+        centre=HEXAHEDRON.functions(1, np.zeros((1, 3)))[1],
         enhanced=_hexa_strains(_HEXA_POINTS),
     ),
     quadratic=Quadratic(_HEXA_FULL, _HEXA_FULL, HEXAHEDRON.functions(1, _HEXA_P)[0]),
