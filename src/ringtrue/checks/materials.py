@@ -208,7 +208,7 @@ def ground_check(system: System) -> GroundCheck:
         share = abs(force[:, k] * motions[:, k])
         worst = np.argsort(-share, kind="stable")[:3]
         worst = worst[share[worst] > 0]
-        dofs = DofSet(system.free.node[worst], system.free.direction[worst])
+        dofs = system.free.take(worst)
         names.append(dofs.labels() if abs(relative[k]) > LIMIT else ())
     return GroundCheck(energy, relative, tuple(names))
 
@@ -264,7 +264,7 @@ def autospc_findings(system: System) -> Iterator[Finding]:
     every = system.autospc
     others = loose.find(every.node, every.direction) < 0
     if others.any():
-        rest = DofSet(every.node[others], every.direction[others])
+        rest = every.take(others)
         yield Finding("info", f"AUTOSPC holds {_in_words(rest)}; nothing stiffens them")
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int, freeze_fields
+from ringtrue.core.arrays import Bool, Float, Int, freeze_fields
 from ringtrue.errors import InputError
 
 NAMES = ("", "X", "Y", "Z", "RX", "RY", "RZ")
@@ -79,6 +79,14 @@ class DofSet:
             On a text that is not a degree of freedom.
         """
         return cls(*parsed(labels))
+
+    def take(self, at: Int | Bool) -> DofSet:
+        """Some of them, by their places or by a mask."""
+        return DofSet(self.node[at], self.direction[at])
+
+    def named(self, at: Int) -> list[str]:
+        """The text forms of some."""
+        return list(self.take(at).labels())
 
     def labels(self) -> tuple[str, ...]:
         """The text forms, in order."""

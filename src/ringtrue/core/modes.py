@@ -144,7 +144,7 @@ class ModeSet(Displayed):
         at = [here[c] for c in channels]
         labels: DofSet | tuple[str, ...] = tuple(channels)
         if isinstance(self.labels, DofSet):
-            labels = DofSet(self.labels.node[at], self.labels.direction[at])
+            labels = self.labels.take(np.array(at))
         return replace(self, shapes=self.shapes[at], labels=labels)
 
 

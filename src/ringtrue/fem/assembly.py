@@ -73,7 +73,7 @@ class System:
         """
         a = self.autospc
         at = (a.direction >= 1) & (a.direction <= 3) & np.isin(a.node, self.free.node)
-        return DofSet(a.node[at], a.direction[at])
+        return a.take(at)
 
     def rigid_body(self) -> Float:
         """Unit motions along and about the axes of basic, (f, 6) float64."""
@@ -218,7 +218,7 @@ def assemble(model: Model, share: Share = WHOLE) -> System:
         T = T[:, keep]
         stiffness = stiffness[keep][:, keep]
     names = m.dofs
-    held = DofSet(names.node[free[drop]], names.direction[free[drop]])
+    held = names.take(free[drop])
     if len(held):
         log.info("AUTOSPC: %d DOFs without stiffness are held", len(held))
     mass, viscous, structural = (reduced(T, A) for A in (M, B, S))
@@ -236,7 +236,7 @@ def assemble(model: Model, share: Share = WHOLE) -> System:
         transform=T,
         local=sparse.csr_array(rotation.T.tocsr()[free[keep]]),
         dofs=names,
-        free=DofSet(names.node[free[keep]], names.direction[free[keep]]),
+        free=names.take(free[keep]),
         autospc=held,
         xyz=m.xyz,
         rayleigh=(alpha, beta),

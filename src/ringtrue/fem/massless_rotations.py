@@ -108,7 +108,7 @@ def without_massless_rotations(
         direction = np.concatenate([system.autospc.direction, system.free.direction[rows]])
         return replace(_held(system, rows), autospc=DofSet(node, direction)), DofSet(none, none)
     rows = massless_rotations(model, system, share)
-    held = DofSet(system.free.node[rows], system.free.direction[rows])
+    held = system.free.take(rows)
     if rows.size:
         log.info("held against spinning without stiffness and mass: %s", " ".join(held.labels()))
     return _held(system, rows), held
@@ -139,5 +139,5 @@ def _held(system: System, rows: Int) -> System:
         },
         transform=system.transform[:, keep],
         local=system.local[keep],
-        free=DofSet(system.free.node[keep], system.free.direction[keep]),
+        free=system.free.take(keep),
     )

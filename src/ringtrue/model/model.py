@@ -163,6 +163,24 @@ class CaseControl:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ComponentModes:
+    """Which modes of a component are taken; none is the condensation of Guyan.
+
+    Attributes
+    ----------
+    modal : DofSet
+        Their coordinates.
+    count : int
+        At most; not more than coordinates.
+    highest : float, Hz
+    """
+
+    modal: DofSet = NO_DOFS
+    count: int = 0
+    highest: float = np.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Superelement:
     """A part of a model, condensed onto the points around it; SEID of GRID names its interior
     points.
@@ -172,19 +190,12 @@ class Superelement:
     number : int
     elements : (n,) int64
         EID of all its elements.
-    modal : DofSet
-        Coordinates of its component modes; empty for the condensation of Guyan.
-    count : int
-        Component modes at most.
-    highest : float, Hz
-        Of these.
+    modes : ComponentModes
     """
 
     number: int
     elements: Int
-    modal: DofSet = NO_DOFS
-    count: int = 0
-    highest: float = np.inf
+    modes: ComponentModes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

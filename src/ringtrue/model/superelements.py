@@ -10,7 +10,7 @@ import numpy as np
 
 from ringtrue.core.dofs import DofSet
 from ringtrue.model.case_control import asked_modes
-from ringtrue.model.model import Model
+from ringtrue.model.model import ComponentModes, Model
 
 KEPT = ("ASET", "ASET1")
 OMITTED = ("OMIT", "OMIT1")
@@ -54,11 +54,10 @@ def whole_mesh(model: Model) -> Model:
     return replace(model, tables=tables)
 
 
-def component_modes(model: Model, method: int, modal: DofSet) -> tuple[int, float]:
-    """How many modes of a component are taken, at most one a modal coordinate, and up to which
-    frequency, Hz: those that its METHOD asks for.
-    """
-    asked = asked_modes(replace(model, case=replace(model.case, method=method)))
+def component_modes(model: Model) -> ComponentModes:
+    """Those that METHOD of a component asks for, on the coordinates of its QSET."""
+    modal = listed_dofs(model, MODAL)
+    asked = asked_modes(model)
     if asked is None:
-        return len(modal), np.inf
-    return min(len(modal), asked.count or len(modal)), asked.high
+        return ComponentModes(modal, len(modal))
+    return ComponentModes(modal, min(len(modal), asked.count or len(modal)), asked.high)

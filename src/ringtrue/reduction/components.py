@@ -5,19 +5,18 @@ of Craig and Bampton (1968), component by component.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Int
-from ringtrue.core.dofs import NO_DOFS, DofSet
+from ringtrue.core.dofs import DofSet
 from ringtrue.fem.assembly import System, assemble, reduced
 from ringtrue.fem.massless_rotations import without_massless_rotations
-from ringtrue.model.model import Model
+from ringtrue.model.model import ComponentModes, Model
 from ringtrue.model.superelements import (
     KEPT,
-    MODAL,
     OMITTED,
     component_modes,
     condenses,
@@ -26,30 +25,6 @@ from ringtrue.model.superelements import (
 from ringtrue.reduction.static import craig_bampton
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Component:
-    """What is condensed at once.
-
-    Attributes
-    ----------
-    name : str
-    inner : (k,) bool
-        DOFs of the system that the others stand for.
-    modal : DofSet
-        Coordinates of component modes; they are no DOFs of the system.
-    count : int
-        Component modes, at most one a coordinate.
-    highest : float, Hz
-        Of these.
-    """
-
-    name: str
-    inner: Bool
-    modal: DofSet = NO_DOFS
-    count: int = 0
-    highest: float = np.inf
 
 
 def free_system(model: Model) -> tuple[System, DofSet]:
@@ -71,15 +46,11 @@ def condensed(model: Model, system: System) -> System:
     parts = {part.number: part for part in model.superelements}
     for number in np.unique(seid[seid > 0]).tolist():
         inner = np.isin(system.free.node, model["GRID"].ids[seid == number])
-        name = f"superelement {number}"
-        component = Component(name, inner)
-        if part := parts.get(number):
-            component = Component(name, inner, part.modal, part.count, part.highest)
-        system = _without(system, component)
-    modal = listed_dofs(model, MODAL)
-    inner = _omitted(model, system.free, modal)
-    count, highest = component_modes(model, model.case.method, modal)
-    return _without(system, Component("the residual structure", inner, modal, count, highest))
+        modes = parts[number].modes if number in parts else ComponentModes()
+        system = _without(system, inner, modes, f"superelement {number}")
+    modes = component_modes(model)
+    inner = _omitted(model, system.free, modes.modal)
+    return _without(system, inner, modes, "the residual structure")
 
 
 def _omitted(model: Model, free: DofSet, modal: DofSet) -> Bool:
@@ -93,29 +64,25 @@ def _omitted(model: Model, free: DofSet, modal: DofSet) -> Bool:
     return np.isin(free.key, listed_dofs(model, OMITTED).key)
 
 
-def _without(system: System, component: Component) -> System:
-    """The system with the inner DOFs of a component condensed onto the DOFs around them."""
-    inside = np.flatnonzero(component.inner)
+def _without(system: System, inner: Bool, modes: ComponentModes, name: str) -> System:
+    """The system with the inner DOFs (f,) of a component condensed onto the DOFs around them."""
+    inside = np.flatnonzero(inner)
     if not inside.size:
         return system
-    kept = np.flatnonzero(~component.inner)
-    touched = np.zeros(component.inner.size, dtype=bool)
+    kept = np.flatnonzero(~inner)
+    touched = np.zeros(inner.size, dtype=bool)
     for A in (system.stiffness, system.mass):
         touched[A[inside].indices] = True
     around = kept[touched[kept]]
     block = np.concatenate([inside, around])
     K, M = (A[block][:, block] for A in (system.stiffness, system.mass))
     boundary = np.arange(inside.size, block.size)
-
-    def labels(rows: Int) -> list[str]:
-        at = block[rows]
-        return list(DofSet(system.free.node[at], system.free.direction[at]).labels())
-
-    part = craig_bampton(K, M, boundary, component.count, labels=labels)
-    found = int((part.frequencies <= component.highest).sum())
+    labels = system.free.take(block).named
+    part = craig_bampton(K, M, boundary, modes.count, labels=labels)
+    found = int((part.frequencies <= modes.highest).sum())
     log.info(
         "%s: %d DOFs condensed onto %d and %d component modes",
-        component.name,
+        name,
         inside.size,
         around.size,
         found,
@@ -123,16 +90,14 @@ def _without(system: System, component: Component) -> System:
     columns = np.concatenate([np.searchsorted(kept, around), kept.size + np.arange(found)])
     select = sparse.coo_array(
         (np.ones(kept.size), (kept, np.arange(kept.size))),
-        shape=(component.inner.size, kept.size + found),
+        shape=(inner.size, kept.size + found),
     )
     inner_rows = sparse.coo_array(part.transform[: inside.size, : around.size + found])
     motion = sparse.coo_array(
         (inner_rows.data, (inside[inner_rows.row], columns[inner_rows.col])), shape=select.shape
     )
     T = sparse.csr_array(select + motion)
-    return _projected(
-        system, T, kept, DofSet(component.modal.node[:found], component.modal.direction[:found])
-    )
+    return _projected(system, T, kept, modes.modal.take(np.arange(found)))
 
 
 def _projected(system: System, T: sparse.csr_array, kept: Int, modal: DofSet) -> System:
@@ -157,5 +122,5 @@ def _projected(system: System, T: sparse.csr_array, kept: Int, modal: DofSet) ->
             np.concatenate([system.free.node[kept], modal.node]),
             np.concatenate([system.free.direction[kept], modal.direction]),
         ),
-        autospc=DofSet(system.autospc.node[held], system.autospc.direction[held]),
+        autospc=system.autospc.take(held),
     )

@@ -113,10 +113,7 @@ def reduce_part(system: System, kept: Int, settings: ReductionSettings) -> Conde
         If the part can move while the kept DOFs are held.
     """
     K, M = system.stiffness, system.mass
-
-    def labels(rows: Int) -> list[str]:
-        return list(DofSet(system.free.node[rows], system.free.direction[rows]).labels())
-
+    labels = system.free.named
     if settings.at is not None:
         shift = eigenvalue(settings.at)
         T = craig_bampton(K - shift * M, M, kept, 0, labels=labels).transform

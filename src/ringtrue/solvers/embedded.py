@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModeSet, Norm
@@ -38,11 +38,6 @@ NOT_HELD = (
     "(SPC, springs)"
 )
 BUFFER = 4  # modes above the requested ones that derivatives converge on
-
-
-def named(free: DofSet, rows: Int) -> list[str]:
-    """Labels of some rows of the free DOFs."""
-    return list(DofSet(free.node[rows], free.direction[rows]).labels())
 
 
 class EmbeddedAnalysis:
@@ -79,12 +74,9 @@ class EmbeddedAnalysis:
         self.spins = spins
         self.progress = progress
         self.dofs: DofSet = system.dofs
-        self.pencil = Pencil(system.stiffness, system.mass, labels=self._labels)
+        self.pencil = Pencil(system.stiffness, system.mass, labels=system.free.named)
         # how many were asked for, and what was found
         self._lowest: tuple[int, EigenModes] | None = None
-
-    def _labels(self, rows: Int) -> list[str]:
-        return named(self.system.free, rows)
 
     @cached_property
     def _whole_pencil(self) -> Pencil:
@@ -92,7 +84,7 @@ class EmbeddedAnalysis:
         a = self.whole
         if a is self.system:
             return self.pencil
-        return Pencil(a.stiffness, a.mass, labels=lambda rows: named(a.free, rows))
+        return Pencil(a.stiffness, a.mass, labels=a.free.named)
 
     def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band.
@@ -139,7 +131,7 @@ class EmbeddedAnalysis:
         share, mode, row = rounding(self.system.stiffness, found, highest)
         if share < 1e-3:  # of λ
             return ""
-        at = " ".join(self._labels(np.array([row])))
+        at = " ".join(self.system.free.named(np.array([row])))
         return (
             f"; the stiffness at {at} is so large that its rounding may move mode {mode + 1} by "
             f"{50 * share:.2g} %: give less (1000 times its neighbours is stiff enough) or RBE2"
@@ -210,7 +202,7 @@ class EmbeddedAnalysis:
         rest = np.abs(self.whole.stiffness @ moved - loads).max(axis=0, initial=0.0)
         if not (rest <= RESIDUAL_LIMIT * np.abs(loads).max(axis=0, initial=0.0)).all():
             most = np.argsort(-np.abs(moved).max(axis=1))[:6]
-            raise SingularModel(named(self.whole.free, most), NOT_HELD)
+            raise SingularModel(self.whole.free.named(most), NOT_HELD)
         return np.asarray(self.whole.transform @ moved)
 
     @property

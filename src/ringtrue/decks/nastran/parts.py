@@ -34,7 +34,7 @@ from ringtrue.model.model import (
     stacked,
 )
 from ringtrue.model.references import FRAMES, NODES, REFERENCES
-from ringtrue.model.superelements import KEPT, MODAL, OMITTED, component_modes, listed_dofs
+from ringtrue.model.superelements import KEPT, MODAL, OMITTED, component_modes
 
 log = logging.getLogger(__name__)
 # PARAM that make matrices, and what they are where they are not given: all sections must agree
@@ -560,12 +560,11 @@ def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
 def _superelement(section: BulkSection, made: Sequence[BulkSection]) -> Superelement:
     """What a part is in the joined model."""
     model = section.model
-    modal = listed_dofs(model, MODAL)
-    count, highest = component_modes(model, model.case.method, modal)
+    modes = component_modes(model)
     elsewhere = np.concatenate([s.points for s in made if s is not section])
     for card in (c for c in KEPT if c in model):
         points, row = model[card].entries("ID")
-        inside = ~np.isin(points, elsewhere) & ~np.isin(points, modal.node)
+        inside = ~np.isin(points, elsewhere) & ~np.isin(points, modes.modal.node)
         why = f"it keeps an interior point of superelement {section.number}: join it by SECONCT"
         refuse_rows(model, model[card], row[inside & (section.elements.size > 0)], why)
-    return Superelement(section.number, section.elements, modal, count, highest)
+    return Superelement(section.number, section.elements, modes)
