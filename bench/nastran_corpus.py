@@ -29,7 +29,8 @@ from outcome import ROOT, Check, Peer, Report, arguments, at_most, peer_program
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck
-from ringtrue.decks.nastran.results.op2 import Op2Table, read_op2, read_tables
+from ringtrue.decks.nastran.results.modes import read_recorded_deflections
+from ringtrue.decks.nastran.results.op2 import read_op2, read_tables
 from ringtrue.errors import RingtrueError, SolverMissing
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.frames import axes, positions
@@ -188,29 +189,10 @@ def recorded_displacements(path: Path) -> dict[int, tuple[Int, Float]]:
     """Nodes (n,) and their translations (n, 3) in their displacement frames, by subcase; none in a
     file of modes.
     """
-    if path.suffix == ".h5":
-        at = "NASTRAN/RESULT/NODAL/DISPLACEMENT"
-        with h5py.File(path) as file:
-            if at not in file:
-                return {}
-            table = file[at][()]
-            domains = file["NASTRAN/RESULT/DOMAINS"][()]
-        subcase = dict(zip(domains["ID"].tolist(), domains["SUBCASE"].tolist(), strict=True))
-        rows = {subcase[i]: table[table["DOMAIN_ID"] == i] for i in np.unique(table["DOMAIN_ID"])}
-        return {k: (r["ID"], np.stack([r[c] for c in "XYZ"], axis=1)) for k, r in rows.items()}
-    out: dict[int, tuple[Int, Float]] = {}
-    for table in read_tables(path) if path.suffix == ".op2" else ():
-        if table.name.startswith("OUG") and len(table.records) > 2:
-            bodies = table.bodies()
-            for head, body in zip(bodies[::2], bodies[1::2], strict=True):
-                words = table.ints(head)
-                if (words[0] // 10, words[1]) == (1, 1):
-                    out[int(words[3])] = _translations(table, body)
-    return out
-
-
-def _translations(table: Op2Table, body: bytes) -> tuple[Int, Float]:
-    return table.ints(body).reshape(-1, 8)[:, 0] // 10, table.floats(body).reshape(-1, 8)[:, 2:5]
+    found = read_recorded_deflections(path)
+    if found is None:
+        return {}
+    return {case: (found.nodes, found.motion[:, :3, k]) for k, case in enumerate(found.cases)}
 
 
 def solved_frequencies(deck: Path, solver: ModalSolver, count: int) -> Float:

@@ -17,7 +17,7 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.decks.nastran import reader
 from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.results.modes import read_nastran_deflections
@@ -72,9 +72,13 @@ def read_deck(path: str | Path, *, units: str = "SI") -> Model:
 
 def in_units(model: Model, units: str) -> Model:
     """The model in the unit system that the user states, its time in seconds."""
+    return replace(in_seconds(model, _unit_system(units)), units=units)
+
+
+def _unit_system(units: str) -> UnitSystem:
     if units not in UNIT_SYSTEMS:
         raise ConfigError(f"units {units!r}{did_you_mean(units, UNIT_SYSTEMS)}")
-    return replace(in_seconds(model, UNIT_SYSTEMS[units]), units=units)
+    return UNIT_SYSTEMS[units]
 
 
 def open_model(model: Model) -> Opened:
@@ -556,9 +560,7 @@ def read_deflections(
     ...
     ringtrue.errors.DataError: modes.op2: no such file
     """
-    if units not in UNIT_SYSTEMS:
-        raise ConfigError(f"units {units!r}{did_you_mean(units, UNIT_SYSTEMS)}")
-    unit = UNIT_SYSTEMS[deck.units if deck else units]
+    unit = _unit_system(deck.units if deck else units)
     cases, dofs, moved = read_nastran_deflections(path, deck)
     return Deflections(
         cases, dofs.labels(), moved * (unit.length * dofs.per_length(unit.length)), deck

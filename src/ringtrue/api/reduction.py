@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -168,13 +168,13 @@ def _boundary(model: Model, nodes: Int) -> Model:
             )
         frames.append((frame, *np.zeros(3), *same[0][2], *same[0][0]))
     if frames:
-        names = ("CID", *(f"{end}{k}" for end in "ABC" for k in (1, 2, 3)))
-        made = dict(zip(names, np.array(frames).T, strict=True))
-        made["CID"] = made["CID"].astype(np.int64)
-        tables["CORD2R"] = table("CORD2R", RID=np.zeros(len(frames), dtype=np.int64), **made)
-        order = ["CID", "RID", *names[1:]]
-        tables["CORD2R"] = replace(
-            tables["CORD2R"], columns={n: tables["CORD2R"].columns[n] for n in order}
+        places = np.array([place for _, *place in frames]).T
+        names = [f"{end}{k}" for end in "ABC" for k in (1, 2, 3)]
+        tables["CORD2R"] = table(
+            "CORD2R",
+            CID=[frame for frame, *_ in frames],
+            RID=[0] * len(frames),
+            **dict(zip(names, places, strict=True)),
         )
     zero = np.zeros(at.size, dtype=np.int64)
     tables["GRID"] = table(

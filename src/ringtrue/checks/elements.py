@@ -356,11 +356,13 @@ def edge_findings(model: Model) -> Iterator[Finding]:
         count = _count_words(len(edges.flipped), "shell edge")
         where = _node_names(edges.flipped)
         yield Finding("info", f"{count} between elements of opposite normals, at nodes {where}")
-    free = set(map(tuple, edges.free.tolist()))
+    # an edge as one number
+    many = int(edges.free.max(initial=0)) + 1
+    free = edges.free @ [many, 1]
     for card in (c for c in ("CQUAD4", "CQUADR") if c in model):
         corners = model[card].stack(*_corner_fields(4))
         sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2)
-        ends = np.array([[tuple(s) in free for s in e] for e in sides.tolist()])
+        ends = np.isin(sides @ [many, 1], free) & (sides < many).all(axis=2)
         between = ends[:, :2] & ends[:, 2:]
         strips = np.flatnonzero(between.any(axis=1) & ~between.all(axis=1))
         yield from at_rows(model, card, strips, "info", _STRIP)

@@ -347,19 +347,21 @@ def read_op2_deflections(path: str | Path) -> RecordedDeflections | None:
     cases: list[int] = []
     rows = []
     frames: dict[int, int] = {}
+    basic = False
     with about(path), door(path, "OP2 file"):
-        for table in read_tables(path):
+        for table in read_tables(path, lambda name: name in _GEOMETRY | _SHAPES):
             if table.name in _GEOMETRY:
                 frames |= _frames(table)
-            elif table.name in _SHAPES and _holds(table, "statics", "displacements"):
+            elif _holds(table, "statics", "displacements"):
+                basic = table.name in _IN_BASIC
                 data = table.bodies()
                 for ident, body in zip(data[::2], data[1::2], strict=True):
                     cases.append(int(table.ints(ident)[3]))
                     rows.append(_nodes(table, body))
-                    if table.name in _IN_BASIC:
-                        frames = dict.fromkeys(rows[0][0].tolist(), 0)
         if not rows:
             return None
+        if basic:
+            frames = dict.fromkeys(rows[0][0].tolist(), 0)
         m = motions(rows, frames)
     return deflections(m, tuple(cases))
 
@@ -381,14 +383,11 @@ def read_grid_point_weight(path: str | Path) -> GridPointWeight | None:
         If the file is damaged.
     """
     for table in read_tables(path, lambda name: name.startswith("OGPWG")):
-        if not table.name.startswith("OGPWG") or len(table.records) < 3:
-            continue
-        values = table.floats(table.bodies()[1])
-        if values.size < 57:  # M0 (36), S (9), and three masses with their centres
-            continue
-        mass, _, y, z, _, x = values[45:51]
-        centre = values[36:45].reshape(3, 3) @ [x, y, z]
-        return GridPointWeight(float(mass), tuple(centre.tolist()))
+        values = table.floats(b"".join(table.bodies()[1:2]))
+        if values.size >= 57:  # M0 (36), S (9), and three masses with their centres
+            mass, _, y, z, _, x = values[45:51]
+            centre = values[36:45].reshape(3, 3) @ [x, y, z]
+            return GridPointWeight(float(mass), tuple(centre.tolist()))
     return None
 
 
