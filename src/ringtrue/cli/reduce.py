@@ -11,8 +11,8 @@ import typer
 from ringtrue.api.reduction import reduce_model
 from ringtrue.cli.model import Deck
 from ringtrue.cli.show import Json, out, progress, rows, write_json
-from ringtrue.core.arrays import Float
 from ringtrue.reduction.part import ReductionSettings
+from ringtrue.study.summary import finite
 
 
 def reduce(
@@ -60,8 +60,8 @@ def reduce(
     written = part.write(target, op4=op4)
     if json:
         names = ("frequencies", "reduced", "deviations", "captured")
-        numbers = {name: _numbers(getattr(part, name)) for name in names}
-        write_json({"kept": part.kept, "bound": part.bound, **numbers}, json)
+        numbers = {name: getattr(part, name).tolist() for name in names}
+        write_json(finite({"kept": part.kept, "bound": part.bound, **numbers}), json)
     if json != "-":
         body = [
             (i + 1, f"{f:.5g}", _text(r, ".5g"), _text(d, ".2g"), f"{100 * c:.4g}")
@@ -80,10 +80,6 @@ def reduce(
             unit = part.external.unit
             out.print(f"above SOL: ASSIGN INPUTT4='{written[-1]}', UNIT={unit}", soft_wrap=True)
     return 0
-
-
-def _numbers(values: Float) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def _text(value: float, form: str) -> str:

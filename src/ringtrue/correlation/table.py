@@ -289,7 +289,7 @@ def _discoveries(p: Float) -> Bool:
     return out
 
 
-def repeatability(table: CorrelationTable) -> float:
+def repeatability(table: CorrelationTable | None) -> float:
     """Relative standard deviation with which one test repeats the frequencies of another.
 
     The deviations of two tests have √2 times that of each. It is taken from their median,
@@ -297,17 +297,17 @@ def repeatability(table: CorrelationTable) -> float:
 
     Parameters
     ----------
-    table : CorrelationTable
-        Two tests of one structure.
+    table : CorrelationTable or None
+        Two tests of one structure; None where there is one.
 
     Returns
     -------
     float
         NaN without a pair.
     """
-    deviation = np.abs(table.fe_hz / table.test_hz - 1)
-    if not deviation.size:
+    if table is None or not len(table):
         return float("nan")
+    deviation = np.abs(table.fe_hz / table.test_hz - 1)
     return float(1.4826 * np.median(deviation) / np.sqrt(2))
 
 

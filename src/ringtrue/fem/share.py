@@ -40,14 +40,17 @@ class Share:
     summed: Callable[[Float], Float] = _alone
     gathered: Callable[[Any_], Any_] = _alone
 
+    def span(self, count: int) -> tuple[int, int]:
+        """The first of so many that are its own, and that behind its last."""
+        return count * self.number // self.size, count * (self.number + 1) // self.size
+
     def rows(self, model: Model) -> Rows | None:
         """Its rows of each element card; None for all."""
         if self.size == 1:
             return None
         rows: Rows = {}
         for card in (c for c in ELEMENTS if c in model):
-            count = len(model[card])
-            first, last = (count * k // self.size for k in (self.number, self.number + 1))
+            first, last = self.span(len(model[card]))
             if last > first:
                 rows[card] = np.arange(first, last)
         return rows

@@ -342,7 +342,7 @@ class Stages:
     @property
     def repeats(self) -> float:
         """How far one test repeats the frequencies of another, relative; NaN where there is one."""
-        return repeatability(self.compare.table) if self.compare is not None else float("nan")
+        return repeatability(self.compare.table if self.compare is not None else None)
 
     @property
     def computed(self) -> Float:

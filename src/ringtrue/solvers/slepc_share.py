@@ -34,6 +34,7 @@ from ringtrue.fem.mesh import applied
 from ringtrue.fem.parametrisation.derivatives import by_owner
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
 from ringtrue.fem.share import Share
+from ringtrue.io.files import atomic_write
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
@@ -73,9 +74,8 @@ def place(folder: Path, number: int, what: str) -> Path:
 
 def put(path: Path, content: bytes) -> None:
     """Write a file of which others wait to see the whole."""
-    part = path.with_name(f"{path.name}.part")
-    part.write_bytes(content)
-    part.rename(path)
+    with atomic_write(path) as part:
+        part.write_bytes(content)
 
 
 def failure(e: RingtrueError) -> bytes:
@@ -302,8 +302,7 @@ class ShareOfModel:
         if self.share.number == 0:
             make_file(str(path), (len(along), total))
         self.share.summed(np.zeros(1))
-        number, size = self.share.number, self.share.size
-        first, last = (total * k // size for k in (number, number + 1))
+        first, last = self.share.span(total)
         rows = sparse.csr_array(self.transform[first:last])
         cols = np.unique(rows.indices)
         motions = along @ read_npy(self._vectors)[:, cols]

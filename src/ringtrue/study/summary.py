@@ -199,7 +199,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
 def _repeats(r: Mapping[str, Any]) -> float:
     """How far one test repeats the frequencies of another, relative; NaN where there is one."""
     compare: CompareStage | None = r.get("compare")
-    return repeatability(compare.table) if compare is not None else float("nan")
+    return repeatability(compare.table if compare is not None else None)
 
 
 def _sensors(placement: SensorPlacement) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from ringtrue.fem.parametrisation.element_derivatives import (
     ElementDerivatives,
     central_differences,
     element_derivatives,
-    matrix_derivatives,
+    given_matrix_derivatives,
     moves,
 )
 from ringtrue.fem.parametrisation.interpolation import SEARCH, interpolated, learn
@@ -87,7 +87,7 @@ def affine_terms(
 def _matrix_terms(m: Mesh, parameters: ParameterSet, system: System) -> Iterator[AffineTerm]:
     """Matrices of DMIG, which are proportional to their factors."""
     for i, p in enumerate(parameters.parameters):
-        for found in matrix_derivatives(m, i, p):
+        for found in given_matrix_derivatives(m, i, p):
             sums = []
             for matrix in (found.stiffness, found.mass):
                 total = Sum(m.size)

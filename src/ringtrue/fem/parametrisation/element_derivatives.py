@@ -170,7 +170,7 @@ def element_derivatives(
         for s in p.substructures:
             yield from _common_factor(m, i, p.name, s, own)
         if share.number == 0:
-            yield from matrix_derivatives(m, i, p)
+            yield from given_matrix_derivatives(m, i, p)
 
 
 def _bundles(
@@ -443,7 +443,7 @@ def _common_factor(
             yield replace(whole, stiffness=np.zeros_like(whole.stiffness))
 
 
-def matrix_derivatives(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
+def given_matrix_derivatives(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
     """The matrices of DMIG that a parameter scales, each as one element over its DOFs in basic.
 
     Raises
