@@ -126,10 +126,7 @@ def reduce_model(
     off = 100 * (found.reduced - found.frequencies) / scale
     first = 90_000_001 + 10_000 * number  # above the numbers of a deck
     modal = np.arange(first, first + part.frequencies.size)
-    labels = DofSet(
-        np.concatenate([system.free.node[rows], modal]),
-        np.concatenate([system.free.direction[rows], 0 * modal]),
-    )
+    labels = system.free.take(rows).joined(DofSet(modal, 0 * modal))
     external = ExternalPart(
         number=number,
         points=_boundary(model, system.free.node[rows]),

@@ -84,6 +84,13 @@ class DofSet:
         """Some of them, by their places or by a mask."""
         return DofSet(self.node[at], self.direction[at])
 
+    def joined(self, others: DofSet) -> DofSet:
+        """These, and the others behind them."""
+        return DofSet(
+            np.concatenate([self.node, others.node]),
+            np.concatenate([self.direction, others.direction]),
+        )
+
     def named(self, at: Int) -> list[str]:
         """The text forms of some."""
         return list(self.take(at).labels())

@@ -144,7 +144,7 @@ class ModeSet(Displayed):
         at = [here[c] for c in channels]
         labels: DofSet | tuple[str, ...] = tuple(channels)
         if isinstance(self.labels, DofSet):
-            labels = self.labels.take(np.array(at))
+            labels = self.labels.take(np.array(at, dtype=np.int64))
         return replace(self, shapes=self.shapes[at], labels=labels)
 
 

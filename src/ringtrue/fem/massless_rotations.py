@@ -104,9 +104,8 @@ def without_massless_rotations(
     none: Int = np.empty(0, dtype=np.int64)
     if str(model.params.get("AUTOSPC", "YES")).upper() == "NO":
         rows = _unused(system, share) if model.param("ASING", 0.0) != -1 else none
-        node = np.concatenate([system.autospc.node, system.free.node[rows]])
-        direction = np.concatenate([system.autospc.direction, system.free.direction[rows]])
-        return replace(_held(system, rows), autospc=DofSet(node, direction)), DofSet(none, none)
+        held = system.autospc.joined(system.free.take(rows))
+        return replace(_held(system, rows), autospc=held), DofSet(none, none)
     rows = massless_rotations(model, system, share)
     held = system.free.take(rows)
     if rows.size:

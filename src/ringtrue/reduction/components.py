@@ -118,9 +118,6 @@ def _projected(system: System, T: sparse.csr_array, kept: Int, modal: DofSet) ->
         structural=reduced(T, system.structural),
         transform=sparse.csr_array(system.transform @ T + at_points),
         local=sparse.csr_array(sparse.vstack([system.local[kept], pick])),
-        free=DofSet(
-            np.concatenate([system.free.node[kept], modal.node]),
-            np.concatenate([system.free.direction[kept], modal.direction]),
-        ),
+        free=system.free.take(kept).joined(modal),
         autospc=system.autospc.take(held),
     )
