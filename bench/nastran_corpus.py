@@ -51,7 +51,6 @@ SINGLE = "corpus/unit"
 VERIFIED = "msc2019/system_verification"
 BAR = "msc2019/superelements/cantilever_bar"
 THREE = "msc2019/superelements/three_element_types"
-WEDGES = "CPENTA among its elements, of other strains"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +87,14 @@ CASES = (
     Case("corpus/plate_py", "plate_py.dat", "plate_py.op2"),
     Case("corpus/random", "random_test_bar_plus_tri.bdf", "random_test_bar_plus_tri.op2", 0.15),
     Case("corpus/random", "rms_tri_oesrmx1.bdf", "rms_tri_oesrmx1.op2", 0.25),
-    Case("corpus/sol_101_elements", "static_solid_shell_bar.bdf", "static_solid_shell_bar.op2", 1.5, WEDGES),
+    Case("corpus/sol_101_elements", "static_solid_shell_bar.bdf", "static_solid_shell_bar.op2", 0.01),
     Case("corpus/solid_bending", "solid_bending.bdf", "solid_bending.op2"),
     Case("corpus/wingbox", "wingbox_stitched_together-000.bdf", "wingbox_stitched_together-000.op2", 0.18),
     Case(f"{SINGLE}/bars", "pbarl_bar_100.bdf", "pbarl_bar_100.op2"),
     Case(f"{SINGLE}/cbush", "cbush.dat", "cbush.op2"),
     Case(f"{SINGLE}/pcomp", "pcomp_cquad4.bdf", "pcomp_cquad4.op2", 0.25),
     Case(f"{SINGLE}/pload4", "chexa.bdf", "chexa.op2"),
-    Case(f"{SINGLE}/pload4", "cpenta.bdf", "cpenta.op2", 11.0, "a single CPENTA bends as the beam does"),
+    Case(f"{SINGLE}/pload4", "cpenta.bdf", "cpenta.op2"),
     Case(f"{SINGLE}/pload4", "ctetra.bdf", "ctetra.op2"),
     Case(f"{SINGLE}/pload4", "ctetra10.bdf", "ctetra10.op2"),
     Case(f"{SINGLE}/pload4", "pload1.bdf", "pload1.op2"),

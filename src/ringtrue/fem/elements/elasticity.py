@@ -97,6 +97,32 @@ class Anisotropic:
     loss: Any_
 
 
+def elasticity_matrix(material: Isotropic | Anisotropic) -> Any_:
+    """Matrices (e, 6, 6) in basic, engineering shear, in the order of PAIRS."""
+    if isinstance(material, Anisotropic):
+        i, j = np.array(PAIRS).T
+        return material.tensor[:, i[:, None], j[:, None], i, j]
+    c11, c12 = solid(material.E, material.nu)
+    out = np.zeros((c11.size, 6, 6), dtype=np.result_type(c11, material.shear))
+    out[:, :3, :3] = c12[:, None, None]
+    for k in range(3):
+        out[:, k, k] = c11
+        out[:, k + 3, k + 3] = material.shear
+    return out
+
+
+def in_cartesian(gradients: Any_) -> Any_:
+    """What makes strains along natural coordinates ones of basic: (..., 6, 6), engineering shear,
+    in the order of PAIRS; from the gradients (..., 3, 3) of the coordinates, as rows.
+    """
+    i, j = np.array(PAIRS).T
+    first = gradients[..., i, :]
+    second = gradients[..., j, :]
+    rows = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
+    rows[:3] = [0.5 * row for row in rows[:3]]
+    return np.stack(rows, axis=-2)
+
+
 def is_anisotropic(model: Model, pid: Int) -> Bool:
     """Whether each PSOLID id (e,) has a MAT9."""
     if "MAT9" not in model or "PSOLID" not in model:

@@ -3,8 +3,8 @@
 CHEXA: 8 nodes with enhanced strains (Andelfinger and Ramm 1993), as in Nastran; 9 to 20
 serendipity.
 
-CPENTA: 6 nodes with incompatible modes 1 - ζ² and the three edge bubbles of the triangle; 7 to
-15 serendipity.
+CPENTA: 6 nodes as in Nastran (`wedge`), or under PARAM,RESBEND,NO with incompatible modes 1 - ζ²
+and the three edge bubbles of the triangle; 7 to 15 serendipity.
 
 CPYRAM with 5 nodes, or 6 to 13: the pyramid as a hexahedron with a face drawn together
 (Bedrosian 1992).
@@ -25,8 +25,8 @@ import numpy as np
 from scipy.special import roots_jacobi
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.fem.elements import wedge
 from ringtrue.fem.elements.elasticity import (
-    PAIRS,
     Anisotropic,
     anisotropic,
     between,
@@ -34,7 +34,9 @@ from ringtrue.fem.elements.elasticity import (
     by_normal,
     determinants,
     elastic,
+    elasticity_matrix,
     gram,
+    in_cartesian,
     incompatible,
     is_anisotropic,
     jacobian,
@@ -93,6 +95,9 @@ class Linear:
         What the dilatation is projected on, for an element without bubbles.
     enhanced : EnhancedStrains, optional
         In place of incompatible modes.
+    as_nastran : callable, optional
+        Stiffness (e, 3n, 3n) from places (e, n, 3) and material, in place of all this but under
+        PARAM,RESBEND,NO.
     """
 
     stiffness: SolidRule
@@ -101,6 +106,7 @@ class Linear:
     centre: Float | None = None
     pressure: Float | None = None
     enhanced: EnhancedStrains | None = None
+    as_nastran: Callable[[Any_, Isotropic | Anisotropic], Any_] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,7 +197,8 @@ class SolidShape:
             "inside out or too distorted (its Jacobian is not positive); check its node order: the "
             "corners go round one face, then round the opposite one, not row by row",
         )
-        K, rule = self._stiffness(x, material, present)
+        refined = m.model.param("RESBEND", 1.0) <= 0
+        K, rule = self._stiffness(x, material, present, refined)
         return ElementMatrices(
             dofs=node_dofs(nodes, 3),
             stiffness=K,
@@ -229,7 +236,7 @@ class SolidShape:
         return np.asarray((determinants(np.concatenate(points), x) <= 0).any(axis=1))
 
     def _stiffness(
-        self, x: Any_, material: Isotropic | Anisotropic, present: Bool
+        self, x: Any_, material: Isotropic | Anisotropic, present: Bool, refined: bool
     ) -> tuple[Any_, SolidRule]:
         """Stiffness and the rule for the mass; in slices that stay in the cache."""
         size = max(1, _CACHED // (3 * present.sum()) ** 2)
@@ -246,7 +253,9 @@ class SolidShape:
         for first in range(0, len(x), size):
             at = slice(first, first + size)
             some = taken(material, at)
-            if linear and lin.enhanced is not None:
+            if linear and lin.as_nastran is not None and not refined:
+                parts.append(lin.as_nastran(x[at], some))
+            elif linear and lin.enhanced is not None:
                 assert lin.centre is not None
                 parts.append(enhanced(x[at], some, rule, lin.enhanced, lin.centre))
             elif pressure is not None:
@@ -296,12 +305,9 @@ def enhanced(
     natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
     length = np.sqrt((natural * natural).sum(axis=2, keepdims=True))
     natural = natural / length  # else those of thin cells differ by decades
-    first, second = natural[:, np.array(PAIRS)[strains.pair]].transpose(2, 0, 1, 3)
-    tensor = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
-    tensor[:3] = [0.5 * t for t in tensor[:3]]
     shape = strains.values / det[:, :, None]
-    soft = np.stack(tensor, axis=1)[:, None] * shape[:, :, None]  # (e, gp, 6, m)
-    stress = (_elasticity(material)[:, None] @ soft) * (det * rule.weights)[:, :, None, None]
+    soft = in_cartesian(natural)[:, None, :, strains.pair] * shape[:, :, None]  # (e, gp, 6, m)
+    stress = elasticity_matrix(material)[:, None] @ soft * (det * rule.weights)[:, :, None, None]
     full = stress[:, :, _ENTRY].transpose(0, 1, 3, 2, 4).reshape(e, points * 3, 3 * m)
     coupling = g.transpose(0, 2, 1, 3).reshape(e, n, points * 3) @ full
     rows = (e, points * 6, m)
@@ -311,20 +317,6 @@ def enhanced(
     K[:, 3 * n :, : 3 * n] = K[:, : 3 * n, 3 * n :].swapaxes(1, 2)
     K[:, 3 * n :, 3 * n :] = soft.reshape(rows).swapaxes(1, 2) @ stress.reshape(rows)
     return condense(K, slice(3 * n), slice(3 * n, None))
-
-
-def _elasticity(material: Isotropic | Anisotropic) -> Any_:
-    """Matrices (e, 6, 6) in basic, in the order of PAIRS."""
-    if isinstance(material, Anisotropic):
-        i, j = np.array(PAIRS).T
-        return material.tensor[:, i[:, None], j[:, None], i, j]
-    c11, c12 = solid(material.E, material.nu)
-    out = np.zeros((c11.size, 6, 6), dtype=np.result_type(c11, material.shear))
-    out[:, :3, :3] = c12[:, None, None]
-    for k in range(3):
-        out[:, k, k] = c11
-        out[:, k + 3, k + 3] = material.shear
-    return out
 
 
 def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float) -> Any_:
@@ -429,13 +421,6 @@ def _penta_bubbles(p: Float) -> Float:
     return d
 
 
-def _penta_product(flat: tuple[Float, Float], along: tuple[Float, Float]) -> tuple[Float, Float]:
-    """Points (gp, 3) and weights of a triangle's times a line's."""
-    (p, w), (z, v) = flat, along
-    points = np.concatenate([np.column_stack([p, np.full(len(p), zi)]) for zi in z])
-    return points, (v[:, None] * w).ravel()
-
-
 def _penta_axes(x: Any_) -> Any_:
     """x and y in the middle surface, x from the middle of G1-G4 to that of G2-G5 (Quick Reference
     Guide, CPENTA).
@@ -443,17 +428,16 @@ def _penta_axes(x: Any_) -> Any_:
     return by_normal(between(x, [0, 3], [1, 4]), between(x, [0, 3], [2, 5]))
 
 
-_PENTA_P, _PENTA_W = _penta_product(triangle(2), line(2))
-_PENTA_RULE = SolidRule(*WEDGE.functions(1, _PENTA_P), _PENTA_W)
-_PENTA_FINE, _PENTA_FINE_W = _penta_product(triangle(5), line(3))
+_PENTA_FINE, _PENTA_FINE_W = wedge.product(triangle(5), line(3))
 _PENTA_FULL = SolidRule(*WEDGE.functions(2, _PENTA_FINE), _PENTA_FINE_W)
 PENTA = SolidShape(
     card="CPENTA",
     linear=Linear(
-        _PENTA_RULE,
-        _PENTA_RULE,
-        bubbles=_penta_bubbles(_PENTA_P),
-        centre=WEDGE.functions(1, np.array([[1 / 3, 1 / 3, 0.0]]))[1],
+        wedge.RULE,
+        wedge.RULE,
+        bubbles=_penta_bubbles(wedge.POINTS),
+        centre=wedge.CENTRE,
+        as_nastran=wedge.kernel,
     ),
     quadratic=Quadratic(
         _PENTA_FULL, _PENTA_FULL, np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE])
