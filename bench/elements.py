@@ -25,7 +25,7 @@ from test_fem_solids_accuracy import cantilever, sliding_cube
 SOLIDS = {
     "CHEXA8": (0.97, 0.0, 10.0),
     "CHEXA20": (0.97, 0.9, 0.7),
-    "CPENTA6": (0.0, 0.0, 35.0),
+    "CPENTA6": (0.97, 0.0, 20.0),
     "CPENTA15": (0.97, 0.9, 0.7),
     "CPYRAM5": (0.0, 0.0, 10.0),
     "CPYRAM13": (0.97, 0.85, 0.7),
