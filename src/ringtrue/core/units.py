@@ -8,9 +8,10 @@ from types import MappingProxyType
 from typing import Literal
 
 UnitName = Literal["SI", "mm-t-s", "mm-kg-s", "mm-kg-ms", "in-lbf-s", "ft-lbf-s"]
-# m, N; exact by definition
-_INCH = 0.0254
-_POUND_FORCE = 4.4482216152605
+# m, N, m/s²; exact by definition
+INCH = 0.0254
+POUND_FORCE = 4.4482216152605
+GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ UNIT_SYSTEMS: Mapping[str, UnitSystem] = MappingProxyType(
         "mm-t-s": UnitSystem(1e-3, 1e3),
         "mm-kg-s": UnitSystem(1e-3, 1.0),  # mN and kPa, as Siemens NX writes decks
         "mm-kg-ms": UnitSystem(1e-3, 1.0, 1e-3),
-        "in-lbf-s": UnitSystem(_INCH, _POUND_FORCE / _INCH),
-        "ft-lbf-s": UnitSystem(12 * _INCH, _POUND_FORCE / (12 * _INCH)),
+        "in-lbf-s": UnitSystem(INCH, POUND_FORCE / INCH),
+        "ft-lbf-s": UnitSystem(12 * INCH, POUND_FORCE / (12 * INCH)),
     }
 )

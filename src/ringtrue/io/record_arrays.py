@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ringtrue.errors import DataError, did_you_mean
 from ringtrue.io.foreign.arrays import read_npy as read_array
-from ringtrue.io.foreign.door import read_apart
+from ringtrue.io.foreign.door import PACKED, read_apart
 from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5, read_wave
 from ringtrue.io.record_table import (
     SAME_RATE,
@@ -27,9 +27,7 @@ from ringtrue.io.record_table import (
 )
 from ringtrue.io.times import LONG, known
 
-# bytes above which, and the compression up to which, a size is believed
-_CHECKED = 1 << 26
-_PACKED = 1000
+_CHECKED = 1 << 26  # bytes up to which a size is believed
 
 
 def read_npy(path: Path) -> RawTable:
@@ -170,7 +168,7 @@ def check_stored(data: h5py.Dataset, path: str | Path) -> None:
     """
     size = int(data.size) * data.dtype.itemsize
     stored = data.id.get_storage_size()
-    if size > _CHECKED and size > _PACKED * stored:
+    if size > _CHECKED and size > PACKED * stored:
         raise DataError(
             f"{path}: {data.name} announces {size} bytes, {stored} are stored: the file is cut "
             "or damaged"

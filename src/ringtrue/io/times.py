@@ -16,21 +16,19 @@ import numpy as np
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import UNIT
 from ringtrue.core.signals import Quantity
+from ringtrue.core.units import GRAVITY, INCH, POUND_FORCE
 from ringtrue.errors import DataError, did_you_mean
 
-G = 9.80665  # standard gravity, m/s^2
-_INCH = 0.0254
 _DEGREE = float(np.pi / 180)
-_POUND = 4.4482216152605  # N
 _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
     "acceleration": {
         "m/s^2": 1.0,
         "mm/s^2": 1e-3,
-        "g": G,
-        "mg": 1e-3 * G,
-        "ug": 1e-6 * G,
-        "in/s^2": _INCH,
-        "ft/s^2": 12 * _INCH,
+        "g": GRAVITY,
+        "mg": 1e-3 * GRAVITY,
+        "ug": 1e-6 * GRAVITY,
+        "in/s^2": INCH,
+        "ft/s^2": 12 * INCH,
         "cm/s^2": 1e-2,
         "gal": 1e-2,
     },
@@ -40,20 +38,20 @@ _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
         "mm/s": 1e-3,
         "um/s": 1e-6,
         "nm/s": 1e-9,
-        "in/s": _INCH,
-        "ft/s": 12 * _INCH,
+        "in/s": INCH,
+        "ft/s": 12 * INCH,
     },
     "displacement": {
         "m": 1.0,
         "cm": 1e-2,
-        "in": _INCH,
-        "ft": 12 * _INCH,
-        "mil": 1e-3 * _INCH,
+        "in": INCH,
+        "ft": 12 * INCH,
+        "mil": 1e-3 * INCH,
         "mm": 1e-3,
         "um": 1e-6,
         "nm": 1e-9,
     },
-    "force": {"n": 1.0, "kn": 1e3, "lbf": _POUND},
+    "force": {"n": 1.0, "kn": 1e3, "lbf": POUND_FORCE},
     "rotation": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6},
     "angular velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE},
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
@@ -61,8 +59,8 @@ _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
         "n*m": 1.0,
         "kn*m": 1e3,
         "n*mm": 1e-3,
-        "lbf*in": _POUND * _INCH,
-        "lbf*ft": _POUND * 12 * _INCH,
+        "lbf*in": POUND_FORCE * INCH,
+        "lbf*ft": POUND_FORCE * 12 * INCH,
     },
     "strain": {"strain": 1.0, "ustrain": 1e-6},
     "unknown": {"v": 1.0, "mv": 1e-3, "pa": 1.0},

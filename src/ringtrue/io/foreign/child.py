@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from ringtrue.io.foreign.door import DAMAGE
+from ringtrue.io.foreign.door import DAMAGE, PACKED
 
 # a parser is imported where it is used: a start with all of them takes twice the time
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ _PAGES = Path("/proc/self/statm")  # Linux
 _SAME_FILE = "."  # the name that a virtual data set has for its own file
 # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
 _WHOLE = 1 << 26
-# times that a data set may be larger than its file: records of constants are packed 200 times
-_PACKED = 1000
 _NUMBER = 8  # bytes that a number takes once it is read, however small it is stored
 _LATER = 5  # seconds that the parent's clock has to stop this process before its own does
 
@@ -169,7 +167,7 @@ def _hdf5(path: str) -> str:
                 elif others := _stored_elsewhere(item):
                     outside.append(f"the samples of {item.name} stand in {others[0]}")
                 elif (item.size or 0) * max(item.dtype.itemsize, _NUMBER) > max(
-                    _WHOLE, _PACKED * size
+                    _WHOLE, PACKED * size
                 ):
                     raise MemoryError(
                         f"{item.name} announces shape {item.shape}, the file holds {size} bytes"

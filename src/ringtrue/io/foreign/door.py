@@ -30,6 +30,8 @@ from ringtrue.errors import DataError, InputError, RingtrueError
 from ringtrue.io.files import existing
 
 MEGABYTE = 1 << 20
+# times that a data set may be larger than its file: records of constants are packed 200 times
+PACKED = 1000
 DAMAGE = (  # all that the parsers were seen to raise in 10^6 damaged files
     ArithmeticError,
     AssertionError,
