@@ -56,6 +56,12 @@ def test_results_show_themselves_with_units() -> None:
     assert "frequencies [Hz]" in html
     assert "2.2399" in html
     assert fe.proof in html
+    assert f"proof: {fe.proof}" in str(fe).splitlines()
+    pairs = rt.correlate(fe.at(["2+X", "4+X"]), fe).table
+    head, first = str(pairs).splitlines()[1:3]
+    assert head.split()[:5] == ["#", "test", "fe", "test", "[Hz]"]
+    assert first.split()[:4] == ["1", "1", "1", "2.2399"]
+    assert "deviation [%]" in head
     assert "rate [Hz]" in rt.TimeHistory(np.zeros((1, 9)), 8.0, (rt.Channel("1+Z"),))._repr_html_()
 
 

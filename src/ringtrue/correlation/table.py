@@ -5,13 +5,15 @@ Which frequency deviations are beyond what the uncertainty of test and model all
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
+from ringtrue.core.display import Displayed
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.errors import InputError
@@ -39,7 +41,7 @@ class CorrelationRow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrelationTable(FrozenArrays):
+class CorrelationTable(Displayed, FrozenArrays):
     """Paired modes side by side.
 
     Attributes
@@ -57,6 +59,14 @@ class CorrelationTable(FrozenArrays):
         What the two sets are called.
     """
 
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "test_hz": "Hz",
+        "fe_hz": "Hz",
+        "deviation_percent": "%",
+        "mac_percent": "%",
+        "subspace_mac_percent": "%",
+    }
+
     pairing: Pairing
     test_hz: Float
     fe_hz: Float
@@ -69,6 +79,12 @@ class CorrelationTable(FrozenArrays):
 
     def __len__(self) -> int:
         return int(self.test_hz.size)
+
+    def displayed(self) -> Mapping[str, Any]:
+        """The pairs."""
+        pairs = {"test": self.pairing.a + 1, "fe": self.pairing.b + 1}
+        names = (*self.UNITS, "used")
+        return pairs | {name: getattr(self, name) for name in names}
 
     @property
     def frequency_only(self) -> bool:
