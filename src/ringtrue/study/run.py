@@ -24,6 +24,7 @@ import numpy as np
 from ringtrue import __version__
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.side_by_side import Workers, checked_workers
 from ringtrue.decks.nastran.editor import refuse_copy
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.io.files import absence, one_run, reads, writes
@@ -178,6 +179,7 @@ def run_study(
     out: Path | None = None,
     first: str | None = None,
     until: str | None = None,
+    workers: Workers | None = None,
     progress: Progress = quiet,
 ) -> StudyRun:
     """Run a study from its toml file.
@@ -193,6 +195,8 @@ def run_study(
         the store.
     until : str, optional
         The last stage to run.
+    workers : int or str, optional
+        In place of [study] workers.
     progress : callable
         Called with the fraction done and a text.
 
@@ -206,6 +210,9 @@ def run_study(
         If another run has the folder.
     """
     config = read_config(study)
+    if workers is not None:
+        info = config.study.model_copy(update={"workers": checked_workers(workers)})
+        config = config.model_copy(update={"study": info})
     text = study.read_text(encoding="utf-8")
     folder = out or study.parent
     session = Session(config, study.parent, folder, Store(folder / "study.h5"))
