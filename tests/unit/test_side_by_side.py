@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.side_by_side import Workers, checked_workers, side_by_side
+from ringtrue.core.side_by_side import Workers, checked_workers, reached, side_by_side
 from ringtrue.errors import ConfigError, InputError, SingularModel, SolverError, SolverMissing
 
 
@@ -99,8 +99,9 @@ def test_no_scheduler_and_no_number_are_refused(monkeypatch: pytest.MonkeyPatch)
         with pytest.raises(ConfigError, match="a number of processes from 1 on"):
             checked_workers(wrong)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SolverMissing, match=r"pip install .ringtrue\[cluster\]"):
-        list(side_by_side(partial(product, Large()), CASES, "tcp://nowhere:8786"))
+    for ask in (reached, partial(side_by_side, partial(product, Large()), CASES)):
+        with pytest.raises(SolverMissing, match=r"pip install .ringtrue\[cluster\]"):
+            list(ask("tcp://nowhere:8786"))  # type: ignore[operator]
 
 
 INTERRUPTED = """

@@ -12,7 +12,7 @@ import numpy as np
 from ringtrue.api.models import open_model, read_deck
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress, part, quiet
-from ringtrue.core.side_by_side import Workers, checked_workers
+from ringtrue.core.side_by_side import Workers, checked_workers, reached
 from ringtrue.decks.nastran.editor import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.errors import ConfigError
 from ringtrue.model.edit import field_changes
@@ -146,7 +146,8 @@ def update_study(
         raise ConfigError(
             f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]"
         )
-    workers = checked_workers(config.study.workers if asked.workers is None else asked.workers)
+    given = config.study.workers if asked.workers is None else asked.workers
+    workers = reached(checked_workers(given))
     base = study.parent
     model = read_deck(base / config.model.deck, units=config.model.units)
     if on_deck is not None:

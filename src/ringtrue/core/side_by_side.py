@@ -52,6 +52,23 @@ def checked_workers(given: Workers) -> Workers:
     )
 
 
+def reached(workers: Workers) -> Workers:
+    """The same, once the scheduler of an address answers: that it does not is found before the
+    work.
+
+    Raises
+    ------
+    ConfigError
+        If no scheduler answers, or it has no worker.
+    SolverMissing
+        If dask.distributed is not installed.
+    """
+    if isinstance(workers, str):
+        with _cluster(workers):
+            return workers
+    return workers
+
+
 def side_by_side(
     function: Callable[[Case, Progress], Result],
     cases: Mapping[str, Case],
