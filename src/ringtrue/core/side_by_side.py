@@ -113,9 +113,9 @@ def side_by_side(
         return
     known = _written(list(shared), (), "what the cases share")
     tasks = [_written((function, case), shared, name) for name, case in cases.items()]
-    where = f"on {workers} workers" if isinstance(workers, int) else f"at {workers}"
-    progress(0.0, f"side by side {where}: {', '.join(cases)}")
     local = isinstance(workers, int)
+    where = f"on {workers} workers" if local else f"at {workers}"
+    progress(0.0, f"side by side {where}: {', '.join(cases)}")
     with _processes(min(int(workers), count)) if local else _cluster(str(workers)) as (pool, share):
         held = share(known)
         futures = [pool.submit(work_on, held, task) for task in tasks]

@@ -566,7 +566,8 @@ def multi_start(
     ends = list(side_by_side(follow, cases, settings.workers, part(progress, 0.0, 0.8), models))
     found = {i: s for i, s in enumerate(ends) if isinstance(s, Solution)}
     if not found:
-        raise NumericalError(f"none of {count} starts could be solved; {ends[-1]}")
+        why = ends[-1] if ends else "none given"
+        raise NumericalError(f"none of {count} starts could be solved; {why}")
     best = sorted(found, key=lambda i: found[i].cost)[: settings.finish]
     unfinished = [i for i in best if not found[i].outcome.ok]
     cases = {f"start {i + 1} goes on": found[i].y for i in unfinished}
