@@ -42,7 +42,7 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.solvers.matrices import MatrixModel, ObservedMatrices
 from ringtrue.updating.problem import Configuration, Problem
-from ringtrue.updating.solver import Method, Solution, multi_start, solve
+from ringtrue.updating.solver import Method, Solution, StartSettings, multi_start, solve
 from ringtrue.updating.strategy import solve_verified
 from ringtrue.updating.target import Target, Weights
 
@@ -166,7 +166,7 @@ def many_starts(matrices: MatrixModel, rows: Int, seed: int, starts: int) -> Run
     model = matrices.reduced(observation, MODES + SPARE, parameters=parameters)
     low, high = parameters.bounds()
     points = rng.uniform(low, high, (starts, low.size))
-    found = multi_start(one(model, search), points, Method(), iterations=ITERATIONS, finish=FINISH)
+    found = multi_start(one(model, search), points, Method(), StartSettings(ITERATIONS, FINISH))
     done = refined(model, full, target, found.best.x)[0]
     seconds = time.process_time() - begin
     near = np.abs(found.ends - truth).mean(axis=1) < 0.2

@@ -19,6 +19,7 @@ RingtrueError
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -26,6 +27,10 @@ from difflib import get_close_matches
 
 class RingtrueError(Exception):
     """Base of every error that ringtrue raises on purpose."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """As it is, whatever it was made from: it may come from another process."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class InputError(RingtrueError, ValueError):

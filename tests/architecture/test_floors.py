@@ -31,6 +31,7 @@ SIDEWAYS = {
     ("plots", "viewer"),
 }
 THIRD_PARTY = {  # above numpy and scipy, which every floor may use
+    "core": {"distributed"},  # work of every floor runs side by side
     "decks": {"h5py"},
     "io": {"h5py", "nptdms", "openpyxl", "pyuff"},
     "eigen": {"pymklpardiso", "rslab"},

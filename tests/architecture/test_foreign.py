@@ -37,6 +37,7 @@ ALLOWED = {
     ("solvers/wire.py", "json.loads"): "runs without ringtrue; a pipe of its parent or child",
     ("solvers/wire.py", "numpy.load"): "runs without ringtrue; a file of its own",
     ("solvers/slepc.py", "pickle"): "writes what its ranks read, in a folder of its own",
+    ("core/side_by_side.py", "pickle"): "what this process and its workers have written",
     ("solvers/slepc_share.py", "pickle"): "files of its parent, in a folder of that",
     ("io/delimited.py", "numpy.loadtxt"): "lines of text that the reader has taken apart",
 }

@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ import small_study
 from ringtrue.checks.materials import whole_mass
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.response import frf
@@ -24,7 +24,7 @@ from ringtrue.io.modes import read_modes, write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import direct
-from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.objective import Minimisation
 from ringtrue.updating.problem import Problem
 from ringtrue.updating.strategy import Verified
 
@@ -95,10 +95,10 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
 ) -> None:
     well = direct._on_basis
 
-    def poor(problem: Problem, u: UpdateSection, *rest: Any) -> Verified:
+    def poor(problem: Problem, how: Minimisation, progress: Progress) -> Verified:
         """From the deck alone, as if it had ended there without any pair."""
-        done = well(problem, u, *rest)
-        if u.starts > 1:
+        done = well(problem, how, progress)
+        if how.settings.starts > 1:
             return done
         c, x = problem.configurations[0], 0 * done.solution.x
         none = replace(c, target=replace(c.target, fixed=(np.zeros((0, 2), dtype=np.int64), ())))
@@ -112,6 +112,19 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
     np.testing.assert_allclose(factors, list(small_study.TRUTH.values()), rtol=0.01)
+
+
+def test_starts_on_two_workers_end_where_those_of_one_process_do(
+    capsys: Capture, folder: Path
+) -> None:
+    (folder / "study.toml").write_text(f"{STUDY}[update]\nstarts = 3\n")
+    one = call(capsys, folder, "--json", "-")
+    status, out, err = call(capsys, folder, "--workers", "2", "--json", "-")
+    assert (status, out) == one[:2]
+    assert "side by side on 2 workers: start 1 of 3, start 2 of 3, start 3 of 3" in err
+    status, _, err = call(capsys, folder, "--workers", "two")
+    assert status == 2
+    assert "workers 'two': a number of processes from 1 on, or the address" in " ".join(err.split())
 
 
 def turned_sheet() -> str:

@@ -98,6 +98,21 @@ def test_the_updating_minds_the_modes_of_the_solver(done: StudyRun) -> None:
     assert table.mean_deviation() < 0.2 * done.results["correlate"].initial.mean_deviation()
 
 
+def test_two_workers_take_as_many_runs_to_the_same_factors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(registry.BUILT_IN, "outside", Outside)
+    toml = asked(small_study.FULL, "outside").replace("[update]", "[update]\niterations = 4")
+    toml += '[[set]]\nname = "two"\ncandidates = ["columns 1", "columns 2"]\n'
+    study = small_study.write_study(tmp_path, toml, ambient=False)
+    one = run_study(study, until="update").results["update"]
+    two = run_study(study, first="update", until="update", workers=2).results["update"]
+    assert two.runs == one.runs > 0
+    for a, b in zip(one.sets, two.sets, strict=True):
+        np.testing.assert_array_equal(a.factor, b.factor)
+        np.testing.assert_array_equal(a.history.path, b.history.path)
+
+
 def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: StudyRun) -> None:
     real = done.session.initial.analysis.modes(ModesRequest(3)).modes.frequencies
     for stage in (done.results["model"].modes, done.results["correlate"].fe_initial):

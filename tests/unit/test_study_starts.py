@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import small_study
 
+from ringtrue.core.iterate import Progress
 from ringtrue.study.results import FinishedSet
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.stages import update
@@ -20,14 +21,13 @@ from ringtrue.study.stages import update
 def poor(lost: int, good: str) -> Any:
     """The updating, as if it had ended at the deck with `lost` modes without partner.
 
-    Not so where the argument `good` is given: `u`, the settings of further starts, or `factors`,
-    those of the proposal.
+    Not so of what is `good`: the further starts, or that from the proposal.
     """
     well = update.update_reduced
 
-    def ended(*given: Any, **named: Any) -> FinishedSet:
-        done = well(*given, **named)
-        if named.get(good) is not None:
+    def ended(case: update.SetUpdate, progress: Progress) -> FinishedSet:
+        done = well(case, progress)
+        if case.name.endswith(good):
             return done
         result = replace(
             done.result,
@@ -43,7 +43,7 @@ def updated(folder: Path) -> StudyRun:
     return run_study(small_study.write_study(folder, ambient=False), until="update")
 
 
-@pytest.mark.parametrize("good", ["u", "factors"], ids=["further starts", "proposal"])
+@pytest.mark.parametrize("good", ["further starts", "proposal"])
 def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good: str
 ) -> None:
@@ -60,6 +60,6 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
 
 
 def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(update, "update_reduced", poor(lost=0, good="u"))
+    monkeypatch.setattr(update, "update_reduced", poor(lost=0, good="further starts"))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

@@ -22,7 +22,7 @@ from ringtrue.reduction.parametric import reduced_model
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import Minimisation
 from ringtrue.updating.problem import Configuration, Problem
-from ringtrue.updating.solver import latin_hypercube, multi_start, solve
+from ringtrue.updating.solver import StartSettings, latin_hypercube, multi_start, solve
 from ringtrue.updating.strategy import solve_verified
 from ringtrue.updating.target import Target, Weights
 
@@ -67,7 +67,7 @@ def test_starts_find_both_mirror_images_and_shapes_leave_one() -> None:
     low_ends = several.ends[several.costs < 1e-3]
     assert {tuple(np.round(e, 2)) for e in low_ends} == {(0.6, 0.1, -0.5), (-0.5, 0.1, 0.6)}
     assert set(several.minimum[several.costs < 1e-3].tolist()) == {0, 1}
-    one = multi_start(problem(1.0), starts, iterations=10, finish=4)
+    one = multi_start(problem(1.0), starts, settings=StartSettings(10, 4))
     np.testing.assert_allclose(one.best.x, TRUTH, atol=1e-4)
     assert one.share > 0.5
 

@@ -30,7 +30,14 @@ from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.updating.problem import Configuration, Problem, residual_at, single
 from ringtrue.updating.residuals.modal import Frequencies, Mac, Shapes
-from ringtrue.updating.solver import Kind, Method, latin_hypercube, multi_start, solve
+from ringtrue.updating.solver import (
+    Kind,
+    Method,
+    StartSettings,
+    latin_hypercube,
+    multi_start,
+    solve,
+)
 from ringtrue.updating.strategy import solve_verified
 from ringtrue.updating.target import Target, Weights
 
@@ -196,7 +203,7 @@ def test_concrete_frame_is_recovered_where_a_mode_hardly_moves_the_sensors(seed:
     starts = rng.uniform(low, high, (20, 12))
     method = Method("levenberg-marquardt")
     found = multi_start(
-        Problem((Configuration(reduced, search),)), starts, method, iterations=15, finish=6
+        Problem((Configuration(reduced, search),)), starts, method, StartSettings(15, 6)
     )
     near = solve_verified(
         Problem((Configuration(reduced, aim),)), start=found.best.y, tolerance=1e-8
@@ -221,7 +228,7 @@ def test_concrete_frame_is_recovered_on_a_reduced_basis() -> None:
     rng = np.random.default_rng(0)
     starts = np.vstack([np.zeros(12), latin_hypercube(parameters, 4, rng)])
     method = Method("levenberg-marquardt")
-    found = multi_start(problem, starts, method, iterations=15, finish=2)
+    found = multi_start(problem, starts, method, StartSettings(15, 2))
     done = solve_verified(problem, start=found.best.y, tolerance=1e-8)
     np.testing.assert_allclose(
         done.solution.x, truth, atol=1e-3

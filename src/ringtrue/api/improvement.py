@@ -341,7 +341,7 @@ def update(
         )
     problem = Problem(tuple(configurations), every, loss=LOSSES[u.loss])
     if len(configurations) == 1:
-        done = solved(problem, u, seed, None, progress)
+        done = solved(problem, Minimisation(u, seed), progress)
         solution = done.solution
         final = done.problem
         error = done.error

@@ -17,6 +17,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, elastic
+from ringtrue.core.side_by_side import Workers
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -188,6 +189,7 @@ def run_study(
     out: str | Path | None = None,
     first: str | None = None,
     until: str | None = None,
+    workers: Workers | None = None,
     progress: Progress = quiet,
 ) -> Study:
     """Run a study: what is up to date is taken from `study.h5`, the rest is computed.
@@ -202,6 +204,8 @@ def run_study(
         Where the results go; the folder of the study if not given.
     first, until : str, optional
         The first stage that is run anew, and the last one that is run.
+    workers : int or str, optional
+        Processes side by side, or the address of a dask scheduler; in place of `[study] workers`.
 
     Raises
     ------
@@ -211,7 +215,9 @@ def run_study(
         If a file that the study names is missing or wrong.
     """
     folder = None if out is None else Path(out)
-    run = runs.run_study(Path(path), out=folder, first=first, until=until, progress=progress)
+    run = runs.run_study(
+        Path(path), out=folder, first=first, until=until, workers=workers, progress=progress
+    )
     deliver(run)
     return Study(run.folder, run)
 

@@ -12,6 +12,7 @@ import numpy as np
 from ringtrue.api.models import open_model, read_deck
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress, part, quiet
+from ringtrue.core.side_by_side import Workers, checked_workers, reached
 from ringtrue.decks.nastran.editor import edit_fields, refuse_copy, refuse_unwritable
 from ringtrue.errors import ConfigError
 from ringtrue.model.edit import field_changes
@@ -29,6 +30,7 @@ from ringtrue.study.direct import (
 )
 from ringtrue.study.measured_data import Data
 from ringtrue.study.messages import held_sentences
+from ringtrue.study.objective import Minimisation
 from ringtrue.study.placing import seat_words, seats_json
 from ringtrue.study.results import Seat
 from ringtrue.study.summary import finite
@@ -59,6 +61,8 @@ class UpdateRequest:
         The solver; that of the study if empty.
     time_limit : float, s, optional
         Longest run of an engine that is another program.
+    workers : int or str, optional
+        That starts are spread over; those of the study if not given.
     """
 
     leave_out: str = ""
@@ -67,6 +71,7 @@ class UpdateRequest:
     checkpoint: Path | None = None
     engine: str = ""
     time_limit: float | None = None
+    workers: Workers | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +146,8 @@ def update_study(
         raise ConfigError(
             f"{study}: an updating needs a [model] with a deck and at least one [[candidate]]"
         )
+    given = config.study.workers if asked.workers is None else asked.workers
+    workers = reached(checked_workers(given))
     base = study.parent
     model = read_deck(base / config.model.deck, units=config.model.units)
     if on_deck is not None:
@@ -170,8 +177,13 @@ def update_study(
         problem, data, places = direct_problem(
             opened, config, target=target, modes=modes, base=base, engine=runner
         )
-    seed = config.study.seed if asked.seed is None else asked.seed
-    done = solved(problem, config.update, seed, asked.checkpoint, part(progress, 0.3, 1.0))
+    how = Minimisation(
+        settings=config.update,
+        seed=config.study.seed if asked.seed is None else asked.seed,
+        checkpoint=asked.checkpoint,
+        workers=workers,
+    )
+    done = solved(problem, how, part(progress, 0.3, 1.0))
     return FittedStudy(
         config=config,
         model=model,

@@ -178,6 +178,15 @@ def one_of(option: str, allowed: Iterable[str], what: str, otherwise: str = "") 
     )
 
 
+SideBySide = Annotated[
+    str | None,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        help="Processes side by side, or a dask scheduler: tcp://host:8786.",
+        show_default="that of the study, or 1",
+    ),
+]
 Units = Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")]
 Tolerance = Annotated[
     float | None,

@@ -11,6 +11,7 @@ from ringtrue.api.studies import open_study, run_study
 from ringtrue.cli.show import (
     ExitStatus,
     Json,
+    SideBySide,
     err,
     out,
     progress,
@@ -90,6 +91,7 @@ def run(
         str | None,
         typer.Option("--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}."),
     ] = None,
+    workers: SideBySide = None,
     json: Json = None,
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
@@ -103,7 +105,9 @@ def run(
     """
     try:
         with progress("study") as show:
-            done = run_study(study, out=folder, first=first, until=until, progress=show)
+            done = run_study(
+                study, out=folder, first=first, until=until, workers=workers, progress=show
+            )
     except KeyboardInterrupt:
         err.print("stopped: the stages that were finished are stored, the same command resumes")
         return ExitStatus.STOPPED

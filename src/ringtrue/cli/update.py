@@ -10,7 +10,17 @@ import typer
 
 from ringtrue.api.study_update import SIDES, UpdateRequest, update_json, update_study
 from ringtrue.cli.model import TimeLimit
-from ringtrue.cli.show import Json, err, out, progress, rows, tell, warn_of_units, write_json
+from ringtrue.cli.show import (
+    Json,
+    SideBySide,
+    err,
+    out,
+    progress,
+    rows,
+    tell,
+    warn_of_units,
+    write_json,
+)
 from ringtrue.core.digits import number, with_error
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
@@ -114,6 +124,7 @@ def update(
         ),
     ] = None,
     time_limit: TimeLimit = None,
+    workers: SideBySide = None,
     json: Json = None,
 ) -> int:
     """Update a model to test modes: factors with their uncertainty, deviations before and after,
@@ -131,6 +142,7 @@ def update(
         checkpoint=checkpoint,
         engine=solver_name or "",
         time_limit=time_limit,
+        workers=workers,
     )
     with progress("updating") as show:
         show(0.0, "reading")

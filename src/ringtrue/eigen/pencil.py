@@ -266,6 +266,10 @@ class Pencil:
         self._strengthened = False
         self.shift = np.nan
 
+    def __getstate__(self) -> dict[str, object]:
+        """Without the factor, which is of this process; another makes it anew."""
+        return self.__dict__ | {"_factor": None, "_strengthened": False, "shift": np.nan}
+
     @property
     def size(self) -> int:
         """Number of rows."""

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from ringtrue.core.parameters import CardField, Parameter
+from ringtrue.core.side_by_side import Workers, checked_workers
 from ringtrue.core.units import UnitName
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.errors import did_you_mean
@@ -218,6 +219,8 @@ class StudyInfo(StudySection):
     """A paragraph or more for the report."""
     seed: int = 0
     """Of all random numbers."""
+    workers: int | str = 1
+    """Processes side by side, or the address of a dask scheduler: "tcp://host:8786"."""
     use: str = ""
     """What the model is for, as it follows "validated for"."""
     client: str = ""
@@ -230,6 +233,11 @@ class StudyInfo(StudySection):
     """Who signs for the check."""
     approved_by: str = ""
     """Who signs for the release."""
+
+    @field_validator("workers")
+    @classmethod
+    def _some(cls, value: Workers) -> Workers:
+        return checked_workers(value)
 
 
 class ModelSection(StudySection):

@@ -32,7 +32,6 @@ from ringtrue.reduction.parametric import (
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig
-from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.measured_data import (
     Data,
     Measured,
@@ -246,36 +245,34 @@ def _sheet(opened: Opened, config: StudyConfig, base: Path) -> SensorSheet | Non
     return replace(sheet, model=found.move(sheet.model))
 
 
-def solved(
-    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
-) -> Verified:
+def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
     """As a study updates a set of parameters, on a basis verified by full solutions.
 
     From further starts, too, where used modes that the model has are left without partner; the end
     of lower J.
     """
     model = problem.configurations[0].model
+    u = how.settings
     if isinstance(model, FullModel):  # on modes that a solver finds anew at each point
-        course = course_of_runs(u)
-        end = Minimisation(u, seed, course, show, checkpoint).run(problem, show)
+        # its runs are counted where they are started
+        how = replace(how, course=course_of_runs(u), steps=show, workers=1)
+        end = how.run(problem, show)
         return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
-    done = _on_basis(problem, u, seed, checkpoint, show)
+    done = _on_basis(problem, how, show)
     more = further_starts(u)
-    if more is None or checkpoint is not None or not displaced(problem, done.solution.end):
+    if more is None or how.checkpoint or not displaced(problem, done.solution.end):
         return done
     show(0.5, "modes without partner: further starts")
     try:
-        other = _on_basis(problem, more, seed, checkpoint, show)
+        other = _on_basis(problem, replace(how, settings=more), show)
     except NumericalError:  # the end from the deck stands
         return done
     return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
 
 
-def _on_basis(
-    problem: Problem, u: UpdateSection, seed: int, checkpoint: Path | None, show: Progress
-) -> Verified:
+def _on_basis(problem: Problem, how: Minimisation, show: Progress) -> Verified:
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
-        end = Minimisation(u, seed, checkpoint=checkpoint).run(p, show, start=y)
+        end = how.run(p, show, start=y)
         return end.solution, end.problem
 
     return solve_verified(problem, solved=at, tolerance=AGREE, progress=show)

@@ -12,6 +12,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import elastic
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.side_by_side import Workers
 from ringtrue.errors import DataError
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config import StudyConfig
@@ -32,7 +33,15 @@ from ringtrue.updating.residuals.modal import (
     Weighted,
 )
 from ringtrue.updating.residuals.static import RigidMass
-from ringtrue.updating.solver import Method, Solution, latin_hypercube, multi_start, solve, staged
+from ringtrue.updating.solver import (
+    Method,
+    Solution,
+    StartSettings,
+    latin_hypercube,
+    multi_start,
+    solve,
+    staged,
+)
 from ringtrue.updating.strategy import Course, Settled
 from ringtrue.updating.strategy import settled as settled_from
 from ringtrue.updating.target import Target, Weights
@@ -64,11 +73,6 @@ def target(c: StudyConfiguration, u: UpdateSection | None = None) -> Target:
         followed=known,
         frequency_only=test.frequency_only,
     )
-
-
-def targets(session: Session, u: UpdateSection | None = None) -> tuple[Target, ...]:
-    """Those of all configurations."""
-    return tuple(target(c, u) for c in session.configurations)
 
 
 def problem_of(
@@ -209,6 +213,8 @@ class Minimisation:
         Progress of the steps.
     checkpoint : Path, optional
         Where the last iterate is kept.
+    workers : int or str
+        That several starts are spread over.
     """
 
     settings: UpdateSection
@@ -216,6 +222,7 @@ class Minimisation:
     course: Course | None = None
     steps: Progress | None = None
     checkpoint: Path | None = None
+    workers: Workers = 1
 
     def run(self, problem: Problem, progress: Progress, start: Float | None = None) -> Settled:
         """The end of an updating from a start that the gates have led to, or from where they
@@ -238,15 +245,8 @@ class Minimisation:
         if u.starts > 1:
             more = latin_hypercube(problem.parameters, u.starts - 1, rng)
             starts = np.vstack([np.zeros(problem.size), more])
-            found = multi_start(
-                problem,
-                starts,
-                method,
-                iterations=limit,
-                finish=FINISHED_STARTS,
-                progress=progress,
-            )
-            return found.best
+            settings = StartSettings(limit, FINISHED_STARTS, self.workers)
+            return multi_start(problem, starts, method, settings, progress=progress).best
         members = problem.parameters.names
         grown = [[n for n in stage if n in members] for stage in u.stages]
         grown = [g for g in grown if g and len(g) < len(members)]

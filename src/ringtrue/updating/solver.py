@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -18,8 +19,9 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Float, FrozenArrays, Int
-from ringtrue.core.iterate import Outcome, Progress, iterate
+from ringtrue.core.iterate import Outcome, Progress, iterate, part, quiet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.side_by_side import Workers, side_by_side
 from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
 from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.parsers import read_json
@@ -520,26 +522,34 @@ def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generat
     return low + unit * (high - low)
 
 
-def multi_start(
-    problem: Problem,
-    starts: Float,
-    method: Method | None = None,
-    *,
-    iterations: int = 60,
-    finish: int = 0,
-    progress: Progress | None = None,
-) -> MultiStart:
-    """Solve from each of the starts (n, q); a start that cannot be solved is reported, not raised.
+@dataclass(frozen=True, slots=True)
+class StartSettings:
+    """How far several starts are followed.
 
-    Parameters
+    Attributes
     ----------
-    problem : Problem
-    starts : (n, q) float64
-    method : Method, optional
     iterations : int
         Limit for each start.
     finish : int
         How many of the best that have not converged by then go on for ten times as long.
+    workers : int or str
+        That they are spread over.
+    """
+
+    iterations: int = 60
+    finish: int = 0
+    workers: Workers = 1
+
+
+def multi_start(
+    problem: Problem,
+    starts: Float,
+    method: Method | None = None,
+    settings: StartSettings | None = None,
+    *,
+    progress: Progress = quiet,
+) -> MultiStart:
+    """Solve from each of the starts (n, q); a start that cannot be solved is reported, not raised.
 
     Raises
     ------
@@ -547,32 +557,47 @@ def multi_start(
         If none can be solved.
     """
     method = method or Method()
-    found: dict[int, Solution] = {}
-    why = "none given"
-    for i, y in enumerate(starts):  # over starts
-        try:
-            found[i] = solve(problem, method, start=y, iterations=iterations)
-        except (NumericalError, SolverError) as e:
-            why = str(e)
-        if progress is not None:
-            progress((i + 1) / len(starts), f"start {i + 1} of {len(starts)}")
+    settings = settings or StartSettings()
+    limit = settings.iterations
+    count = len(starts)
+    models = [c.model for c in problem.configurations]
+    cases = {f"start {i + 1} of {count}": y for i, y in enumerate(starts)}
+    follow = partial(_from_start, problem, method, limit)
+    ends = list(side_by_side(follow, cases, settings.workers, part(progress, 0.0, 0.8), models))
+    found = {i: s for i, s in enumerate(ends) if isinstance(s, Solution)}
     if not found:
-        raise NumericalError(f"none of {len(starts)} starts could be solved; {why}")
-    for i in sorted(found, key=lambda i: found[i].cost)[:finish]:
-        if not found[i].outcome.ok:
-            found[i] = solve(problem, method, start=found[i].y, iterations=10 * iterations)
-    costs = np.full(len(starts), np.inf)
-    ends = np.full((len(starts), problem.size), np.nan)
+        why = ends[-1] if ends else "none given"
+        raise NumericalError(f"none of {count} starts could be solved; {why}")
+    best = sorted(found, key=lambda i: found[i].cost)[: settings.finish]
+    unfinished = [i for i in best if not found[i].outcome.ok]
+    cases = {f"start {i + 1} goes on": found[i].y for i in unfinished}
+    follow = partial(_from_start, problem, method, 10 * limit)
+    more = side_by_side(follow, cases, settings.workers, part(progress, 0.8, 1.0), models)
+    for i, s in zip(unfinished, more, strict=True):
+        if isinstance(s, Solution):
+            found[i] = s
+    costs = np.full(count, np.inf)
+    points = np.full((count, problem.size), np.nan)
     for i, s in found.items():
         costs[i] = s.cost
-        ends[i] = s.y
+        points[i] = s.y
     return MultiStart(
         starts=starts,
-        ends=ends,
+        ends=points,
         costs=costs,
-        minimum=_minima(problem, ends, costs),
+        minimum=_minima(problem, points, costs),
         best=min(found.values(), key=lambda s: s.cost),
     )
+
+
+def _from_start(
+    problem: Problem, method: Method, limit: int, start: Float, _progress: Progress
+) -> Solution | str:
+    """The solution from a start, or why there is none."""
+    try:
+        return solve(problem, method, start=start, iterations=limit)
+    except (NumericalError, SolverError) as e:
+        return str(e)
 
 
 def _minima(problem: Problem, ends: Float, costs: Float) -> Int:

@@ -12,6 +12,7 @@ from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.side_by_side import side_by_side
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
@@ -247,14 +248,18 @@ def _remodelling(
 
 
 def correlate_configurations(session: Session, progress: Progress) -> ConfigurationsStage:
-    """Identify or read the modes of each configuration, and correlate its deck with them."""
-    items = []
-    n = len(session.others)
-    for i, c in enumerate(session.others):
-        of_this = part(progress, i / n, (i + 1) / n)
-        of_this(0.0, f"configuration {c.name}")
-        items.append(_correlated(c, of_this))
-    return ConfigurationsStage(tuple(items))
+    """Identify or read the modes of each configuration, side by side where there are workers, and
+    correlate its deck with them.
+    """
+    tests = {}
+    for c in session.others:
+        assert c.section is not None
+        _check_parameters(c)
+        one = _with_test_of(session, c.section)
+        tests[f"configuration {c.name}"] = (one, c.section)
+    found = side_by_side(_test_modes, tests, session.config.study.workers, progress)
+    each = zip(session.others, found, strict=True)
+    return ConfigurationsStage(tuple(_correlated(c, *test) for c, test in each))
 
 
 def configuration_files(session: Session) -> list[Path]:
@@ -282,16 +287,18 @@ def _with_test_of(session: Session, section: ConfigurationSection) -> Session:
     return Session(config, session.base, session.out, session.store)
 
 
-def _correlated(c: StudyConfiguration, progress: Progress) -> ConfiguredTest:
+def _parameters(c: StudyConfiguration) -> tuple[ParameterSet, ParameterSet]:
+    """All candidates and suspensions, and those that the deck of a configuration has."""
+    config = c.session.config
+    every = ParameterSet((*config.candidates().parameters, *config.suspensions().parameters))
+    return every, carried(c.deck.model, every)
+
+
+def _correlated(
+    c: StudyConfiguration, reference: ReferenceModes, test: TestModel | None, source: str
+) -> ConfiguredTest:
     session = c.session
-    section = c.section
-    assert section is not None
-    given = (*session.config.candidates().parameters, *session.config.suspensions().parameters)
-    parameters = ParameterSet(given)
-    mine = carried(c.deck.model, parameters)
-    _check_parameters(c, parameters, mine)
-    reference, test, source = _test_modes(session, section, part(progress, 0.0, 0.7))
-    progress(0.8, f"modes of the deck of {c.name}")
+    every, mine = _parameters(c)
     fe = session.seen(c.deck, test, reference.elastic)
     return ConfiguredTest(
         name=c.name,
@@ -303,33 +310,34 @@ def _correlated(c: StudyConfiguration, progress: Progress) -> ConfiguredTest:
         fe_initial=fe,
         carried=mine.names,
         sensors=sensor_placement(session, c.deck, test, reference.elastic),
-        notes=_field_differences(session.remodelled.model, c.deck.model, parameters, mine),
+        notes=_field_differences(session.remodelled.model, c.deck.model, every, mine),
     )
 
 
 def _test_modes(
-    session: Session, section: ConfigurationSection, progress: Progress
+    tested: tuple[Session, ConfigurationSection], progress: Progress
 ) -> tuple[ReferenceModes, TestModel | None, str]:
-    """The test modes, the sheet, and where they come from in words."""
-    at = _with_test_of(session, section)
+    """The test modes of a configuration, the sheet, and where they come from in words."""
+    at, section = tested
     if section.log is not None:
-        with about(session.base / section.log):
+        with about(at.base / section.log):
             done = identify.run(at, progress)
             found = reference_modes(done, at.config)
         return found, done.test, f"{len(found.elastic)} modes of {len(done.records)} records"
-    path = session.base / str(section.modes)
+    path = at.base / str(section.modes)
     found = reference_of_file(path, at.config)
     source = f"{len(found.elastic)} modes of {path.name}"
     if section.sheet is None:
         return found, None, source
-    test = read_sensor_sheet(session.base / section.sheet).model
+    test = read_sensor_sheet(at.base / section.sheet).model
     elastic, notes = modes_by_sheet(found.elastic, test, path)
     rigid, _ = modes_by_sheet(found.rigid, test, path)
     return replace(found, elastic=elastic, rigid=rigid), test, "; ".join((source, *notes))
 
 
-def _check_parameters(c: StudyConfiguration, every: ParameterSet, mine: ParameterSet) -> None:
+def _check_parameters(c: StudyConfiguration) -> None:
     """A deck that carries no candidate, or one that cannot be scaled, is found before the work."""
+    every, mine = _parameters(c)
     if len(every) and not len(mine):
         cards = sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets})
         raise ConfigError(

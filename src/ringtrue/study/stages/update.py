@@ -6,8 +6,8 @@ One parameter set updated over all configurations, on reduced models or by runs 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +16,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.iterate import Progress, part
+from ringtrue.core.side_by_side import side_by_side
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import NumericalError
 from ringtrue.model.edit import carried, field_value
@@ -31,7 +32,6 @@ from ringtrue.study.objective import (
     further_starts,
     problem_of,
     target,
-    targets,
     terms_of,
 )
 from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
@@ -61,53 +61,52 @@ from ringtrue.updating.target import Target, match
 USUAL_RUNS = 60  # of an updating, for the progress that is shown
 
 
-def update_reduced(
-    session: Session,
-    name: str,
-    members: Sequence[str],
-    progress: Progress,
-    u: UpdateSection,
-    factors: Mapping[str, float] | None = None,
-) -> FinishedSet:
-    """Update on the reduced models of all configurations until the full ones agree at the end
-    point.
+@dataclass(frozen=True, slots=True, eq=False)
+class SetUpdate:
+    """The updating of one parameter set: all that it takes, in this process or another.
 
-    Parameters
+    Attributes
     ----------
     name : str
         Of the set.
-    members : sequence of str
-    u : UpdateSection
-        [update] of the study, or what the set has in its place.
-    factors : mapping of str to float, optional
-        Of the members, where it starts; [update] says where if not given.
+    problem : Problem
+        Over its parameters.
+    how : Minimisation
+    start : (p,) float64, optional
+        Where it starts; [update] says where if not given.
+    """
+
+    name: str
+    problem: Problem
+    how: Minimisation
+    start: Float | None = None
+
+
+def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
+    """Update on the reduced models of all configurations until the full ones agree at the end
+    point.
 
     Raises
     ------
     NotConverged
         If a reduced model does not follow its full one.
     """
-    models = list(session.models(progress))
-    y: Float | None = None
-    if factors is not None:
-        y = session.chosen(members).vector(factors)
-    how = Minimisation(u, session.config.study.seed)
+    problem = case.problem
+    y = case.start
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        problem = problem_of(session, [over(m, members) for m in models], u)
-        end = how.run(problem, progress, start=y)
+        end = case.how.run(problem, progress, start=y)
         path += end.path[1:] if path else end.path
         y = end.solution.y
-        models, error = _verified(models, members, end.solution)
+        problem, error = _verified(problem, end.solution)
         if error < CLOSE:
             break
     if error >= CLOSE:
         raise not_verified(error)
-    problem = problem_of(session, [over(m, members) for m in models], u)
-    end = how.run(problem, progress, start=y)
+    end = case.how.run(problem, progress, start=y)
     whole = replace(end, path=(*path, *end.path[1:]))
-    result = summary(problem, targets(session, u), name, whole)
+    result = summary(problem, case.name, whole)
     return FinishedSet(result, displaced(problem, end.solution.end), 0)
 
 
@@ -183,22 +182,20 @@ def over(model: AtChannels, members: Sequence[str]) -> AtChannels:
     )
 
 
-def _verified(
-    models: Sequence[AtChannels], members: Sequence[str], done: Solution
-) -> tuple[list[AtChannels], float]:
-    """The models with their full solutions at the end, and the largest frequency error that they
-    had there.
+def _verified(problem: Problem, done: Solution) -> tuple[Problem, float]:
+    """The problem on models that hold their full solutions at the end, and the largest frequency
+    error that they had there.
     """
-    at = dict(zip(members, done.x.tolist(), strict=True))
+    at = dict(zip(problem.parameters.names, done.x.tolist(), strict=True))
     better = []
     errors = []
-    for m in models:
-        active = over(m, members)
-        fresh, error = verified(active, np.array([at[n] for n in active.parameters.names]))
-        count = len(m.parameters)
-        better.append(fresh.with_parameters(range(count), np.zeros(count)))
+    for c in problem.configurations:
+        assert isinstance(c.model, AtChannels)
+        x = np.array([at[n] for n in c.model.parameters.names])
+        fresh, error = verified(c.model, x)
+        better.append(replace(c, model=fresh))
         errors.append(error)
-    return better, max(errors)
+    return replace(problem, configurations=tuple(better)), max(errors)
 
 
 def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
@@ -236,8 +233,9 @@ def left_out_deviation(aims: Sequence[Target], ends: Sequence[Linearisation]) ->
     return percent(np.mean, error, np.ones(error.size, dtype=bool))
 
 
-def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -> SetResult:
+def summary(problem: Problem, name: str, end: Settled) -> SetResult:
     """The updated set as it is compared with others."""
+    aims = [c.target for c in problem.configurations]
     done = end.solution
     path = end.path
     p = problem.parameters
@@ -279,13 +277,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
     )
 
 
-def update_by_runs(
-    session: Session,
-    name: str,
-    members: Sequence[str],
-    progress: Progress,
-    u: UpdateSection,
-) -> FinishedSet:
+def update_by_runs(case: SetUpdate, progress: Progress) -> FinishedSet:
     """Update on the full decks of all configurations. A run that fails at a trial point is a
     rejected step.
 
@@ -294,18 +286,17 @@ def update_by_runs(
     SolverError
         If the solver is missing, or fails at the start.
     """
-    models = [_full(c, members) for c in session.configurations]
-    problem = problem_of(session, models, u)
+    problem = case.problem
+    models = [c.model for c in problem.configurations if isinstance(c.model, FullModel)]
 
     def steps(_fraction: float, text: str) -> None:
         runs = sum(m.ledger.runs for m in models)
         done = runs / (runs + USUAL_RUNS)
-        progress(done, f"{name}: {text}, {runs} runs of {session.deck.solver}")
+        progress(done, f"{case.name}: {text}, {runs} runs of {models[0].solver.name}")
 
-    how = Minimisation(u, session.config.study.seed, course_of_runs(u), steps)
+    how = replace(case.how, course=course_of_runs(case.how.settings), steps=steps)
     end = how.run(problem, progress)
-    result = summary(problem, targets(session, u), name, end)
-    return FinishedSet(result, 0, sum(m.ledger.runs for m in models))
+    return FinishedSet(summary(problem, case.name, end), 0, sum(m.ledger.runs for m in models))
 
 
 def _full(c: StudyConfiguration, members: Sequence[str]) -> FullModel:
@@ -449,44 +440,83 @@ def choose_sets(session: Session, progress: Progress) -> SensitivityStage:
     )
 
 
+def _updated(
+    session: Session, sets: Mapping[str, Sequence[str]], progress: Progress
+) -> Iterator[FinishedSet]:
+    """Sets of parameters updated, side by side where there are workers; a single one has these for
+    its starts.
+    """
+    if not sets:
+        return
+    named = {s.name: s for s in session.config.set}
+    workers = session.config.study.workers
+    # the runs of a solver are counted where they are started
+    one_by_one = len(sets) > 1 or session.engine is not None
+    cases = {}
+    for name, members in sets.items():
+        u = session.config.update
+        u = named[name].settings(u) if name in named else u
+        how = Minimisation(u, session.config.study.seed, workers=1 if one_by_one else workers)
+        problem = _problem(session, members, u, progress)
+        cases[f"updating: {name}"] = SetUpdate(name, problem, how)
+    if session.engine is not None:
+        yield from side_by_side(update_by_runs, cases, workers, progress)
+        return
+    models = [m.model for m in session.models(progress)]
+    shared = [large for m in models for large in (m.system, m.basis, m.pencil)]
+    yield from side_by_side(update_reduced, cases, workers, progress, shared)
+
+
+def _problem(
+    session: Session, members: Sequence[str], u: UpdateSection, progress: Progress
+) -> Problem:
+    """The objective over a set of parameters, on reduced models or by runs of a solver."""
+    if session.engine is not None:
+        return problem_of(session, [_full(c, members) for c in session.configurations], u)
+    return problem_of(session, [over(m, members) for m in session.models(progress)], u)
+
+
 def update_sets(session: Session, progress: Progress) -> UpdateStage:
     """Update every set, verify each by a full solution, choose by the information criterion."""
-    sets: SensitivityStage = session.get("sensitivity")
+    members: dict[str, tuple[str, ...]] = session.get("sensitivity").sets
     named = {s.name: s for s in session.config.set}
     kept = FinishedSets.of(session.out, session.keys["update"])
-    results: list[SetResult] = []
+    first = {}  # of the sets with the same parameters, unless they weigh data otherwise
+    plain: dict[frozenset[str], str] = {}
+    for name, some in members.items():
+        otherwise = name in named and named[name].own()
+        first[name] = name if otherwise else plain.setdefault(frozenset(some), name)
+    found = {n: done for n in first.values() if (done := kept.get(n)) is not None}
+    todo = {n: members[n] for n in first.values() if n not in found}
+    for name, fresh in zip(todo, _updated(session, todo, progress), strict=True):
+        found[name] = kept.put(name, fresh)
+    results: dict[str, SetResult] = {}
     runs = 0
     lost: dict[str, int] = {}  # used modes without partner that the model has
-    for i, (name, members) in enumerate(sets.sets.items()):
-        of_set = part(progress, i / len(sets.sets), (i + 1) / len(sets.sets))
-        of_set(0.0, f"updating: {name}")
-        section = named.get(name)
-        words = section.words() if section else ""
-        same = [r for r in results if set(r.parameters) == set(members) and not r.settings]
-        if same and not words:  # two rules, one choice
-            results.append(replace(same[0], name=name))
+    for i, (name, same) in enumerate(first.items()):
+        if same != name:  # two rules, one choice
+            progress(i / len(first), f"updating: {name}, as {same}")
+            results[name] = replace(results[same], name=name)
             continue
-        done = kept.get(name)
-        if done is None:
-            u = section.settings(session.config.update) if section else session.config.update
-            update = update_reduced if session.engine is None else update_by_runs
-            done = kept.put(name, update(session, name, members, of_set, u))
-        results.append(replace(done.result, settings=words))
+        done = found[name]
+        words = named[name].words() if name in named else ""
+        results[name] = replace(done.result, settings=words)
         runs += done.runs
         lost[name] = done.lost
     own = session.config.update
-    comparable = [r.name not in named or named[r.name].comparable(own) for r in results]
-    chosen = _lowest_criterion(results, comparable)
-    if results[chosen].parameters and lost.get(results[chosen].name):
-        results = _with_further_starts(session, results, chosen, progress)
-        chosen = _lowest_criterion(results, comparable)
+    sets = list(results.values())
+    comparable = [r.name not in named or named[r.name].comparable(own) for r in sets]
+    chosen = _lowest_criterion(sets, comparable)
+    if sets[chosen].parameters and lost.get(sets[chosen].name):
+        sets = _with_further_starts(session, sets, chosen, progress)
+        chosen = _lowest_criterion(sets, comparable)
     kept.clear()
-    results[chosen] = best = _without_unmoved(session, results[chosen])
+    sets[chosen] = best = _without_unmoved(session, sets[chosen])
     why = WHY.format(name=best.name, value=best.fit.criterion)
     why += ALL_TESTS if session.others else ""
     why += "" if all(comparable) else OTHER
     return UpdateStage(
-        sets=tuple(results),
+        sets=tuple(sets),
         chosen=chosen,
         why=why,
         initial_values=_field_values(session, best, np.ones(len(best.parameters))),
@@ -556,11 +586,15 @@ def _with_further_starts(
         starts.append(("from the proposal", own, at))
     if more is not None:
         starts.append(("further starts", more, None))
+    info = session.config.study
     for what, u, factors in starts:
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
+        problem = _problem(session, best.parameters, u, progress)
+        how = Minimisation(u, info.seed, workers=info.workers)
+        y = None if factors is None else session.chosen(best.parameters).vector(factors)
         try:
-            done = update_reduced(session, name, best.parameters, progress, u=u, factors=factors)
+            done = update_reduced(SetUpdate(name, problem, how, y), progress)
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue
