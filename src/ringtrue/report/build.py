@@ -230,7 +230,6 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
         viewer_style=asset("viewer.css"),
         viewer_script=asset("viewer.js"),
         plotly=get_plotlyjs() if figures.plots else "",
-        expected=len(figures.plots) + len(figures.views),
         version=__version__,
         plots=figures.plots,
         views=figures.views,

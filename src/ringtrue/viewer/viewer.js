@@ -9,7 +9,8 @@
   const MESH_F = "#version 300 es\nprecision highp float;in vec3 vP;in vec4 vC;in float vD;out vec4 o;uniform float uColor;" + RAMP +
     "void main(){vec3 n=normalize(cross(dFdx(vP),dFdy(vP)));float l=.62+.38*abs(dot(n,normalize(vec3(.25,.35,.9))));" +
     "vec3 c=uColor>.5?ramp(clamp(vD,0.,1.)):vC.rgb;o=vec4(c*l,vC.a);}";
-  // A line is a quad of constant width on the screen, drawn by instancing.
+  // A line is a quad of constant width on the screen: two triangles, as instances take software renderers a millisecond each.
+  const QUAD = [0, -0.5, 1, -0.5, 0, 0.5, 0, 0.5, 1, -0.5, 1, 0.5];
   const LINE_V = HEAD + "in vec2 aQ;in vec3 aA,aB,aDA,aDB,aIA,aIB;in vec4 aC;out vec4 vC;uniform vec2 uSize;uniform float uWide,uLift;" +
     "void main(){vec4 a=uM*vec4(aA+uAmp*(uCos*aDA-uSin*aIA),1.),b=uM*vec4(aB+uAmp*(uCos*aDB-uSin*aIB),1.);" +
     "vec2 d=(b.xy/b.w-a.xy/a.w)*uSize;float n=length(d);d=n>1e-6?d/n:vec2(1.,0.);" +
@@ -54,10 +55,7 @@
       }
       return out;
     };
-    const quad = gl.createBuffer();
-    gl.bindBuffer(gl.ARRAY_BUFFER, quad);
-    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([0, -0.5, 1, -0.5, 0, 0.5, 1, 0.5]), gl.STATIC_DRAW);
-    shared = { canvas, gl, quad, mesh: program(MESH_V, MESH_F), line: program(LINE_V, FLAT_F), point: program(POINT_V, FLAT_F) };
+    shared = { canvas, gl, mesh: program(MESH_V, MESH_F), line: program(LINE_V, FLAT_F), point: program(POINT_V, FLAT_F) };
     return shared;
   }
 
@@ -308,9 +306,11 @@
         if (count) this.parts.push({ kind, count, buffers: ids, ...look });
       };
       const segments = (xyz, index, re, im, colors, look) => {
-        const n = index.length / 2, a = index.filter((_, k) => k % 2 === 0), b = index.filter((_, k) => k % 2 === 1), zero = new Float32Array(3 * n);
-        const pick = (v, i) => (v ? gather(v, i, new Float32Array(3 * n)) : zero);
-        add("line", n, { aA: pick(xyz, a), aB: pick(xyz, b), aDA: pick(re, a), aDB: pick(re, b), aIA: pick(im, a), aIB: pick(im, b), aC: colors(n) }, look);
+        const n = index.length / 2, m = 6 * n, zero = new Float32Array(3 * m), color = colors(n);
+        const every = (k) => Math.floor(k / 6), a = Uint32Array.from({ length: m }, (_, k) => index[2 * every(k)]), b = a.map((_, k) => index[2 * every(k) + 1]);
+        const pick = (v, i) => (v ? gather(v, i, new Float32Array(3 * m)) : zero);
+        const aQ = Float32Array.from({ length: 2 * m }, (_, k) => QUAD[k % 12]), aC = Float32Array.from({ length: 4 * m }, (_, k) => color[4 * every(k >> 2) + k % 4]);
+        add("line", m, { aQ, aC, aA: pick(xyz, a), aB: pick(xyz, b), aDA: pick(re, a), aDB: pick(re, b), aIA: pick(im, a), aIB: pick(im, b) }, look);
       };
       const plain = (c, alpha = 1) => (n) => { const out = new Float32Array(4 * n); for (let k = 0; k < n; k++) out.set([...c, alpha], 4 * k); return out; };
       if (this.xyz) this.uploadSkin(add, segments, plain);
@@ -441,7 +441,7 @@
     }
 
     paintPart(p, w, h, ratio, phase, amp) {
-      const { gl, quad } = this.ctx, prog = this.ctx[p.kind], u = prog.u;
+      const { gl } = this.ctx, prog = this.ctx[p.kind], u = prog.u;
       gl.useProgram(prog.p);
       gl.uniformMatrix4fv(u.uM, false, this.view.M);
       if (u.uR) gl.uniformMatrix4fv(u.uR, false, this.view.R);
@@ -460,20 +460,12 @@
         gl.bindBuffer(gl.ARRAY_BUFFER, id);
         gl.enableVertexAttribArray(at);
         gl.vertexAttribPointer(at, size, gl.FLOAT, false, 0, 0);
-        gl.vertexAttribDivisor(at, p.kind === "line" ? 1 : 0);
         bound.push(at);
       }
       gl.depthMask(p.kind !== "mesh" || p.solid);
-      if (p.kind === "line") {
-        gl.bindBuffer(gl.ARRAY_BUFFER, quad);
-        gl.enableVertexAttribArray(prog.a.aQ);
-        gl.vertexAttribPointer(prog.a.aQ, 2, gl.FLOAT, false, 0, 0);
-        gl.vertexAttribDivisor(prog.a.aQ, 0);
-        bound.push(prog.a.aQ);
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, p.count);
-      } else gl.drawArrays(p.kind === "mesh" ? gl.TRIANGLES : gl.POINTS, 0, p.count);
+      gl.drawArrays(p.kind === "point" ? gl.POINTS : gl.TRIANGLES, 0, p.count);
       gl.depthMask(true);
-      for (const at of bound) { gl.vertexAttribDivisor(at, 0); gl.disableVertexAttribArray(at); }
+      bound.forEach((at) => gl.disableVertexAttribArray(at));
     }
   }
 
