@@ -313,14 +313,16 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
 
     A dotted stretch: the shapes have so little in common that the mode may be another one.
     """
-    steps = ("initial", "remodelled", "final", "test")
+    between = ("remodelled",) if len(tracks.index) > 2 else ()
+    steps = ("initial", *between, "final", "test")
+    last = len(steps) - 1
     fig = figure(
         460,
         showlegend=False,
         xaxis=axis(
-            tickvals=[0, 1, 2, 3],
+            tickvals=list(range(last + 1)),
             ticktext=list(steps),
-            range=[-0.12, 3.12],
+            range=[-0.12, last + 0.12],
             showgrid=False,
         ),
         yaxis=axis("Frequency, Hz"),
@@ -346,7 +348,7 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
         text = [f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)]
         mark = {"size": 6, "color": color}
         fig.add_scatter(
-            x=[0, 1, 2],
+            x=list(range(last)),
             y=f32(f),
             mode="markers",
             marker=mark,
@@ -357,7 +359,7 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
             look = {"width": 1.5, "color": TEST}
             ends = f32(np.array([pair.fe_hz, pair.test_hz]))
             fig.add_scatter(
-                x=[2, 3],
+                x=[last - 1, last],
                 y=ends,
                 mode="lines+markers",
                 line=look,

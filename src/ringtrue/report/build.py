@@ -83,6 +83,11 @@ TEST_SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     summary.provenance,
 )
 
+# what the short report shows of either
+SHORT = frozenset(
+    ("conclusion", "summary", "identification", "updating", "final", "uncertainty", "prediction")
+)
+
 DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
 # nodes that are drawn of a model
 FEWEST = 3000
@@ -220,11 +225,13 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     body = env.get_template("body.html.j2").render(
         data=data,
         sections=sections,
+        short=SHORT,
         figures=figures,
     )
     return env.get_template("report.html.j2").render(
         data=data,
         sections=sections,
+        short=SHORT,
         body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
         viewer_style=asset("viewer.css"),

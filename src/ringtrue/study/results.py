@@ -81,7 +81,7 @@ class Evidence:
     auto_mac : (a, a) float64
         Of the first set.
     tracks : Tracks, optional
-        FE modes followed by their shapes at the channels: final, remodelled, initial.
+        FE modes followed by their shapes at the channels: final, remodelled if it was, initial.
     frfs : FrfEvidence, optional
     """
 
@@ -321,6 +321,8 @@ class RecordSummary:
         None where the record is listed alone.
     channel_notes : tuple of Note
         On channels.
+    hits : tuple of int
+        Those kept, and all; zeros where none were sought.
     """
 
     name: str
@@ -334,6 +336,7 @@ class RecordSummary:
     setup: str = ""
     preview: RecordPreview | None = None
     channel_notes: tuple[Note, ...] = ()
+    hits: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

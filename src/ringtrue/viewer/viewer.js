@@ -261,8 +261,22 @@
         this.tim = new Float32Array(3 * n);
         for (let p = 0; p < n; p++) for (let c = 0; c < 3; c++) { this.tre[3 * p + c] = both[6 * p + c]; this.tim[3 * p + c] = both[6 * p + 3 + c]; }
       }
+      else if (this.fe && this.txyz) this.tre = this.withModel();
       this.upload();
       this.draw();
+    }
+
+    // Where the test has no such mode its points move as the nearest node of the model.
+    withModel() {
+      const xyz = this.xyz, nearest = Uint32Array.from({ length: this.txyz.length / 3 }, (_, p) => {
+        let least = Infinity, best = 0;
+        for (let k = 0; k < xyz.length / 3; k++) {
+          const d = Math.hypot(xyz[3 * k] - this.txyz[3 * p], xyz[3 * k + 1] - this.txyz[3 * p + 1], xyz[3 * k + 2] - this.txyz[3 * p + 2]);
+          if (d < least) { least = d; best = k; }
+        }
+        return best;
+      });
+      return gather(this.fe, nearest, new Float32Array(3 * nearest.length));
     }
 
     play(on) {

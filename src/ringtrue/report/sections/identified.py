@@ -88,6 +88,8 @@ def _diagram(name: str, found: IdentifiedModes) -> list[Block]:
         f"{name}: poles by model order over singular values of the spectrum, and their damping. "
         "Filled marks: natural modes; open ones: doubtful modes and harmonics."
     )
+    if not len(found) + len(found.others):
+        return [Text(f"{name}: no mode found."), *_account(found.account)]
     figure = plots.identification_figure(found.diagram, most=DRAWN, height=600)
     return [Plot(figure, text), *_account(found.account)]
 

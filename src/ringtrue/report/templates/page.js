@@ -146,6 +146,16 @@
     fold.ariaPressed = !open;
     fold.textContent = open ? "Fold all sections" : "Unfold all sections";
   });
+  // report.html#short opens the short report.
+  const short = document.getElementById("short");
+  function shorten(on) {
+    document.body.classList.toggle("short-report", on);
+    short.ariaPressed = on;
+    short.textContent = on ? "Full report" : "Short report";
+    mark();
+  }
+  short.addEventListener("click", () => shorten(short.ariaPressed !== "true"));
+  shorten(location.hash === "#short");
   for (const [id, a] of links) a.addEventListener("click", () => { document.querySelector(`#${id} > details`).open = true; });
   document.addEventListener("toggle", () => fit(false), true); // what was folded missed a resize
 
@@ -159,7 +169,7 @@
     folded = [...document.querySelectorAll("details:not([open])")];
     folded.forEach((d) => { d.open = true; });
     fit(true);
-    figures.forEach((div) => draw(div, true));
+    figures.filter((div) => div.getClientRects().length).forEach((div) => draw(div, true));
     window.ringtrueStill(PAPER);
   });
   addEventListener("afterprint", () => {

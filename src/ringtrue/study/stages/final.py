@@ -121,7 +121,8 @@ def deliver_final(session: Session, progress: Progress) -> FinalStage:
     rests_on = elastic_evidence(session, opened, reference, fe, table)
     if rests_on is not None:
         count = int(table.pairing.b.max(initial=-1)) + 1
-        tracks = followed(fe, before.fe_remodelled, before.fe_initial, count)
+        remodelled = () if before.remodelling is None else (before.fe_remodelled,)
+        tracks = followed((fe, *remodelled, before.fe_initial), count)
         rests_on = replace(rests_on, tracks=tracks)
     progress(0.8, "frequency responses")
     frfs = _frfs(c, ModelModes(opened, fe, zeta))
