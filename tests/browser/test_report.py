@@ -292,6 +292,27 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
 
 
 @needs_browser
+def test_the_short_report_leaves_out_what_is_folded(full: Path, tmp_path: Path) -> None:
+    seen = (
+        "[...document.querySelectorAll('main > section')].filter(s => s.getClientRects().length)"
+        ".map(s => s.id)"
+    )
+    with chromium.page(tmp_path / "profile") as opened:
+        opened.call("Page.navigate", url=f"{full.as_uri()}#short")
+        assert opened.until("window.ringtrueDrawn === 0")
+        short = ["conclusion", "summary", "final", "uncertainty", "prediction"]
+        assert opened.evaluate(seen) == short
+        opened.evaluate(PRINT)
+        assert opened.evaluate(f"window.ringtrueDrawn < {EXPECTED} / 2")
+        assert not opened.evaluate(
+            "[...document.querySelectorAll('details:not(.whole)')].some(d => d.checkVisibility())"
+        )
+        opened.evaluate("document.getElementById('short').click()")
+        assert opened.evaluate(seen) == ids(full)
+        assert opened.complaints() == []
+
+
+@needs_browser
 def test_fits_the_paper(page: chromium.Page) -> None:
     pdf = page.call(
         "Page.printToPDF",

@@ -97,7 +97,7 @@ def test_modes_are_followed_through_the_change(done: StudyRun) -> None:
     assert tracks is not None
     index = tracks.index
     assert all(sorted(row) == list(range(index.shape[1])) for row in index.tolist())  # one to one
-    np.testing.assert_array_equal(index[1], index[2])  # no remodelling: the two are one model
+    assert len(index) == 2  # final and initial: there was no remodelling
     assert tracks.worst.min() > 0.8
 
 

@@ -454,13 +454,13 @@ def fdac(values: Float, lines: Float, title: str) -> go.Figure:
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
-    """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out
-    of the updating.
+    """Frequency deviation, MAC and subspace MAC of each test mode, one mark a stage; hollow marks
+    were left out of the updating.
     """
     alone = all(t.frequency_only for _, t in stages)
-    low = 0.0 if alone else 0.44
+    low = 0.0 if alone else 0.58
     fig = figure(
-        300 if alone else 470,
+        300 if alone else 580,
         xaxis=axis(
             type="category",
             anchor="y",
@@ -480,7 +480,14 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             anchor="y2",
             tickangle=-45,
         ),
-        yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
+        yaxis2=axis("Subspace MAC, %", domain=[0, 0.24], anchor="x2"),
+        xaxis3=axis(
+            type="category",
+            anchor="y3",
+            matches="x2",
+            showticklabels=False,
+        ),
+        yaxis3=axis("MAC, %", domain=[0.29, 0.53], anchor="x3", matches="y2"),
     )
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
     names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
@@ -503,19 +510,22 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
         if alone:
             continue
-        fig.add_scatter(
-            y=f32(table.mac_percent),
-            xaxis="x2",
-            yaxis="y2",
-            showlegend=False,
-            **drawn,
+        measures = (
+            ("MAC", table.mac_percent, "3"),
+            ("subspace MAC", table.subspace_mac_percent, "2"),
         )
-        fig.data[-1].customdata = f32(table.subspace_mac_percent)
-        fig.data[-1].hovertemplate = (
-            f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC "
-            f"%{{customdata:.1f}} %<extra>%{{x}} Hz</extra>"
-        )
-    for a in (fig.layout.xaxis, fig.layout.xaxis2):
+        for measure, percent, at in measures:
+            fig.add_scatter(
+                y=f32(percent),
+                xaxis=f"x{at}",
+                yaxis=f"y{at}",
+                showlegend=False,
+                **drawn,
+            )
+            fig.data[
+                -1
+            ].hovertemplate = f"{name}, %{{text}}: {measure} %{{y:.1f}} %<extra>%{{x}} Hz</extra>"
+    for a in (fig.layout.xaxis, fig.layout.xaxis2, fig.layout.xaxis3):
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:
         fig.layout.xaxis.update(
@@ -524,5 +534,5 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             showticklabels=True,
             tickangle=-45,
         )
-        fig.update_layout(xaxis2=None, yaxis2=None)
+        fig.update_layout(xaxis2=None, yaxis2=None, xaxis3=None, yaxis3=None)
     return fig

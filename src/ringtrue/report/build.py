@@ -83,11 +83,6 @@ TEST_SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     summary.provenance,
 )
 
-# what the short report shows of either
-SHORT = frozenset(
-    ("conclusion", "summary", "identification", "updating", "final", "uncertainty", "prediction")
-)
-
 DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
 # nodes that are drawn of a model
 FEWEST = 3000
@@ -213,6 +208,14 @@ def _environment() -> Environment:
     return env
 
 
+def _short(data: Stages) -> set[str]:
+    """The sections of the short report."""
+    if data.model is None:
+        return {"summary", "identification", "shapes"}
+    last = "initial" if data.final is None else "final"
+    return {"conclusion", "summary", last, "uncertainty", "prediction"}
+
+
 def _render(data: Stages, sections: Sequence[Section]) -> str:
     env = _environment()
     figures = _Figures()
@@ -222,16 +225,17 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     def raw(name: str) -> str:
         return source.get_source(env, name)[0]
 
+    short = _short(data)
     body = env.get_template("body.html.j2").render(
         data=data,
         sections=sections,
-        short=SHORT,
+        short=short,
         figures=figures,
     )
     return env.get_template("report.html.j2").render(
         data=data,
         sections=sections,
-        short=SHORT,
+        short=short,
         body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
         viewer_style=asset("viewer.css"),

@@ -70,6 +70,12 @@ class FrfEvidence:
     fdac_initial: Float
     fdac_final: Float
 
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Excitation points where any measure of the final model is worse than the initial one."""
+        both = zip(self.initial.by_input(), self.final.by_input(), strict=True)
+        return tuple(now.name for before, now in both if now.worse_than(before))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
@@ -978,7 +984,7 @@ class DampedConfiguration:
 class DampingStage:
     """Damping by region and by mode; None where the test says nothing of it."""
 
-    why: str  # why there is nothing; empty where there is
+    why: str  # why there is nothing, or why the regions are refused; empty where they hold
     regions: DampedRegions | None
     modes: DampedModes | None
     misfit: float  # root mean square deviation of the ratios over the error of test and model
@@ -987,6 +993,11 @@ class DampingStage:
     files: tuple[str, ...]  # of the damped deck, if it was written
     changes: tuple[str, ...]
     others: tuple[DampedConfiguration, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        """Whether the regions damp the model from here on."""
+        return self.regions is not None and not self.why
 
 
 @dataclass(frozen=True, slots=True, eq=False)
