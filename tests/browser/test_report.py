@@ -292,6 +292,31 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
 
 
 @needs_browser
+def test_a_figure_is_saved_as_picture_data_and_video(page: chromium.Page) -> None:
+    page.evaluate(PRINT)
+    page.evaluate(
+        "window.saved = {}; window.ringtrueSave = async (div, ending, blob) => "
+        "{ window.saved[ending] = await blob.text(); }; 0"
+    )
+    page.evaluate(
+        "document.querySelectorAll('#summary .modebar-group:last-child a, "
+        "#summary .modebar-group:last-child button').forEach(b => b.click())"
+    )
+    assert page.until("'png' in saved && 'svg' in saved && 'csv' in saved")
+    assert page.evaluate("saved.svg").startswith("<svg")
+    heads, first, *_ = page.evaluate("saved.csv").split("\r\n")
+    assert '"Test mode, Hz (initial)","Δf, % of the test (initial)"' in heads
+    assert re.match(r'"?1: \d+\.\d\d"?,-?\d+(\.\d+)?,', first)
+    page.evaluate("document.getElementById('shapes').scrollIntoView()")
+    page.evaluate(
+        "[...document.querySelectorAll('#shapes button')].find(b => b.textContent === 'WebM')"
+        ".click()"
+    )
+    assert page.until("'webm' in saved")
+    assert page.complaints() == []
+
+
+@needs_browser
 def test_the_short_report_leaves_out_what_is_folded(full: Path, tmp_path: Path) -> None:
     seen = (
         "[...document.querySelectorAll('main > section')].filter(s => s.getClientRects().length)"

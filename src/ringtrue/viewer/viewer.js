@@ -100,7 +100,17 @@
     return { R, M, right, up };
   }
 
+  // Saves a file named after the figure: figure-12.png.
+  window.ringtrueSave = (div, ending, blob) => {
+    const caption = div.closest("figure")?.querySelector("figcaption b"), link = document.createElement("a");
+    link.href = URL.createObjectURL(blob);
+    link.download = `${caption ? caption.textContent.toLowerCase().replace(/\s+/g, "-") : "view"}.${ending}`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  };
+
   const all = [];
+  const PACE = 0.7; // cycles of a mode in a second
   class Viewer {
     constructor(div, data) {
       Object.assign(this, { div, data, phase: 0, amp: 1, playing: false, parts: [], show: { skin: true, test: true, still: false } });
@@ -144,7 +154,8 @@
         const step = (d) => () => { const n = this.modeBox.length; this.modeBox.selectedIndex = (this.modeBox.selectedIndex + d + n) % n; this.setMode(); };
         this.playButton = button("Pause", "Play or pause", () => this.play(!this.playing));
         const amp = el("input", { type: "range", min: 0, max: 3, step: 0.02, value: 1, ariaLabel: "Amplitude", oninput: () => { this.amp = +amp.value; this.draw(); } });
-        bar.append(this.stageBox, this.modeBox, button("‹", "Previous mode", step(-1)), button("›", "Next mode", step(1)), this.playButton, el("label", {}, "Amplitude ", amp));
+        const video = button("WebM", "Save two cycles as a video", () => this.record(video));
+        bar.append(this.stageBox, this.modeBox, button("‹", "Previous mode", step(-1)), button("›", "Next mode", step(1)), this.playButton, video, el("label", {}, "Amplitude ", amp));
       }
       const box = (name, text) => {
         const c = el("input", { type: "checkbox", checked: this.show[name], onchange: () => { this.show[name] = c.checked; this.draw(); } });
@@ -157,6 +168,7 @@
       const directions = el("div", { className: "directions" });
       for (const [name, az, e] of [["3D", -1.05, 0.42], ["X", 0, 0], ["Y", -Math.PI / 2, 0], ["Z", -Math.PI / 2, Math.PI / 2]])
         directions.append(button(name, name === "3D" ? "Oblique view" : `View along ${name}`, () => { Object.assign(this.cam, { az, el: e, zoom: 1.35 }); this.pan = [0, 0]; this.draw(); }));
+      directions.append(button("PNG", "Save the picture", () => this.canvas.toBlob((png) => window.ringtrueSave(this.div, "png", png))));
       this.canvas = el("canvas", { tabIndex: 0, ariaLabel: "3D view: drag to turn, shift-drag to move, wheel to zoom" });
       this.tip = el("div", { className: "tip" });
       this.info = el("div", { className: "info" });
@@ -288,10 +300,25 @@
 
     tick(t) {
       if (!this.playing || !this.visible) return;
-      this.phase += this.last === undefined ? 0 : Math.min(t - this.last, 100) / 1000 * 2 * Math.PI * 0.7;
+      this.phase += this.last === undefined ? 0 : Math.min(t - this.last, 100) / 1000 * 2 * Math.PI * PACE;
       this.last = t;
       this.draw();
       requestAnimationFrame((u) => this.tick(u));
+    }
+
+    record(button) {
+      const video = new MediaRecorder(this.canvas.captureStream(30), { mimeType: "video/webm" }), parts = [], playing = this.playing;
+      video.ondataavailable = (e) => parts.push(e.data);
+      video.onstop = () => {
+        window.ringtrueSave(this.div, "webm", new Blob(parts, { type: "video/webm" }));
+        button.disabled = false;
+        if (!playing) this.play(false);
+      };
+      button.disabled = true;
+      this.phase = 0;
+      if (!playing) this.play(true);
+      video.start();
+      setTimeout(() => video.stop(), 2000 / PACE);
     }
 
     observe() {

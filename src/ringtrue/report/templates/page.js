@@ -6,7 +6,6 @@
   const plotData = [...document.querySelectorAll("script.plot-data")];
   const skinData = [...document.querySelectorAll("script.skin-data")];
   const viewData = [...document.querySelectorAll("script.view-data")];
-  const config = { displaylogo: false, responsive: false, displayModeBar: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
   const drawn = new Set(), near = new Set();
   // Diagrams side by side keep 230 px each; a narrow window scrolls over them.
   const abreast = (layout) => new Set(Object.keys(layout).filter((k) => /^xaxis/.test(k)).map((k) => (layout[k].domain || [0])[0])).size;
@@ -37,6 +36,48 @@
     delete trace.meta;
   }
 
+  // The data of a figure: two columns a curve, with its errors where it has any; a matrix as one.
+  function columns(div) {
+    const named = (id) => div.layout[id.replace(/[xy]/, "$&axis")] || {};
+    const title = (trace, axis) => {
+      const own = named(trace[`${axis}axis`]);
+      return own.title?.text || (own.matches && named(own.matches).title?.text) || axis;
+    };
+    const out = [];
+    for (const t of div._fullData) {
+      const x = Array.from(t.x || []), y = Array.from(t.y || []);
+      if (t.type === "heatmap") out.push([title(t, "y"), ...y], ...x.map((name, k) => [name, ...Array.from(t.z, (row) => row[k])]));
+      else if (x.some((v) => v !== null) || y.length > 1) {
+        out.push([`${title(t, "x")} (${t.name})`, ...x], [`${title(t, "y")} (${t.name})`, ...y]);
+        for (const axis of ["x", "y"]) if (t[`error_${axis}`]?.array) out.push([`± ${title(t, axis)} (${t.name})`, ...t[`error_${axis}`].array]);
+      }
+    }
+    return out;
+  }
+
+  function csv(div) {
+    const cell = (v) => (v === undefined || v === null || Number.isNaN(v) ? "" : typeof v === "number" ? String(+v.toPrecision(7)) : /[",\n]/.test(v) ? `"${String(v).replaceAll('"', '""')}"` : String(v));
+    const data = columns(div), rows = Math.max(...data.map((c) => c.length));
+    return Array.from({ length: rows }, (_, k) => data.map((c) => cell(c[k])).join(",")).join("\r\n") + "\r\n";
+  }
+
+  // Buttons with words: what each saves is seen.
+  function config() {
+    const icon = (text) => ({ svg: `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 16"><text x="15" y="13" text-anchor="middle" font-size="14" font-family="sans-serif">${text}</text></svg>` });
+    const button = (name, title, click) => ({ name, title, icon: icon(name), click });
+    const image = (format) => async (div) => {
+      const { width, height } = div._fullLayout, address = await Plotly.toImage(div, { format, width, height, scale: format === "png" ? 3 : 1 });
+      window.ringtrueSave(div, format, await (await fetch(address)).blob());
+    };
+    return {
+      displaylogo: false, responsive: false, displayModeBar: true,
+      modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"], [
+        button("PNG", "Save as PNG", image("png")), button("SVG", "Save as SVG, to be edited", image("svg")),
+        button("CSV", "Save the data", (div) => window.ringtrueSave(div, "csv", new Blob(["\ufeff", csv(div)], { type: "text/csv" }))),
+      ]],
+    };
+  }
+
   // Numbers stand in the cells of a heat map where these are wide enough for them: 15 px, beside 130 px of labels and scale.
   const numbered = (trace, width) => (width - 130 >= 15 * trace.x.length ? "%{text}" : "");
   const withNumbers = (data) => data.flatMap((t, i) => (t.type === "heatmap" && t.text ? [i] : []));
@@ -58,7 +99,7 @@
     Object.assign(spec.layout, size);
     for (const i of withNumbers(spec.data)) spec.data[i].texttemplate = numbered(spec.data[i], size.width);
     div.style.height = `${size.height}px`;
-    Plotly.newPlot(div, spec.data, spec.layout, config);
+    Plotly.newPlot(div, spec.data, spec.layout, config());
   }
 
   function drawView(div) {
