@@ -25,7 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
 from ringtrue.report.parts import fixed, number
-from ringtrue.study.config_sections import StudyInfo
+from ringtrue.study.config_sections import InstrumentSection, StudyInfo
 from ringtrue.study.results import IdentifyStage
 
 PIXEL = (
@@ -136,6 +136,25 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     assert "3 of 10 model orders show it" in text
     assert text.count("time preview and power spectral density") == 4
     assert "Not drawn: h04" in text
+
+
+def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
+    hammer = InstrumentSection(name="Hammer 5.5 kg", serial="123", channels=["F:1+Z"])
+    sensor = InstrumentSection(name="Accelerometer", calibrated="2026-03-02, K 17")
+    info = StudyInfo(title="named", names={"2": "first bending"}, instrument=[hammer, sensor])
+    page = build(stages, tmp_path / "r.html", info=info).read_text()
+    tables = re.findall(r"<table>.*?</table>", page, re.DOTALL)
+    assert sum("first bending" in t for t in tables) >= 3  # hammer test, initial, final
+    assert "Hz \u00b7 first bending" in page or "Hz \\u00b7 first bending" in page
+    listed = next(t for t in tables if "Hammer 5.5 kg" in t)
+    assert "2026-03-02, K 17" in listed
+    assert listed.count("not stated") == 1
+    with pytest.raises(ConfigError, match=r"names: no test mode 99; there are \d+"):
+        build(stages, tmp_path / "r.html", info=StudyInfo(names={"99": "lost"}))
+    with pytest.raises(ValueError, match="no number of a test mode"):
+        StudyInfo(names={"first": "bending"})
 
 
 def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def section(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data.repeats)]
+    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data)]
     if ident.merge_notes:
         blocks.append(
             Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
@@ -122,11 +122,12 @@ def _account(account: SpectrumAccount) -> list[Block]:
     return out
 
 
-def _modes(found: IdentifiedModes, caption: str, repeats: float) -> list[Block]:
+def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     """A row a mode of any class, ascending in frequency, and why some are not natural.
 
-    No frequency is known better than one test `repeats` another, relative.
+    No frequency is known better than one test repeats another.
     """
+    repeats = data.repeats
     shown = found.diagram
     unnamed = [""] * (len(found) - len(found.reasons))
     natural = iter(enumerate([*found.reasons, *unnamed], start=1))
@@ -140,6 +141,11 @@ def _modes(found: IdentifiedModes, caption: str, repeats: float) -> list[Block]:
     table = ReportTable(heads, rows, text.strip())
     if not any(shown.remarks) and not len(found.others):
         table = replace(table, heads=heads[:-2], rows=[row[:-2] for row in rows])
+    names = data.names
+    words = [names.get(f, "") for f in shown.modes.frequencies.tolist()]
+    if any(words):
+        named = [[*row, word] for row, word in zip(table.rows, words, strict=True)]
+        table = replace(table, heads=[*table.heads, "|Mode"], rows=named)
     out: list[Block] = [table]
     if notes := found.others.notes:
         both = zip(found.others.modes.frequencies.tolist(), notes, strict=True)

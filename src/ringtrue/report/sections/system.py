@@ -16,7 +16,9 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.plots import scene
 from ringtrue.plots import signals as plots
 from ringtrue.report.parts import (
+    MISSING,
     Block,
+    Cell,
     Columns,
     Fold,
     Heading,
@@ -35,6 +37,7 @@ from ringtrue.report.parts import (
     sentence,
     signs,
 )
+from ringtrue.study.config_sections import InstrumentSection
 from ringtrue.study.results import ModelStage, RecordSummary
 
 
@@ -45,8 +48,25 @@ def survey(data: Stages) -> Section | None:
         blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:
         blocks += [Heading("Tests"), *_tests(data.identify.records)]
+    if instruments := data.info.instrument:
+        blocks.append(_instruments(instruments))
     blocks += [Picture(p) for p in data.photos]
     return Section("survey", "System and tests", blocks) if blocks else None
+
+
+def _instruments(listed: Sequence[InstrumentSection]) -> ReportTable:
+    heads = ("|Instrument", "|Serial number", "|Channels", "|Sensitivity", "|Calibrated")
+    rows: list[list[str | Cell]] = [
+        [
+            i.name,
+            i.serial or MISSING,
+            ", ".join(i.channels) or MISSING,
+            i.sensitivity or MISSING,
+            i.calibrated or Cell("not stated", "warn"),
+        ]
+        for i in listed
+    ]
+    return ReportTable(heads, rows, "The instruments of the tests and their calibration.")
 
 
 def _system(model: ModelStage, computed: Float) -> ReportTable:
