@@ -65,18 +65,20 @@ def pairs(
     heads = ["#", f"{a} #", f"{b} #", f"f {a}, Hz", f"f {b}, Hz", "Δf, %", "Δf, Hz"]
     heads += ["MAC, %", "Subspace MAC, %", "Δf/σ", "|Acceptance"]
     heads += ["|Updating", "|"] if updating else ["|"]
-    names = data.names
-    named = any(f in names for f in table.all_test_hz.tolist())
-    heads += ["|Mode"] if named else []
     scatter = zip(deviations.z.tolist(), deviations.significant.tolist(), strict=True)
     every = zip(table.rows(), scatter, strict=True)
     rows = [_row(i, r, data, updating, s) for i, (r, s) in enumerate(every, start=1)]
-    if named:
-        rows = [[*row, names.get(r.test_hz, "")] for row, r in zip(rows, table.rows(), strict=True)]
     _, deviation, _, *macs = _means(table)
     foot = ["Mean, of |Δf|", deviation, "", *macs, *[""] * (len(heads) - 9)]
     text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations, floor)}"
-    return ReportTable(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
+    lead = 5
+    names = [data.names.get(r.test_hz, "") for r in table.rows()]
+    if any(names):
+        lead += 1
+        heads.insert(2, "|Mode")
+        for row, name in zip(rows, names, strict=True):
+            row.insert(2, name)
+    return ReportTable(heads, rows, text, foot if rows else (), lead=lead).without_blank("MAC")
 
 
 def _scatter(deviations: Significance, repeats: float) -> str:

@@ -144,8 +144,8 @@ def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     names = data.names
     words = [names.get(f, "") for f in shown.modes.frequencies.tolist()]
     if any(words):
-        named = [[*row, word] for row, word in zip(table.rows, words, strict=True)]
-        table = replace(table, heads=[*table.heads, "|Mode"], rows=named)
+        named = [[r[0], word, *r[1:]] for r, word in zip(table.rows, words, strict=True)]
+        table = replace(table, heads=["#", "|Mode", *table.heads[1:]], rows=named)
     out: list[Block] = [table]
     if notes := found.others.notes:
         both = zip(found.others.modes.frequencies.tolist(), notes, strict=True)
