@@ -522,9 +522,8 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
                 showlegend=False,
                 **drawn,
             )
-            fig.data[
-                -1
-            ].hovertemplate = f"{name}, %{{text}}: {measure} %{{y:.1f}} %<extra>%{{x}} Hz</extra>"
+            text = f"{name}, %{{text}}: {measure} %{{y:.1f}} %"
+            fig.data[-1].hovertemplate = f"{text}<extra>%{{x}} Hz</extra>"
     for a in (fig.layout.xaxis, fig.layout.xaxis2, fig.layout.xaxis3):
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:

@@ -208,14 +208,6 @@ def _environment() -> Environment:
     return env
 
 
-def _short(data: Stages) -> set[str]:
-    """The sections of the short report."""
-    if data.model is None:
-        return {"summary", "identification", "shapes"}
-    last = "initial" if data.final is None else "final"
-    return {"conclusion", "summary", last, "uncertainty", "prediction"}
-
-
 def _render(data: Stages, sections: Sequence[Section]) -> str:
     env = _environment()
     figures = _Figures()
@@ -225,7 +217,10 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     def raw(name: str) -> str:
         return source.get_source(env, name)[0]
 
-    short = _short(data)
+    short = {"summary", "identification", "shapes"}
+    if data.model is not None:
+        last = "initial" if data.final is None else "final"
+        short = {"conclusion", "summary", last, "uncertainty", "prediction"}
     body = env.get_template("body.html.j2").render(
         data=data,
         sections=sections,

@@ -18,6 +18,7 @@ from ringtrue.study.acceptance import Acceptance, AcceptanceCheck, in_both
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
+    DampingStage,
     FinalStage,
     PredictStage,
     SensitivityStage,
@@ -318,6 +319,9 @@ def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Q
             out.append(
                 Question("FRFs worse", {"points": points, "count": len(worse), "total": total})
             )
+    damped: DampingStage | None = results.get("damping")
+    if damped is not None and damped.regions is not None and damped.why:
+        out.append(Question("damping refused"))
     out.append(Question("beyond the band", {"high": band[1]}))
     predicted: PredictStage | None = results.get("predict")
     if predicted is not None:

@@ -994,11 +994,6 @@ class DampingStage:
     changes: tuple[str, ...]
     others: tuple[DampedConfiguration, ...] = ()
 
-    @property
-    def holds(self) -> bool:
-        """Whether the regions damp the model from here on."""
-        return self.regions is not None and not self.why
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterPosterior:

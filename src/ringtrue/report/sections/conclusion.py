@@ -64,6 +64,10 @@ QUESTIONS = {
         "those of the initial one: {points}.",
         "See Damping and response; look at joints and damping near these points.",
     ),
+    "damping refused": (
+        "Damping by region makes the FRFs around the resonances worse and is refused.",
+        "Use the damping ratios of the test; state other regions ([[damping.region]]).",
+    ),
     "beyond the band": (
         "No test has checked the model above {high} Hz.",
         "Test to the highest frequency of the use, with points for the shapes there.",

@@ -44,9 +44,8 @@ def response(data: Stages) -> Section | None:
         blocks.append(Heading("FRFs at the driving points"))
         known = _at_points(f.evidence.frfs) if f.evidence and f.evidence.frfs else {}
         for k, name in enumerate(f.frfs.channels):
-            caption = (
-                f"FRF {name} (response / force), measured and of both models{known.get(name, '.')}"
-            )
+            caption = f"FRF {name} (response / force), measured and of both models. "
+            caption += known.get(name, "")
             blocks.append(Plot(signals.frf_pair(f.frfs, k, unit), caption))
     return Section("response", "Damping and response", blocks)
 
@@ -107,7 +106,7 @@ def _at_points(e: FrfEvidence) -> dict[str, str]:
             percent = " → ".join(fixed(100 * x, 1) for x in frac)
             decibel = " → ".join(fixed(x, 1) for x in level)
             out[f"{response} / {force}"] = (
-                f": FRAC {percent} %, level difference {decibel} dB; the final model is {verdict}."
+                f"FRAC {percent} %, level difference {decibel} dB: the final model is {verdict}."
             )
     return out
 

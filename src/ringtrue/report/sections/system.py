@@ -137,11 +137,11 @@ def grouped(notes: Sequence[Note]) -> list[str]:
     for note in notes:
         by_code.setdefault(note.code, []).append(note)
     out: list[str] = []
-    for alike in by_code.values():
-        if len(alike) <= FEW:
-            out += map(note_sentence, alike)
+    for same in by_code.values():
+        if len(same) <= FEW:
+            out += map(note_sentence, same)
             continue
-        first, *rest = alike
+        first, *rest = same
         others = ", ".join(note.subject for note in rest)
         out.append(f"{note_sentence(first)} (also {len(rest)} more: {others})")
     return out
