@@ -41,7 +41,7 @@ def response(data: Stages) -> Section | None:
     if f.frfs is not None:
         measured = data.identify.frfs if data.identify is not None else None
         unit = signals.frf_unit(measured) if measured is not None else "(m/s²)/N"
-        blocks.append(Heading("FRFs at the driving points"))
+        blocks.append(Heading("FRFs at the excitation points"))
         known = _at_points(f.evidence.frfs) if f.evidence and f.evidence.frfs else {}
         for k, name in enumerate(f.frfs.channels):
             caption = f"FRF {name} (response / force), measured and of both models. "
