@@ -25,7 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
 from ringtrue.report.parts import fixed, number
-from ringtrue.study.config_sections import StudyInfo
+from ringtrue.study.config_sections import InstrumentSection, StudyInfo
 from ringtrue.study.results import IdentifyStage
 
 PIXEL = (
@@ -138,6 +138,25 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     assert "Not drawn: h04" in text
 
 
+def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
+    hammer = InstrumentSection(name="Hammer 5.5 kg", serial="123", channels=["F:1+Z"])
+    sensor = InstrumentSection(name="Accelerometer", calibrated="2026-03-02, K 17")
+    info = StudyInfo(title="named", names={"2": "first bending"}, instrument=[hammer, sensor])
+    page = build(stages, tmp_path / "r.html", info=info).read_text()
+    tables = re.findall(r"<table>.*?</table>", page, re.DOTALL)
+    assert sum("first bending" in t for t in tables) >= 3  # hammer test, initial, final
+    assert "Hz \u00b7 first bending" in page or "Hz \\u00b7 first bending" in page
+    listed = next(t for t in tables if "Hammer 5.5 kg" in t)
+    assert "2026-03-02, K 17" in listed
+    assert listed.count("not stated") == 1
+    with pytest.raises(ConfigError, match=r"names: no test mode 99; there are \d+"):
+        build(stages, tmp_path / "r.html", info=StudyInfo(names={"99": "lost"}))
+    with pytest.raises(ValueError, match="no number of a test mode"):
+        StudyInfo(names={"first": "bending"})
+
+
 def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     with pytest.raises(InputError, match="no such file"):
@@ -198,7 +217,9 @@ def page(full: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[chrom
         yield opened
 
 
-DRAWN = "window.ringtrueExpected > 0 && window.ringtrueDrawn === window.ringtrueExpected"
+EXPECTED = "document.querySelectorAll('[data-plot], [data-view]').length"
+PRINT = "dispatchEvent(new Event('beforeprint'))"
+DRAWN = f"window.ringtrueDrawn === {EXPECTED}"
 EMPTY = """[...document.querySelectorAll('[data-plot], [data-view]')].filter(d => {
     const drawing = d.querySelector(d.dataset.plot ? 'svg.main-svg' : 'canvas');
     const box = drawing && drawing.getBoundingClientRect();
@@ -211,14 +232,23 @@ COLORS = """[...document.querySelectorAll('.view > .stage > canvas')].map(c => {
 
 
 @needs_browser
-def test_draws_every_figure_offline_without_a_complaint(full: Path, page: chromium.Page) -> None:
-    assert page.until(DRAWN), (
-        page.evaluate("[window.ringtrueDrawn, window.ringtrueExpected]") or page.complaints()
-    )
-    assert page.evaluate("window.ringtrueExpected") == page.evaluate(
-        "document.querySelectorAll('[data-plot], [data-view]').length"
-    )
+def test_draws_a_figure_as_it_comes_near_and_every_one_to_print(
+    full: Path, page: chromium.Page
+) -> None:
+    assert page.until("window.ringtrueDrawn === 0")
+    assert page.evaluate("window.Plotly === undefined")
+    page.evaluate("document.querySelector('#updating [data-plot]').scrollIntoView()")
+    assert page.until("document.querySelector('#updating svg.main-svg') !== null")
+    assert page.evaluate(f"window.ringtrueDrawn < {EXPECTED}")
+    page.evaluate("document.querySelector('#shapes details').open = false")
+    page.evaluate(PRINT)
+    assert page.evaluate(EXPECTED) > 20
+    assert page.evaluate(DRAWN)  # at once: the browser does not wait
     assert page.evaluate(EMPTY) == 0
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert not page.evaluate("document.querySelector('#shapes details').open")
+    page.evaluate("document.querySelector('nav a[href=\"#shapes\"]').click()")
+    assert page.until("document.querySelector('#shapes details').open")
     assert page.complaints() == []
     outside = [u for u in page.requests() if not u.startswith(("data:", "blob:", full.as_uri()))]
     assert outside == []
@@ -250,10 +280,10 @@ def test_any_name_of_a_region_leaves_every_figure(
     path = build(fake_study.study(), tmp_path / "r.html", info=StudyInfo(title="<!--<script>"))
     with chromium.page(tmp_path / "profile") as opened:
         opened.call("Page.navigate", url=path.as_uri())
-        assert opened.until(DRAWN, 300.0), opened.evaluate(
-            "[window.ringtrueDrawn, window.ringtrueExpected]"
-        )
-        assert opened.evaluate("window.ringtrueExpected") > 20
+        assert opened.until("window.ringtrueDrawn === 0")
+        opened.evaluate(PRINT)
+        assert opened.evaluate(EXPECTED) > 20
+        assert opened.evaluate(DRAWN)
         assert opened.evaluate(EMPTY) == 0
         assert opened.complaints() == []
         legend = opened.evaluate(
@@ -264,7 +294,7 @@ def test_any_name_of_a_region_leaves_every_figure(
 
 @needs_browser
 def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
-    assert page.until(DRAWN)
+    page.evaluate(PRINT)
     colors = page.evaluate(COLORS)
     assert len(colors) == 5
     assert min(colors) > 20
@@ -281,8 +311,53 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
 
 
 @needs_browser
+def test_a_figure_is_saved_as_picture_data_and_video(page: chromium.Page) -> None:
+    page.evaluate(PRINT)
+    page.evaluate(
+        "window.saved = {}; window.ringtrueSave = async (div, ending, blob) => "
+        "{ window.saved[ending] = await blob.text(); }; 0"
+    )
+    page.evaluate(
+        "document.querySelectorAll('#summary .modebar-group:last-child a, "
+        "#summary .modebar-group:last-child button').forEach(b => b.click())"
+    )
+    assert page.until("'png' in saved && 'svg' in saved && 'csv' in saved")
+    assert page.evaluate("saved.svg").startswith("<svg")
+    heads, first, *_ = page.evaluate("saved.csv").split("\r\n")
+    assert '"Test mode, Hz (initial)","Δf, % of the test (initial)"' in heads
+    assert re.match(r'"?1: \d+\.\d\d"?,-?\d+(\.\d+)?,', first)
+    page.evaluate("document.getElementById('shapes').scrollIntoView()")
+    page.evaluate(
+        "[...document.querySelectorAll('#shapes button')].find(b => b.textContent === 'WebM')"
+        ".click()"
+    )
+    assert page.until("'webm' in saved")
+    assert page.complaints() == []
+
+
+@needs_browser
+def test_the_short_report_leaves_out_what_is_folded(full: Path, tmp_path: Path) -> None:
+    seen = (
+        "[...document.querySelectorAll('main > section')].filter(s => s.getClientRects().length)"
+        ".map(s => s.id)"
+    )
+    with chromium.page(tmp_path / "profile") as opened:
+        opened.call("Page.navigate", url=f"{full.as_uri()}#short")
+        assert opened.until("window.ringtrueDrawn === 0")
+        short = ["conclusion", "summary", "final", "uncertainty", "prediction"]
+        assert opened.evaluate(seen) == short
+        opened.evaluate(PRINT)
+        assert opened.evaluate(f"window.ringtrueDrawn < {EXPECTED} / 2")
+        assert not opened.evaluate(
+            "[...document.querySelectorAll('details:not(.whole)')].some(d => d.checkVisibility())"
+        )
+        opened.evaluate("document.getElementById('short').click()")
+        assert opened.evaluate(seen) == ids(full)
+        assert opened.complaints() == []
+
+
+@needs_browser
 def test_fits_the_paper(page: chromium.Page) -> None:
-    assert page.until(DRAWN)
     pdf = page.call(
         "Page.printToPDF",
         preferCSSPageSize=True,

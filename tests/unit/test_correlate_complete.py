@@ -14,6 +14,7 @@ from ringtrue.cli.main import run
 from ringtrue.core.modes import ModeSet, Norm, Uncertainty
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.correlation.frf import (
+    InputSummary,
     amplitude_correlation,
     band_levels,
     compare_frfs,
@@ -286,3 +287,11 @@ def test_options_that_would_change_nothing_are_refused(
         Path(f"{name}.bdf").write_text("GRID,1\n")
     assert run(["correlate", *words]) == 2
     assert re.search(told, " ".join(capsys.readouterr().err.split()))
+
+
+def test_says_which_measures_of_an_excitation_point_are_worse() -> None:
+    before = InputSummary("1+Z", 0.40, "9+X", 0.1, 8.0, 0.6, 0.7)
+    better = replace(before, frac=0.5, deviation=4.0, shape=0.8, amplitude=0.8)
+    assert better.worse_than(before) == ()
+    assert before.worse_than(better) == ("FRAC", "level", "shape", "amplitude")
+    assert replace(better, deviation=8.1).worse_than(before) == ("level",)

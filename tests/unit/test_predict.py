@@ -35,6 +35,7 @@ from ringtrue.study.results import DampedModes
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.predict import _forces, scatter
 from ringtrue.updating.prediction import (
+    Bands,
     Damping,
     KnownModel,
     Output,
@@ -414,3 +415,22 @@ def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
             at = run.names.index(f"s{k}, sum along {axis}")
             assert run.nominal[at, 0] == pytest.approx(force, rel=0.01)  # inertia: (1 Hz / 16 Hz)^2
             assert run.amplitude.median[at, 0] == pytest.approx(force, rel=0.03)
+
+
+def test_a_peak_is_checked_where_the_whole_band_of_its_speed_is() -> None:
+    """The median of the second lies inside, the band of the third too, but not its low end."""
+    one = np.ones(3)
+    speed = Bands(
+        np.array([20.0, 35.0, 4.0]), np.array([25.0, 38.0, 30.0]), np.array([30.0, 61.0, 35.0]), 0.9
+    )
+    found = RunUp(
+        freqs=np.arange(1.0, 100.0),
+        names=("a", "b", "c"),
+        units=("N",) * 3,
+        nominal=np.ones((3, 99)),
+        amplitude=Bands(*(np.ones((3, 99)),) * 3, 0.9),
+        peak=Bands(one, one, one, 0.9),
+        peak_speed=speed,
+        validated=(5.0, 41.0),
+    )
+    assert found.checked_peaks.tolist() == [True, False, False]

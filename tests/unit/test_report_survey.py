@@ -4,9 +4,16 @@ below.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
+from ringtrue.core.notes import Note
+from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.report.parts import Fold, Items, ReportTable
-from ringtrue.report.sections.system import _tests
+from ringtrue.report.sections.system import _tests, grouped
 from ringtrue.study.results import RecordSummary
+from ringtrue.study.stages.identify import preview
 
 LONG = "pole at 4.375 Hz left out: " + "its shape is a sum of those of modes; " * 20
 
@@ -41,3 +48,38 @@ def test_records_of_a_setup_are_one_row() -> None:
     assert table.rows[0][-1] == "60.0"
     assert notes.items == ["setup 1, 2 records: one (2 records)", "setup 1, 2 records: two"]
     assert len(fold.blocks) == 2
+
+
+def test_hits_are_counted_in_the_table() -> None:
+    first, second = (
+        replace(record(n, (), "1"), hits=h) for n, h in (("a", (8, 11)), ("b", (7, 9)))
+    )
+    table, _fold = _tests((first, second))
+    assert isinstance(table, ReportTable)
+    assert table.rows[0][-1] == "15 of 20"
+    (quiet,) = _tests((record("a", ()),))
+    assert isinstance(quiet, ReportTable)
+    assert "Hits kept" not in quiet.heads
+
+
+def test_a_note_on_many_channels_is_said_once_and_counted() -> None:
+    straight = [Note("channel straight", "error", f"{k}+Z") for k in range(1, 6)]
+    twice = Note("channel twice", "warning", "9+X", {"other": "8+X"})
+    lines = grouped([*straight, twice])
+    assert lines == [
+        "channel 1+Z: a straight line: no signal; left out (also 4 more: 2+Z, 3+Z, 4+Z, 5+Z)",
+        "channel 9+X: the same samples as 8+X",
+    ]
+    assert len(grouped(straight[:3])) == 3
+
+
+def test_the_overview_of_a_record_has_neither_offset_nor_trend() -> None:
+    t = np.arange(4000) / 100
+    moving = np.sin(2 * np.pi * 3 * t)
+    record_with_drift = TimeHistory(
+        (moving + 50 + 0.2 * t)[None], 100.0, (Channel("1+Z", "acceleration", "m/s^2"),)
+    )
+    shown = preview(record_with_drift)
+    assert np.abs(shown.signal).max() < 1.1
+    assert shown.signal.max() > 0.9
+    assert shown.signal.min() < -0.9

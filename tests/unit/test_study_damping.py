@@ -4,6 +4,7 @@ factor everywhere.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,3 +121,22 @@ def test_slow_modes_that_the_test_tells_take_part(
     found = damping.run(done.session, quiet)
     np.testing.assert_array_equal(found.modes.fe, want.modes.fe)
     np.testing.assert_allclose(found.modes.after, want.modes.after, rtol=0.02)
+
+
+def test_damping_by_region_that_makes_frfs_worse_is_refused() -> None:
+    before = np.array([0.20, 0.21, 0.30, 0.15, 0.18, np.nan])
+    exact = np.zeros(6)
+    assert damping.refusal(before, before, exact) == ""
+    assert damping.refusal(before, 0.9 * before, exact) == ""
+    mixed = before + np.array([0.02, -0.03, 0.01, -0.02, 0.01, 0.0])
+    assert damping.refusal(before, mixed, exact) == ""
+    why = damping.refusal(before, 1.5 * before, exact)
+    assert damping.refusal(before, 1.5 * before, np.full(6, 0.5)) == ""
+    assert why.startswith("with it the measured FRFs around the resonances deviate by 32.")
+
+
+def test_refused_damping_is_shown_and_not_used(done: StudyRun, tmp_path: Path) -> None:
+    refused = replace(done.results["damping"], why="the FRFs are worse", files=(), changes=())
+    assert done.results["damping"].why == ""
+    page = build({"damping": refused}, tmp_path / "r.html", info=StudyInfo(title="damped"))
+    assert "Refused: the FRFs are worse." in page.read_text()

@@ -97,7 +97,7 @@ def test_modes_are_followed_through_the_change(done: StudyRun) -> None:
     assert tracks is not None
     index = tracks.index
     assert all(sorted(row) == list(range(index.shape[1])) for row in index.tolist())  # one to one
-    np.testing.assert_array_equal(index[1], index[2])  # no remodelling: the two are one model
+    assert len(index) == 2  # final and initial: there was no remodelling
     assert tracks.worst.min() > 0.8
 
 
@@ -464,3 +464,22 @@ def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, m
         run.results["localise"].indicators.misfit.size
         == run.results["localise"].indicators.modes.size
     )
+
+
+def test_the_conclusion_says_where_frfs_or_damping_are_worse(done: StudyRun) -> None:
+    evidence = final(done)
+    frfs = evidence.frfs
+    assert frfs is not None
+    assert frfs.worse == ()
+    exchanged = replace(frfs, initial=frfs.final, final=frfs.initial)
+    stages = dict(done.results)
+    stages["final"] = replace(stages["final"], evidence=replace(evidence, frfs=exchanged))
+    stages["damping"] = replace(stages["damping"], why="FRFs are worse")
+    found = conclude(stages, (), Acceptance())
+    assert found is not None
+    questions = {q.code: q.values for q in found.questions}
+    assert questions["FRFs worse"]["count"] == len(frfs.final.inputs)
+    assert "damping refused" in questions
+    before = conclude(done.results, (), Acceptance())
+    assert before is not None
+    assert not {"FRFs worse", "damping refused"} & {q.code for q in before.questions}

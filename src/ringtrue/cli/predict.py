@@ -169,7 +169,7 @@ def _print(found: PredictStage) -> None:
             f"{r.peak.median[i]:.3g}",
             f"{r.peak.low[i]:.3g} to {r.peak.high[i]:.3g}",
             f"{r.peak_speed.median[i]:.4g}",
-            "yes" if r.validated[0] <= r.peak_speed.median[i] <= r.validated[1] else "NO",
+            "yes" if r.checked_peaks[i] else "NO",
         )
         for i, (name, unit) in enumerate(zip(r.names, r.units, strict=True))
     ]

@@ -150,6 +150,16 @@ class InputSummary:
     shape: float
     amplitude: float
 
+    def worse_than(self, before: InputSummary) -> tuple[str, ...]:
+        """Which of "FRAC", "level", "shape" and "amplitude" are worse than before."""
+        worse = {
+            "FRAC": self.frac < before.frac,
+            "level": self.deviation > before.deviation,
+            "shape": self.shape < before.shape,
+            "amplitude": self.amplitude < before.amplitude,
+        }
+        return tuple(name for name, held in worse.items() if held)
+
 
 @dataclass(frozen=True, slots=True)
 class OutputSummary:

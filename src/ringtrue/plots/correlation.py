@@ -313,14 +313,16 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
 
     A dotted stretch: the shapes have so little in common that the mode may be another one.
     """
-    steps = ("initial", "remodelled", "final", "test")
+    between = ("remodelled",) if len(tracks.index) > 2 else ()
+    steps = ("initial", *between, "final", "test")
+    last = len(steps) - 1
     fig = figure(
         460,
         showlegend=False,
         xaxis=axis(
-            tickvals=[0, 1, 2, 3],
+            tickvals=list(range(last + 1)),
             ticktext=list(steps),
-            range=[-0.12, 3.12],
+            range=[-0.12, last + 0.12],
             showgrid=False,
         ),
         yaxis=axis("Frequency, Hz"),
@@ -346,7 +348,7 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
         text = [f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)]
         mark = {"size": 6, "color": color}
         fig.add_scatter(
-            x=[0, 1, 2],
+            x=list(range(last)),
             y=f32(f),
             mode="markers",
             marker=mark,
@@ -357,7 +359,7 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
             look = {"width": 1.5, "color": TEST}
             ends = f32(np.array([pair.fe_hz, pair.test_hz]))
             fig.add_scatter(
-                x=[2, 3],
+                x=[last - 1, last],
                 y=ends,
                 mode="lines+markers",
                 line=look,
@@ -452,13 +454,13 @@ def fdac(values: Float, lines: Float, title: str) -> go.Figure:
 
 
 def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
-    """Frequency deviation and MAC of each test mode, one mark a stage; hollow marks were left out
-    of the updating.
+    """Frequency deviation, MAC and subspace MAC of each test mode, one mark a stage; hollow marks
+    were left out of the updating.
     """
     alone = all(t.frequency_only for _, t in stages)
-    low = 0.0 if alone else 0.44
+    low = 0.0 if alone else 0.58
     fig = figure(
-        300 if alone else 470,
+        300 if alone else 580,
         xaxis=axis(
             type="category",
             anchor="y",
@@ -478,7 +480,14 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             anchor="y2",
             tickangle=-45,
         ),
-        yaxis2=axis("MAC, %", domain=[0, 0.38], anchor="x2"),
+        yaxis2=axis("Subspace MAC, %", domain=[0, 0.24], anchor="x2"),
+        xaxis3=axis(
+            type="category",
+            anchor="y3",
+            matches="x2",
+            showticklabels=False,
+        ),
+        yaxis3=axis("MAC, %", domain=[0.29, 0.53], anchor="x3", matches="y2"),
     )
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
     names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
@@ -501,19 +510,21 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
         if alone:
             continue
-        fig.add_scatter(
-            y=f32(table.mac_percent),
-            xaxis="x2",
-            yaxis="y2",
-            showlegend=False,
-            **drawn,
+        measures = (
+            ("MAC", table.mac_percent, "3"),
+            ("subspace MAC", table.subspace_mac_percent, "2"),
         )
-        fig.data[-1].customdata = f32(table.subspace_mac_percent)
-        fig.data[-1].hovertemplate = (
-            f"{name}, %{{text}}: MAC %{{y:.1f}} %, subspace MAC "
-            f"%{{customdata:.1f}} %<extra>%{{x}} Hz</extra>"
-        )
-    for a in (fig.layout.xaxis, fig.layout.xaxis2):
+        for measure, percent, at in measures:
+            fig.add_scatter(
+                y=f32(percent),
+                xaxis=f"x{at}",
+                yaxis=f"y{at}",
+                showlegend=False,
+                **drawn,
+            )
+            text = f"{name}, %{{text}}: {measure} %{{y:.1f}} %"
+            fig.data[-1].hovertemplate = f"{text}<extra>%{{x}} Hz</extra>"
+    for a in (fig.layout.xaxis, fig.layout.xaxis2, fig.layout.xaxis3):
         a.update(categoryorder="array", categoryarray=list(names.values()))
     if alone:
         fig.layout.xaxis.update(
@@ -522,5 +533,5 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             showticklabels=True,
             tickangle=-45,
         )
-        fig.update_layout(xaxis2=None, yaxis2=None)
+        fig.update_layout(xaxis2=None, yaxis2=None, xaxis3=None, yaxis3=None)
     return fig

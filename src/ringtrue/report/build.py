@@ -217,20 +217,25 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
     def raw(name: str) -> str:
         return source.get_source(env, name)[0]
 
+    short = {"summary", "identification", "shapes"}
+    if data.model is not None:
+        last = "initial" if data.final is None else "final"
+        short = {"conclusion", "summary", last, "uncertainty", "prediction"}
     body = env.get_template("body.html.j2").render(
         data=data,
         sections=sections,
+        short=short,
         figures=figures,
     )
     return env.get_template("report.html.j2").render(
         data=data,
         sections=sections,
+        short=short,
         body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
         viewer_style=asset("viewer.css"),
         viewer_script=asset("viewer.js"),
         plotly=get_plotlyjs() if figures.plots else "",
-        expected=len(figures.plots) + len(figures.views),
         version=__version__,
         plots=figures.plots,
         views=figures.views,

@@ -357,6 +357,29 @@ class Stages:
         return max(found, key=len)
 
     @property
+    def names(self) -> dict[float, str]:
+        """Names that the study gives to test modes, by their frequency, Hz.
+
+        Raises
+        ------
+        ConfigError
+            If there is no mode of such a number.
+        """
+        modes = self.reference
+        if modes is None and self.identify is not None:
+            found = self.identify.hammer or self.identify.ambient
+            modes = found.modes
+        if modes is None:
+            return {}
+        lost = [k for k in self.info.names if int(k) > len(modes)]
+        if lost:
+            raise ConfigError(
+                f"[study] names: no test mode {lost[0]}; there are {len(modes)}, numbered from 1"
+            )
+        f = modes.frequencies.tolist()
+        return {f[int(k) - 1]: name for k, name in self.info.names.items()}
+
+    @property
     def reference(self) -> ModeSet | None:
         """The test modes the model is judged by."""
         return self.correlate.reference.elastic if self.correlate is not None else None

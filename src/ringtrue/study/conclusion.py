@@ -18,6 +18,7 @@ from ringtrue.study.acceptance import Acceptance, AcceptanceCheck, in_both
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
+    DampingStage,
     FinalStage,
     PredictStage,
     SensitivityStage,
@@ -309,10 +310,22 @@ def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Q
     if last is not None and last.evidence is not None and last.evidence.measures.suspects:
         names = dict.fromkeys(s.channel for s in last.evidence.measures.suspects)
         out.append(Question("channels suspected", {"channels": ", ".join(names)}))
+    final: FinalStage | None = results.get("final")
+    if final is not None and final.evidence is not None and final.evidence.frfs is not None:
+        frfs = final.evidence.frfs
+        if worse := frfs.worse:
+            points = ", ".join(worse)
+            total = len(frfs.final.inputs)
+            out.append(
+                Question("FRFs worse", {"points": points, "count": len(worse), "total": total})
+            )
+    damped: DampingStage | None = results.get("damping")
+    if damped is not None and damped.regions is not None and damped.why:
+        out.append(Question("damping refused"))
     out.append(Question("beyond the band", {"high": band[1]}))
     predicted: PredictStage | None = results.get("predict")
     if predicted is not None:
-        speeds = predicted.run_up.peak_speed.median
+        speeds = predicted.run_up.peak_speed.high
         beyond = int((speeds > band[1]).sum())
         if beyond:
             values = {"count": beyond, "total": speeds.size, "high": float(speeds.max())}

@@ -210,6 +210,21 @@ class CorrelateSection(StudySection):
         return gates if own is None else replace(gates, frequency_gate=own, reach=1.0)
 
 
+class InstrumentSection(StudySection):
+    """A sensor, hammer, shaker or recorder of the test, for the report."""
+
+    name: str
+    """Kind, maker and type."""
+    serial: str = ""
+    """Serial number."""
+    channels: list[str] = []
+    """That it measured, such as 17+Z."""
+    sensitivity: str = ""
+    """With its unit, such as "102.3 mV/(m/s²)"."""
+    calibrated: str = ""
+    """Date and certificate of the calibration."""
+
+
 class StudyInfo(StudySection):
     """What is studied."""
 
@@ -233,6 +248,17 @@ class StudyInfo(StudySection):
     """Who signs for the check."""
     approved_by: str = ""
     """Who signs for the release."""
+    names: dict[str, str] = {}
+    """Of test modes by their number, such as {1 = "first bending of the frame"}."""
+    instrument: list[InstrumentSection] = []
+    """What measured, with its calibration."""
+
+    @field_validator("names")
+    @classmethod
+    def _numbers(cls, value: dict[str, str]) -> dict[str, str]:
+        if wrong := [k for k in value if not re.fullmatch(r"[1-9]\d*", k)]:
+            raise ValueError(f"{wrong[0]!r} is no number of a test mode, such as 1 or 12")
+        return value
 
     @field_validator("workers")
     @classmethod

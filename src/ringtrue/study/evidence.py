@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,11 +140,10 @@ def evidence(
     return Evidence(measures, auto_mac(test.shapes))
 
 
-def followed(final: ModeSet, remodelled: ModeSet, initial: ModeSet, count: int) -> Tracks | None:
-    """The lowest `count` modes of the final model found again, by shape at the channels, in what it
-    came from.
+def followed(sets: Sequence[ModeSet], count: int) -> Tracks | None:
+    """The lowest `count` modes of the first set, of the final model, found again, by shape at the
+    channels, in those of what it came from.
     """
-    sets = (final, remodelled, initial)
     count = min(count, *(len(s) for s in sets))
     if not count:
         return None

@@ -70,6 +70,12 @@ class FrfEvidence:
     fdac_initial: Float
     fdac_final: Float
 
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Excitation points where any measure of the final model is worse than the initial one."""
+        both = zip(self.initial.by_input(), self.final.by_input(), strict=True)
+        return tuple(now.name for before, now in both if now.worse_than(before))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
@@ -81,7 +87,7 @@ class Evidence:
     auto_mac : (a, a) float64
         Of the first set.
     tracks : Tracks, optional
-        FE modes followed by their shapes at the channels: final, remodelled, initial.
+        FE modes followed by their shapes at the channels: final, remodelled if it was, initial.
     frfs : FrfEvidence, optional
     """
 
@@ -321,6 +327,8 @@ class RecordSummary:
         None where the record is listed alone.
     channel_notes : tuple of Note
         On channels.
+    hits : tuple of int
+        Those kept, and all; zeros where none were sought.
     """
 
     name: str
@@ -334,6 +342,7 @@ class RecordSummary:
     setup: str = ""
     preview: RecordPreview | None = None
     channel_notes: tuple[Note, ...] = ()
+    hits: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -975,7 +984,7 @@ class DampedConfiguration:
 class DampingStage:
     """Damping by region and by mode; None where the test says nothing of it."""
 
-    why: str  # why there is nothing; empty where there is
+    why: str  # why there is nothing, or why the regions are refused; empty where they hold
     regions: DampedRegions | None
     modes: DampedModes | None
     misfit: float  # root mean square deviation of the ratios over the error of test and model

@@ -431,6 +431,7 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
             "deviation_percent": [100 * x for x in damping.modes.spread(True)],
             "deviation_left_out_percent": [_number(100 * x) for x in damping.modes.spread(False)],
             "flags": list(damping.flags),
+            "refused": damping.why,
         }
         if damping.others:
             out["damping"]["configurations"] = [

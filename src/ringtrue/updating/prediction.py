@@ -331,6 +331,14 @@ class RunUp(FrozenArrays):
         """Lines inside the validated band, (l,)."""
         return (self.freqs >= self.validated[0]) & (self.freqs <= self.validated[1])
 
+    @property
+    def checked_peaks(self) -> Bool:
+        """Outputs whose peak lies inside the validated band, with the whole band of its speed,
+        (n,).
+        """
+        low, high = self.validated
+        return (self.peak_speed.low >= low) & (self.peak_speed.high <= high)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownModel:

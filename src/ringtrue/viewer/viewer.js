@@ -9,7 +9,8 @@
   const MESH_F = "#version 300 es\nprecision highp float;in vec3 vP;in vec4 vC;in float vD;out vec4 o;uniform float uColor;" + RAMP +
     "void main(){vec3 n=normalize(cross(dFdx(vP),dFdy(vP)));float l=.62+.38*abs(dot(n,normalize(vec3(.25,.35,.9))));" +
     "vec3 c=uColor>.5?ramp(clamp(vD,0.,1.)):vC.rgb;o=vec4(c*l,vC.a);}";
-  // A line is a quad of constant width on the screen, drawn by instancing.
+  // A line is a quad of constant width on the screen: two triangles, as instances take software renderers a millisecond each.
+  const QUAD = [0, -0.5, 1, -0.5, 0, 0.5, 0, 0.5, 1, -0.5, 1, 0.5];
   const LINE_V = HEAD + "in vec2 aQ;in vec3 aA,aB,aDA,aDB,aIA,aIB;in vec4 aC;out vec4 vC;uniform vec2 uSize;uniform float uWide,uLift;" +
     "void main(){vec4 a=uM*vec4(aA+uAmp*(uCos*aDA-uSin*aIA),1.),b=uM*vec4(aB+uAmp*(uCos*aDB-uSin*aIB),1.);" +
     "vec2 d=(b.xy/b.w-a.xy/a.w)*uSize;float n=length(d);d=n>1e-6?d/n:vec2(1.,0.);" +
@@ -54,10 +55,7 @@
       }
       return out;
     };
-    const quad = gl.createBuffer();
-    gl.bindBuffer(gl.ARRAY_BUFFER, quad);
-    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([0, -0.5, 1, -0.5, 0, 0.5, 1, 0.5]), gl.STATIC_DRAW);
-    shared = { canvas, gl, quad, mesh: program(MESH_V, MESH_F), line: program(LINE_V, FLAT_F), point: program(POINT_V, FLAT_F) };
+    shared = { canvas, gl, mesh: program(MESH_V, MESH_F), line: program(LINE_V, FLAT_F), point: program(POINT_V, FLAT_F) };
     return shared;
   }
 
@@ -102,7 +100,17 @@
     return { R, M, right, up };
   }
 
+  // Saves a file named after the figure: figure-12.png.
+  window.ringtrueSave = (div, ending, blob) => {
+    const caption = div.closest("figure")?.querySelector("figcaption b"), link = document.createElement("a");
+    link.href = URL.createObjectURL(blob);
+    link.download = `${caption ? caption.textContent.toLowerCase().replace(/\s+/g, "-") : "view"}.${ending}`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  };
+
   const all = [];
+  const PACE = 0.7; // cycles of a mode in a second
   class Viewer {
     constructor(div, data) {
       Object.assign(this, { div, data, phase: 0, amp: 1, playing: false, parts: [], show: { skin: true, test: true, still: false } });
@@ -146,7 +154,8 @@
         const step = (d) => () => { const n = this.modeBox.length; this.modeBox.selectedIndex = (this.modeBox.selectedIndex + d + n) % n; this.setMode(); };
         this.playButton = button("Pause", "Play or pause", () => this.play(!this.playing));
         const amp = el("input", { type: "range", min: 0, max: 3, step: 0.02, value: 1, ariaLabel: "Amplitude", oninput: () => { this.amp = +amp.value; this.draw(); } });
-        bar.append(this.stageBox, this.modeBox, button("‹", "Previous mode", step(-1)), button("›", "Next mode", step(1)), this.playButton, el("label", {}, "Amplitude ", amp));
+        const video = button("WebM", "Save two cycles as a video", () => this.record(video));
+        bar.append(this.stageBox, this.modeBox, button("‹", "Previous mode", step(-1)), button("›", "Next mode", step(1)), this.playButton, video, el("label", {}, "Amplitude ", amp));
       }
       const box = (name, text) => {
         const c = el("input", { type: "checkbox", checked: this.show[name], onchange: () => { this.show[name] = c.checked; this.draw(); } });
@@ -159,6 +168,7 @@
       const directions = el("div", { className: "directions" });
       for (const [name, az, e] of [["3D", -1.05, 0.42], ["X", 0, 0], ["Y", -Math.PI / 2, 0], ["Z", -Math.PI / 2, Math.PI / 2]])
         directions.append(button(name, name === "3D" ? "Oblique view" : `View along ${name}`, () => { Object.assign(this.cam, { az, el: e, zoom: 1.35 }); this.pan = [0, 0]; this.draw(); }));
+      directions.append(button("PNG", "Save the picture", () => this.canvas.toBlob((png) => window.ringtrueSave(this.div, "png", png))));
       this.canvas = el("canvas", { tabIndex: 0, ariaLabel: "3D view: drag to turn, shift-drag to move, wheel to zoom" });
       this.tip = el("div", { className: "tip" });
       this.info = el("div", { className: "info" });
@@ -263,8 +273,22 @@
         this.tim = new Float32Array(3 * n);
         for (let p = 0; p < n; p++) for (let c = 0; c < 3; c++) { this.tre[3 * p + c] = both[6 * p + c]; this.tim[3 * p + c] = both[6 * p + 3 + c]; }
       }
+      else if (this.fe && this.txyz) this.tre = this.withModel();
       this.upload();
       this.draw();
+    }
+
+    // Where the test has no such mode its points move as the nearest node of the model.
+    withModel() {
+      const xyz = this.xyz, nearest = Uint32Array.from({ length: this.txyz.length / 3 }, (_, p) => {
+        let least = Infinity, best = 0;
+        for (let k = 0; k < xyz.length / 3; k++) {
+          const d = Math.hypot(xyz[3 * k] - this.txyz[3 * p], xyz[3 * k + 1] - this.txyz[3 * p + 1], xyz[3 * k + 2] - this.txyz[3 * p + 2]);
+          if (d < least) { least = d; best = k; }
+        }
+        return best;
+      });
+      return gather(this.fe, nearest, new Float32Array(3 * nearest.length));
     }
 
     play(on) {
@@ -276,10 +300,25 @@
 
     tick(t) {
       if (!this.playing || !this.visible) return;
-      this.phase += this.last === undefined ? 0 : Math.min(t - this.last, 100) / 1000 * 2 * Math.PI * 0.7;
+      this.phase += this.last === undefined ? 0 : Math.min(t - this.last, 100) / 1000 * 2 * Math.PI * PACE;
       this.last = t;
       this.draw();
       requestAnimationFrame((u) => this.tick(u));
+    }
+
+    record(button) {
+      const video = new MediaRecorder(this.canvas.captureStream(30), { mimeType: "video/webm" }), parts = [], playing = this.playing;
+      video.ondataavailable = (e) => parts.push(e.data);
+      video.onstop = () => {
+        window.ringtrueSave(this.div, "webm", new Blob(parts, { type: "video/webm" }));
+        button.disabled = false;
+        if (!playing) this.play(false);
+      };
+      button.disabled = true;
+      this.phase = 0;
+      if (!playing) this.play(true);
+      video.start();
+      setTimeout(() => video.stop(), 2000 / PACE);
     }
 
     observe() {
@@ -308,9 +347,11 @@
         if (count) this.parts.push({ kind, count, buffers: ids, ...look });
       };
       const segments = (xyz, index, re, im, colors, look) => {
-        const n = index.length / 2, a = index.filter((_, k) => k % 2 === 0), b = index.filter((_, k) => k % 2 === 1), zero = new Float32Array(3 * n);
-        const pick = (v, i) => (v ? gather(v, i, new Float32Array(3 * n)) : zero);
-        add("line", n, { aA: pick(xyz, a), aB: pick(xyz, b), aDA: pick(re, a), aDB: pick(re, b), aIA: pick(im, a), aIB: pick(im, b), aC: colors(n) }, look);
+        const n = index.length / 2, m = 6 * n, zero = new Float32Array(3 * m), color = colors(n);
+        const every = (k) => Math.floor(k / 6), a = Uint32Array.from({ length: m }, (_, k) => index[2 * every(k)]), b = a.map((_, k) => index[2 * every(k) + 1]);
+        const pick = (v, i) => (v ? gather(v, i, new Float32Array(3 * m)) : zero);
+        const aQ = Float32Array.from({ length: 2 * m }, (_, k) => QUAD[k % 12]), aC = Float32Array.from({ length: 4 * m }, (_, k) => color[4 * every(k >> 2) + k % 4]);
+        add("line", m, { aQ, aC, aA: pick(xyz, a), aB: pick(xyz, b), aDA: pick(re, a), aDB: pick(re, b), aIA: pick(im, a), aIB: pick(im, b) }, look);
       };
       const plain = (c, alpha = 1) => (n) => { const out = new Float32Array(4 * n); for (let k = 0; k < n; k++) out.set([...c, alpha], 4 * k); return out; };
       if (this.xyz) this.uploadSkin(add, segments, plain);
@@ -441,7 +482,7 @@
     }
 
     paintPart(p, w, h, ratio, phase, amp) {
-      const { gl, quad } = this.ctx, prog = this.ctx[p.kind], u = prog.u;
+      const { gl } = this.ctx, prog = this.ctx[p.kind], u = prog.u;
       gl.useProgram(prog.p);
       gl.uniformMatrix4fv(u.uM, false, this.view.M);
       if (u.uR) gl.uniformMatrix4fv(u.uR, false, this.view.R);
@@ -460,20 +501,12 @@
         gl.bindBuffer(gl.ARRAY_BUFFER, id);
         gl.enableVertexAttribArray(at);
         gl.vertexAttribPointer(at, size, gl.FLOAT, false, 0, 0);
-        gl.vertexAttribDivisor(at, p.kind === "line" ? 1 : 0);
         bound.push(at);
       }
       gl.depthMask(p.kind !== "mesh" || p.solid);
-      if (p.kind === "line") {
-        gl.bindBuffer(gl.ARRAY_BUFFER, quad);
-        gl.enableVertexAttribArray(prog.a.aQ);
-        gl.vertexAttribPointer(prog.a.aQ, 2, gl.FLOAT, false, 0, 0);
-        gl.vertexAttribDivisor(prog.a.aQ, 0);
-        bound.push(prog.a.aQ);
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, p.count);
-      } else gl.drawArrays(p.kind === "mesh" ? gl.TRIANGLES : gl.POINTS, 0, p.count);
+      gl.drawArrays(p.kind === "point" ? gl.POINTS : gl.TRIANGLES, 0, p.count);
       gl.depthMask(true);
-      for (const at of bound) { gl.vertexAttribDivisor(at, 0); gl.disableVertexAttribArray(at); }
+      bound.forEach((at) => gl.disableVertexAttribArray(at));
     }
   }
 

@@ -59,6 +59,15 @@ QUESTIONS = {
         "The channels {channels} contradict the model.",
         "Check their direction, cable and calibration, and measure them again.",
     ),
+    "FRFs worse": (
+        "At {count} of {total} excitation points FRFs of the final model are in part worse than "
+        "those of the initial one: {points}.",
+        "See Damping and response; look at joints and damping near these points.",
+    ),
+    "damping refused": (
+        "Damping by region makes the FRFs around the resonances worse and is refused.",
+        "Use the damping ratios of the test; state other regions ([[damping.region]]).",
+    ),
     "beyond the band": (
         "No test has checked the model above {high} Hz.",
         "Test to the highest frequency of the use, with points for the shapes there.",
@@ -68,7 +77,7 @@ QUESTIONS = {
         "Look at that pair first: supports, units, total mass.",
     ),
     "peaks beyond the band": (
-        "{count} of {total} peaks of the run-up lie above the validated band.",
+        "{count} of {total} peaks of the run-up lie above the validated band, or may.",
         "Test to {high} Hz before they are used.",
     ),
 }

@@ -71,7 +71,14 @@ def pairs(
     _, deviation, _, *macs = _means(table)
     foot = ["Mean, of |Δf|", deviation, "", *macs, *[""] * (len(heads) - 9)]
     text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations, floor)}"
-    return ReportTable(heads, rows, text, foot if rows else (), lead=5).without_blank("MAC")
+    lead = 5
+    names = [data.names.get(r.test_hz, "") for r in table.rows()]
+    if any(names):
+        lead += 1
+        heads.insert(2, "|Mode")
+        for row, name in zip(rows, names, strict=True):
+            row.insert(2, name)
+    return ReportTable(heads, rows, text, foot if rows else (), lead=lead).without_blank("MAC")
 
 
 def _scatter(deviations: Significance, repeats: float) -> str:

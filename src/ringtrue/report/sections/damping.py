@@ -41,10 +41,12 @@ def response(data: Stages) -> Section | None:
     if f.frfs is not None:
         measured = data.identify.frfs if data.identify is not None else None
         unit = signals.frf_unit(measured) if measured is not None else "(m/s²)/N"
-        blocks.append(Heading("FRFs at the driving points"))
-        caption = "FRF (response / force) measured, of the initial and of the final model."
-        count = len(f.frfs.channels)
-        blocks += [Plot(signals.frf_pair(f.frfs, k, unit), caption) for k in range(count)]
+        blocks.append(Heading("FRFs at the excitation points"))
+        known = _at_points(f.evidence.frfs) if f.evidence and f.evidence.frfs else {}
+        for k, name in enumerate(f.frfs.channels):
+            caption = f"FRF {name} (response / force), measured and of both models. "
+            caption += known.get(name, "")
+            blocks.append(Plot(signals.frf_pair(f.frfs, k, unit), caption))
     return Section("response", "Damping and response", blocks)
 
 
@@ -59,6 +61,7 @@ def _agreement(e: FrfEvidence) -> list[Block]:
         "Shape, %",
         "Amplitude, %",
         "|Least FRAC of the final model",
+        "|Verdict",
     )
     caption = (
         f"All FRFs of each reference from {span}, initial → final model. FRAC and level "
@@ -70,7 +73,11 @@ def _agreement(e: FrfEvidence) -> list[Block]:
         "(100 %: equal; the "
         "shape is blind to scale)."
     )
-    out: list[Block] = [ReportTable(heads, rows, caption), Plot(correlation.frf_agreement(e), over)]
+    out: list[Block] = [ReportTable(heads, rows, caption)]
+    if e.worse:
+        text = "The final model is in part worse than the initial one for forces at "
+        out.append(Text(f"{text}{', '.join(e.worse)}."))
+    out.append(Plot(correlation.frf_agreement(e), over))
     ridge = (
         "FDAC of all responses, {} model: a ridge on the diagonal means that every response "
         "comes at its frequency."
@@ -87,10 +94,31 @@ def _agreement(e: FrfEvidence) -> list[Block]:
     return [*out, Fold(f"All {len(each)} responses", [table])]
 
 
-def _reference(before: InputSummary, after: InputSummary) -> tuple[str, ...]:
+def _at_points(e: FrfEvidence) -> dict[str, str]:
+    """What each FRF, named "response / force", says of the final model."""
+    out: dict[str, str] = {}
+    for i, response in enumerate(e.final.outputs):
+        for j, force in enumerate(e.final.inputs):
+            frac = e.initial.frac[i, j], e.final.frac[i, j]
+            level = e.initial.deviation[i, j], e.final.deviation[i, j]
+            better = frac[1] >= frac[0], level[1] <= level[0]
+            verdict = "better" if all(better) else "in part worse" if any(better) else "worse"
+            percent = " → ".join(fixed(100 * x, 1) for x in frac)
+            decibel = " → ".join(fixed(x, 1) for x in level)
+            out[f"{response} / {force}"] = (
+                f"FRAC {percent} %, level difference {decibel} dB: the final model is {verdict}."
+            )
+    return out
+
+
+def _reference(before: InputSummary, after: InputSummary) -> tuple[str | Cell, ...]:
     def both(one: float, two: float) -> str:
         return f"{fixed(one, 1)} → {fixed(two, 1)}"
 
+    worse = after.worse_than(before)
+    verdict = Cell("better", "good")
+    if worse:
+        verdict = Cell(f"worse: {', '.join(worse)}", "warn" if len(worse) < 4 else "bad")
     return (
         before.name,
         both(100 * before.frac, 100 * after.frac),
@@ -98,6 +126,7 @@ def _reference(before: InputSummary, after: InputSummary) -> tuple[str, ...]:
         both(100 * before.shape, 100 * after.shape),
         both(100 * before.amplitude, 100 * after.amplitude),
         f"{after.worst_output}, {fixed(100 * after.least_frac, 1)} %",
+        verdict,
     )
 
 
@@ -149,6 +178,8 @@ def damping(data: Stages) -> Section | None:
     if d.regions is None or d.modes is None:
         return Section("damping", "Damping by region", [Text(sentence(d.why), "note")])
     blocks: list[Block] = [Text(_lead(d, d.modes), "lead"), _regions(d.regions)]
+    if d.why:
+        blocks.insert(0, Text(sentence(f"Refused: {d.why}")))
     if any(n != "dashpot" for n in d.regions.natures):
         blocks.append(
             Plot(

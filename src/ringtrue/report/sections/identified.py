@@ -39,7 +39,7 @@ def section(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data.repeats)]
+    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data)]
     if ident.merge_notes:
         blocks.append(
             Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
@@ -88,6 +88,8 @@ def _diagram(name: str, found: IdentifiedModes) -> list[Block]:
         f"{name}: poles by model order over singular values of the spectrum, and their damping. "
         "Filled marks: natural modes; open ones: doubtful modes and harmonics."
     )
+    if not len(found) + len(found.others):
+        return [Text(f"{name}: no mode found."), *_account(found.account)]
     figure = plots.identification_figure(found.diagram, most=DRAWN, height=600)
     return [Plot(figure, text), *_account(found.account)]
 
@@ -120,11 +122,12 @@ def _account(account: SpectrumAccount) -> list[Block]:
     return out
 
 
-def _modes(found: IdentifiedModes, caption: str, repeats: float) -> list[Block]:
+def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     """A row a mode of any class, ascending in frequency, and why some are not natural.
 
-    No frequency is known better than one test `repeats` another, relative.
+    No frequency is known better than one test repeats another.
     """
+    repeats = data.repeats
     shown = found.diagram
     unnamed = [""] * (len(found) - len(found.reasons))
     natural = iter(enumerate([*found.reasons, *unnamed], start=1))
@@ -138,6 +141,11 @@ def _modes(found: IdentifiedModes, caption: str, repeats: float) -> list[Block]:
     table = ReportTable(heads, rows, text.strip())
     if not any(shown.remarks) and not len(found.others):
         table = replace(table, heads=heads[:-2], rows=[row[:-2] for row in rows])
+    names = data.names
+    words = [names.get(f, "") for f in shown.modes.frequencies.tolist()]
+    if any(words):
+        named = [[r[0], word, *r[1:]] for r, word in zip(table.rows, words, strict=True)]
+        table = replace(table, heads=["#", "|Mode", *table.heads[1:]], rows=named)
     out: list[Block] = [table]
     if notes := found.others.notes:
         both = zip(found.others.modes.frequencies.tolist(), notes, strict=True)

@@ -30,7 +30,7 @@ from ringtrue.report.parts import (
 )
 from ringtrue.study.messages import validity_sentence
 from ringtrue.study.results import PredictStage, UncertaintyStage
-from ringtrue.updating.prediction import Bands
+from ringtrue.updating.prediction import Bands, RunUp
 
 
 def uncertainty(data: Stages) -> Section | None:
@@ -238,17 +238,13 @@ def _peaks(p: PredictStage) -> ReportTable:
     level = f"{100 * r.peak.level:.0f} %"
     at = int(np.argmin(np.abs(r.freqs - p.unbalance.service)))
     band = f"{level} band"
-    heads = ("|Quantity", "|Unit", "Peak", band, "Speed, Hz", band, "|", "At service", band)
+    served_at = r.validated[0] <= p.unbalance.service <= r.validated[1]
+    service = f"At {number(p.unbalance.service, 3)} Hz" + ("" if served_at else ", beyond")
+    heads = ("|Quantity", "|Unit", "Peak", band, "Speed, Hz", band, "|", service, band)
     rows: list[list[str | Cell]] = []
     for i, name in enumerate(r.names):
         factor, unit = predicted.shown(r.units[i])
-        speed = float(r.peak_speed.median[i])
-        inside = r.validated[0] <= speed <= r.validated[1]
-        mark = (
-            Cell("validated", "good")
-            if inside
-            else Cell("beyond", "warn", "no test has checked the model there")
-        )
+        mark = _mark(r, i)
         now = Bands(
             r.amplitude.low[:, at],
             r.amplitude.median[:, at],
@@ -262,8 +258,18 @@ def _peaks(p: PredictStage) -> ReportTable:
     return ReportTable(
         heads,
         rows,
-        "Largest amplitudes of the run-up, and those at service speed; medians and bands.",
+        "Largest amplitudes of the run-up, and those at service speed; medians and bands. A peak "
+        "is validated where the whole band of its speed is in the validated band.",
     )
+
+
+def _mark(r: RunUp, i: int) -> Cell:
+    """Whether the peak of an output is in the validated band."""
+    if r.checked_peaks[i]:
+        return Cell("validated", "good")
+    if r.validated[0] <= r.peak_speed.median[i] <= r.validated[1]:
+        return Cell("may be beyond", "warn", "the band of its speed leaves the validated band")
+    return Cell("beyond", "warn", "no test has checked the model there")
 
 
 def _banded(values: Bands, i: int, factor: float) -> list[str]:

@@ -36,13 +36,22 @@ def first(data: Stages) -> Scene3D | None:
 
 
 def _paired(
-    stage: str, table: CorrelationTable, test: ModeSet, seen: ModeSet, skin: ModeSet | None
+    data: Stages,
+    stage: str,
+    table: CorrelationTable,
+    test: ModeSet,
+    *,
+    seen: ModeSet,
+    skin: ModeSet | None,
 ) -> list[Shown]:
     out = []
+    names = data.names
     for r in table.rows():
         t = r.test - 1
         k = r.fe - 1
         label = f"test {r.test} · FE {r.fe} · {fixed(r.test_hz, 2)} Hz"
+        if name := names.get(r.test_hz):
+            label += f" · {name}"
         info = f"test {fixed(r.test_hz, 3)} Hz, FE {fixed(r.fe_hz, 3)} Hz, "
         info += f"Δf {fixed(r.deviation_percent, 2, sign=True)} %"
         fe = (skin, k) if skin is not None and k < len(skin) else None
@@ -68,7 +77,8 @@ def _final(data: Stages) -> list[Shown]:
     if data.final is None or data.reference is None:
         return []
     f = data.final
-    return _paired("Final model and test", f.table, data.reference, f.observed, f.modes)
+    stage = "Final model and test"
+    return _paired(data, stage, f.table, data.reference, seen=f.observed, skin=f.modes)
 
 
 def _before(data: Stages) -> list[Shown]:
@@ -78,9 +88,13 @@ def _before(data: Stages) -> list[Shown]:
     if c is None:
         return [_alone("Model", m, k, (m, k), None) for k in range(len(m))] if m else []
     test = c.reference.elastic
-    out = _paired("Initial model and test", c.initial, test, c.fe_initial, m) if m else []
+    out: list[Shown] = []
+    if m:
+        stage = "Initial model and test"
+        out += _paired(data, stage, c.initial, test, seen=c.fe_initial, skin=m)
     if c.remodelling is not None:
-        out += _paired("Remodelled and test", c.remodelled, test, c.fe_remodelled, None)
+        stage = "Remodelled and test"
+        out += _paired(data, stage, c.remodelled, test, seen=c.fe_remodelled, skin=None)
     return out
 
 

@@ -104,8 +104,12 @@ def _tables(data: Stages) -> list[tuple[str, CorrelationTable]]:
 
 def _deviations(data: Stages) -> Plot:
     stages = _tables(data)
-    mac = "" if all(t.frequency_only for _, t in stages) else " and MAC of the pairs"
-    caption = f"Frequency deviation of the model from the test{mac}, mode by mode."
+    caption = "Frequency deviation of the model from the test, mode by mode."
+    if not all(t.frequency_only for _, t in stages):
+        caption = (
+            "Frequency deviation of the model from the test, MAC and subspace MAC of the pairs, "
+            "mode by mode. The two differ where close modes are compared as one subspace."
+        )
     if data.final is not None:
         caption += " Hollow marks: modes left out of the updating, chosen before it."
     return Plot(plots.deviations(stages), caption)

@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
+from ringtrue.core.notes import Note
 from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.core.testmodel import TestModel
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.plots import scene
 from ringtrue.plots import signals as plots
 from ringtrue.report.parts import (
+    MISSING,
     Block,
+    Cell,
     Columns,
     Fold,
     Heading,
@@ -34,6 +37,7 @@ from ringtrue.report.parts import (
     sentence,
     signs,
 )
+from ringtrue.study.config_sections import InstrumentSection
 from ringtrue.study.results import ModelStage, RecordSummary
 
 
@@ -44,8 +48,25 @@ def survey(data: Stages) -> Section | None:
         blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:
         blocks += [Heading("Tests"), *_tests(data.identify.records)]
+    if instruments := data.info.instrument:
+        blocks.append(_instruments(instruments))
     blocks += [Picture(p) for p in data.photos]
     return Section("survey", "System and tests", blocks) if blocks else None
+
+
+def _instruments(listed: Sequence[InstrumentSection]) -> ReportTable:
+    heads = ("|Instrument", "|Serial number", "|Channels", "|Sensitivity", "|Calibrated")
+    rows: list[list[str | Cell]] = [
+        [
+            i.name,
+            i.serial or MISSING,
+            ", ".join(i.channels) or MISSING,
+            i.sensitivity or MISSING,
+            i.calibrated or Cell("not stated", "warn"),
+        ]
+        for i in listed
+    ]
+    return ReportTable(heads, rows, "The instruments of the tests and their calibration.")
 
 
 def _system(model: ModelStage, computed: Float) -> ReportTable:
@@ -78,7 +99,8 @@ def weight(model: ModelStage) -> tuple[float, str]:
 
 
 DRAWN = 4  # records of one test
-HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min")
+HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "Hits kept")
+FEW = 3  # channels with the same note that have a line each
 
 
 def _tests(records: tuple[RecordSummary, ...]) -> list[Block]:
@@ -100,17 +122,35 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     """
     described: dict[str, list[str]] = {}
     for mine in parts:
-        count = Counter(n for r in mine for n in (*map(note_sentence, r.channel_notes), *r.notes))
+        count = Counter(n for r in mine for n in (*grouped(r.channel_notes), *r.notes))
         for note in (n if k == 1 else f"{n} ({k} records)" for n, k in count.items()):
             described.setdefault(note, []).append(_name(mine))
     notes = [f"{'; '.join(names)}: {note}" for note, names in described.items()]
     table = ReportTable(HEADS, [_test_row(mine) for mine in parts], caption)
+    table = table.without_blank("Hits")
     return [table, Items(notes)] if notes else [table]
+
+
+def grouped(notes: Sequence[Note]) -> list[str]:
+    """Sentences of notes on channels; what is said of more than `FEW` is said once and counted."""
+    by_code: dict[str, list[Note]] = {}
+    for note in notes:
+        by_code.setdefault(note.code, []).append(note)
+    out: list[str] = []
+    for same in by_code.values():
+        if len(same) <= FEW:
+            out += map(note_sentence, same)
+            continue
+        first, *rest = same
+        others = ", ".join(note.subject for note in rest)
+        out.append(f"{note_sentence(first)} (also {len(rest)} more: {others})")
+    return out
 
 
 def _test_row(mine: list[RecordSummary]) -> tuple[str, ...]:
     first = mine[0]
     minutes = sum(r.duration for r in mine) / 60
+    kept, hits = (sum(counts) for counts in zip(*(r.hits for r in mine), strict=True))
     return (
         first.test,
         _name(mine),
@@ -118,6 +158,7 @@ def _test_row(mine: list[RecordSummary]) -> tuple[str, ...]:
         str(first.channels),
         plain(first.rate),
         fixed(minutes, 1),
+        f"{kept} of {hits}" if hits else "",
     )
 
 
@@ -238,7 +279,7 @@ def frf_section(data: Stages) -> Section | None:
     if top < frfs.freqs[-1]:
         caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
-    if notes := (*map(note_sentence, ident.channel_notes), *ident.frf_notes):
+    if notes := [*grouped(ident.channel_notes), *ident.frf_notes]:
         blocks.append(Items(notes, "Notes"))
     if ident.synthesis_error.size:
         middle = np.nanmedian(ident.synthesis_error)
@@ -250,5 +291,5 @@ def frf_section(data: Stages) -> Section | None:
         )
         blocks.append(Text(text))
     if hits := ident.rejected_hits:
-        blocks.append(Items([signs(h) for h in hits], f"Rejected hits ({len(hits)})"))
+        blocks.append(Fold(f"Rejected hits ({len(hits)})", [Items([signs(h) for h in hits])]))
     return Section("frfs", "Frequency response functions", blocks)

@@ -1,17 +1,23 @@
 "use strict";
-// Draws the figures one after the other so that the page stays usable, runs the tabs and the contents, prepares for print.
+// Draws each figure as it comes near, all of them before printing; runs the tabs and the contents.
 (() => {
   const PAPER = 686; // px at 96 dpi: the text width of an A4 page
-  const config = { displaylogo: false, responsive: false, displayModeBar: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
-  const plots = [...document.querySelectorAll("[data-plot]")];
-  const views = [...document.querySelectorAll("[data-view]")];
+  const figures = [...document.querySelectorAll("[data-plot], [data-view]")];
   const plotData = [...document.querySelectorAll("script.plot-data")];
   const skinData = [...document.querySelectorAll("script.skin-data")];
   const viewData = [...document.querySelectorAll("script.view-data")];
-  const drawn = [];
+  const drawn = new Set(), near = new Set();
   // Diagrams side by side keep 230 px each; a narrow window scrolls over them.
   const abreast = (layout) => new Set(Object.keys(layout).filter((k) => /^xaxis/.test(k)).map((k) => (layout[k].domain || [0])[0])).size;
   const widthOf = (div, layout) => Math.max(div.parentElement.clientWidth, abreast(layout) > 1 ? 230 * abreast(layout) : 200);
+
+  // The library is text until the first diagram is near: the page can be read before.
+  function library() {
+    if (window.Plotly) return;
+    const script = document.createElement("script");
+    script.textContent = document.getElementById("plotly").textContent;
+    document.head.append(script);
+  }
 
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
 
@@ -30,45 +36,109 @@
     delete trace.meta;
   }
 
+  // The data of a figure: two columns a curve, with its errors where it has any; a matrix as one.
+  function columns(div) {
+    const named = (id) => div.layout[id.replace(/[xy]/, "$&axis")] || {};
+    const title = (trace, axis) => {
+      const own = named(trace[`${axis}axis`]);
+      return own.title?.text || (own.matches && named(own.matches).title?.text) || axis;
+    };
+    const out = [];
+    for (const t of div._fullData) {
+      const x = Array.from(t.x || []), y = Array.from(t.y || []);
+      if (t.type === "heatmap") out.push([title(t, "y"), ...y], ...x.map((name, k) => [name, ...Array.from(t.z, (row) => row[k])]));
+      else if (x.some((v) => v !== null) || y.length > 1) {
+        out.push([`${title(t, "x")} (${t.name})`, ...x], [`${title(t, "y")} (${t.name})`, ...y]);
+        for (const axis of ["x", "y"]) if (t[`error_${axis}`]?.array) out.push([`± ${title(t, axis)} (${t.name})`, ...t[`error_${axis}`].array]);
+      }
+    }
+    return out;
+  }
+
+  function csv(div) {
+    const cell = (v) => (v === undefined || v === null || Number.isNaN(v) ? "" : typeof v === "number" ? String(+v.toPrecision(7)) : /[",\n]/.test(v) ? `"${String(v).replaceAll('"', '""')}"` : String(v));
+    const data = columns(div), rows = Math.max(...data.map((c) => c.length));
+    return Array.from({ length: rows }, (_, k) => data.map((c) => cell(c[k])).join(",")).join("\r\n") + "\r\n";
+  }
+
+  // Buttons with words: what each saves is seen.
+  function config() {
+    const icon = (text) => ({ svg: `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 16"><text x="15" y="13" text-anchor="middle" font-size="14" font-family="sans-serif">${text}</text></svg>` });
+    const button = (name, title, click) => ({ name, title, icon: icon(name), click });
+    const image = (format) => async (div) => {
+      const { width, height } = div._fullLayout, address = await Plotly.toImage(div, { format, width, height, scale: format === "png" ? 3 : 1 });
+      window.ringtrueSave(div, format, await (await fetch(address)).blob());
+    };
+    return {
+      displaylogo: false, responsive: false, displayModeBar: true,
+      modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"], [
+        button("PNG", "Save as PNG", image("png")), button("SVG", "Save as SVG, to be edited", image("svg")),
+        button("CSV", "Save the data", (div) => window.ringtrueSave(div, "csv", new Blob(["\ufeff", csv(div)], { type: "text/csv" }))),
+      ]],
+    };
+  }
+
   // Numbers stand in the cells of a heat map where these are wide enough for them: 15 px, beside 130 px of labels and scale.
   const numbered = (trace, width) => (width - 130 >= 15 * trace.x.length ? "%{text}" : "");
   const withNumbers = (data) => data.flatMap((t, i) => (t.type === "heatmap" && t.text ? [i] : []));
 
-  function drawPlot(div) {
+  // On paper a figure is flatter (heat maps keep their height), and in two columns it has half the width.
+  function sizeOf(div, spec, paper) {
+    const height = div.ringtrueHeight, narrow = div.closest(".columns");
+    if (!paper) return { width: widthOf(div, spec.layout), height };
+    const flat = !narrow && !spec.data.some((t) => t.type === "heatmap");
+    return { width: narrow ? (PAPER - 34) / 2 : PAPER, height: Math.round(height * (flat ? 0.82 : 1)) };
+  }
+
+  function drawPlot(div, paper) {
+    library();
     const spec = JSON.parse(plotData[+div.dataset.plot].textContent);
     spec.data.forEach(unfold);
-    spec.layout.width = widthOf(div, spec.layout);
-    for (const i of withNumbers(spec.data)) spec.data[i].texttemplate = numbered(spec.data[i], spec.layout.width);
     div.ringtrueHeight = spec.layout.height;
-    return Plotly.newPlot(div, spec.data, spec.layout, config).then(() => {
-      drawn.push(div);
-      window.ringtrueDrawn += 1;
-    });
+    const size = sizeOf(div, spec, paper);
+    Object.assign(spec.layout, size);
+    for (const i of withNumbers(spec.data)) spec.data[i].texttemplate = numbered(spec.data[i], size.width);
+    div.style.height = `${size.height}px`;
+    Plotly.newPlot(div, spec.data, spec.layout, config());
   }
 
   function drawView(div) {
     const data = JSON.parse(viewData[+div.dataset.view].textContent);
     if (data.skin) Object.assign(data.skin, JSON.parse(skinData[data.skin.at].textContent));
     window.ringtrueView(div, data);
-    window.ringtrueDrawn += 1;
   }
 
-  async function drawAll() {
-    const all = [...document.querySelectorAll("[data-plot], [data-view]")];
-    for (const div of all) {
-      if (div.dataset.plot !== undefined) await drawPlot(div);
-      else drawView(div);
-      await new Promise((next) => setTimeout(next, 0));
+  function draw(div, paper = false) {
+    if (drawn.has(div)) return;
+    drawn.add(div);
+    near.delete(div);
+    seen.unobserve(div);
+    if (div.dataset.plot !== undefined) drawPlot(div, paper);
+    else drawView(div);
+    window.ringtrueDrawn = drawn.size;
+  }
+
+  // One figure at a time, so that the page stays usable.
+  function drawNear() {
+    const [div] = near;
+    if (!div) return;
+    draw(div);
+    setTimeout(drawNear, 0);
+  }
+
+  const seen = new IntersectionObserver((entries) => {
+    const idle = near.size === 0;
+    for (const e of entries) {
+      if (e.isIntersecting) near.add(e.target);
+      else near.delete(e.target);
     }
-    document.documentElement.dataset.drawn = "true";
-  }
+    if (idle) setTimeout(drawNear, 0);
+  }, { rootMargin: "400px 0px" });
 
-  // On paper a figure is flatter (heat maps keep their height), and in two columns it has half the width.
   function fit(paper) {
     for (const div of drawn) {
-      const narrow = div.closest(".columns"), flat = paper && !div.data.some((t) => t.type === "heatmap");
-      const width = paper ? (narrow ? (PAPER - 34) / 2 : PAPER) : widthOf(div, div.layout);
-      const height = Math.round(div.ringtrueHeight * (flat && !narrow ? 0.82 : 1));
+      if (div.dataset.plot === undefined || !(paper || div.parentElement.clientWidth)) continue;
+      const { width, height } = sizeOf(div, div, paper);
       if (Math.abs(width - div._fullLayout.width) < 2 && height === div._fullLayout.height) continue;
       div.style.height = `${height}px`;
       const cells = withNumbers(div.data);
@@ -110,21 +180,44 @@
   }, { passive: true });
   mark();
 
+  const fold = document.getElementById("fold"), wholes = [...document.querySelectorAll("details.whole")];
+  fold.addEventListener("click", () => {
+    const open = fold.ariaPressed === "true";
+    wholes.forEach((d) => { d.open = open; });
+    fold.ariaPressed = !open;
+    fold.textContent = open ? "Fold all sections" : "Unfold all sections";
+  });
+  // report.html#short opens the short report.
+  const short = document.getElementById("short");
+  function shorten(on) {
+    document.body.classList.toggle("short-report", on);
+    short.ariaPressed = on;
+    short.textContent = on ? "Full report" : "Short report";
+    mark();
+  }
+  short.addEventListener("click", () => shorten(short.ariaPressed !== "true"));
+  shorten(location.hash === "#short");
+  for (const [id, a] of links) a.addEventListener("click", () => { document.querySelector(`#${id} > details`).open = true; });
+  document.addEventListener("toggle", () => fit(false), true); // what was folded missed a resize
+
   let timer, folded = [];
   addEventListener("resize", () => {
     clearTimeout(timer);
-    timer = setTimeout(() => fit(), 150);
+    timer = setTimeout(() => fit(false), 150);
   });
+  // The browser prints when this returns; Plotly and the viewer draw before they do.
   addEventListener("beforeprint", () => {
     folded = [...document.querySelectorAll("details:not([open])")];
     folded.forEach((d) => { d.open = true; });
     fit(true);
+    figures.filter((div) => div.getClientRects().length).forEach((div) => draw(div, true));
     window.ringtrueStill(PAPER);
   });
   addEventListener("afterprint", () => {
-    folded.forEach((d) => { d.open = false; });
     fit(false);
+    folded.forEach((d) => { d.open = false; });
     window.ringtrueStill(0);
   });
-  drawAll();
+  window.ringtrueDrawn = 0;
+  figures.forEach((div) => seen.observe(div));
 })();

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import wilcoxon
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Progress
@@ -56,12 +57,15 @@ class ComparedDamping:
         Standard deviations from what was expected.
     named : int
         Cards or regions that are named.
+    worse : float
+        Probability by chance below which FRFs are called worse (signed-rank test).
     """
 
     span: float = 3.0
     unknown: float = 0.8
     far: float = 2.0
     named: int = 5
+    worse: float = 0.05
 
 
 COMPARED = ComparedDamping()
@@ -285,9 +289,13 @@ def run(session: Session, progress: Progress) -> DampingStage:
     before = "the damping of the deck"
     if not any(a.any() for a in own.total):
         before = f"{100 * found.common:.2f} % for all modes, the median of the test"
-    changes, files = _written(session, own.opened, found.dampers, found.fit)
+    why = refusal(errors[0], errors[1], found.after_std[: own.at.size] / own.test.ratio)
+    changes: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    if not why:
+        changes, files = _written(session, own.opened, found.dampers, found.fit)
     return DampingStage(
-        why="",
+        why=why,
         regions=_regions(found.dampers, found.fit),
         modes=replace(modes[0], frf_before=errors[0], frf_after=errors[1]),
         misfit=found.fit.misfit,
@@ -383,6 +391,39 @@ def frf_errors(
         unknown = np.full(size.shape, np.nan)
         out.append(np.sqrt(np.divide(wrong, size, out=unknown, where=size > 0)))
     return out
+
+
+def refusal(before: Float, after: Float, known: Float) -> str:
+    """Why damping by region is refused: FRFs around the resonances are worse with it, by more than
+    the errors of its ratios explain.
+
+    An error of a ratio by δ changes the FRF of its mode by δ/√2 around the resonance (norm over all
+    lines).
+
+    Parameters
+    ----------
+    before, after : (t,) float64
+        Relative errors of the FRFs around each test mode; NaN where there is none.
+    known : (t,) float64
+        Relative standard deviations of the ratios by region.
+
+    Returns
+    -------
+    str
+        Empty where they are not worse (Wilcoxon 1945, signed ranks of the modes).
+    """
+    there = np.isfinite(before) & np.isfinite(after)
+    one, two = before[there], after[there]
+    explained = np.hypot(one, known[there] / np.sqrt(2))
+    if not np.any(two > explained):
+        return ""
+    if wilcoxon(two, explained, alternative="greater").pvalue >= COMPARED.worse:
+        return ""
+    first, last = (100 * float(np.sqrt(np.mean(x**2))) for x in (one, two))
+    return (
+        f"with it the measured FRFs around the resonances deviate by {last:.1f} %, without it by "
+        f"{first:.1f} %; predictions take the damping ratios of the test"
+    )
 
 
 def _power(data: Complex) -> Float:

@@ -30,7 +30,6 @@ from ringtrue.study.results import (
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
 
-SHOWN = 4  # FRFs shown before and after
 ASSUMED_DAMPING = 0.01  # where no test mode with a ratio is paired
 
 
@@ -121,7 +120,8 @@ def deliver_final(session: Session, progress: Progress) -> FinalStage:
     rests_on = elastic_evidence(session, opened, reference, fe, table)
     if rests_on is not None:
         count = int(table.pairing.b.max(initial=-1)) + 1
-        tracks = followed(fe, before.fe_remodelled, before.fe_initial, count)
+        remodelled = () if before.remodelling is None else (before.fe_remodelled,)
+        tracks = followed((fe, *remodelled, before.fe_initial), count)
         rests_on = replace(rests_on, tracks=tracks)
     progress(0.8, "frequency responses")
     frfs = _frfs(c, ModelModes(opened, fe, zeta))
@@ -163,7 +163,10 @@ def _frfs(c: StudyConfiguration, final: ModelModes) -> tuple[FrfSet, FrfSet, Frf
 
 
 def _at_driving_points(test: FrfSet, initial: FrfSet, final: FrfSet) -> ComparedFrfs:
-    at = test.driving_points()[:SHOWN] or [(0, 0)]  # an excitation point without a sensor
+    own = {j: i for i, j in test.driving_points()}
+    # at an excitation point without a sensor, the response that is largest
+    largest = np.abs(test.data).max(axis=0).argmax(axis=0).tolist()
+    at = [(own.get(j, i), j) for j, i in enumerate(largest)]
     one, two, three = (
         np.stack([x.data[:, i, j] for i, j in at], axis=1) for x in (test, initial, final)
     )

@@ -42,11 +42,17 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
-from ringtrue.signal.spectra import Geophone, Welch, csd, deconvolve, lowest_frequency
+from ringtrue.signal.spectra import (
+    Geophone,
+    Welch,
+    csd,
+    deconvolve,
+    detrend,
+    lowest_frequency,
+)
 from ringtrue.study.config_sections import IdentifySection, TestSection
 from ringtrue.study.hammer_records import (
     ForceRecordFormat,
-    accepted_hits,
     forced_frfs,
     full_scale,
     read_file,
@@ -143,11 +149,11 @@ def summary(
 
 
 def preview(history: TimeHistory) -> RecordPreview:
-    """Channels of one unit, thinned so that no peak is lost."""
+    """Channels of one unit without their linear trend, thinned so that no peak is lost."""
     unit = history.channels[0].unit
     at = [i for i, c in enumerate(history.channels) if c.unit == unit][:SHOWN]
     channels = tuple(history.channels[i] for i in at)
-    data = np.asarray(history.data[at], dtype=np.float64)
+    data = detrend(history.data[at])
     resolution = Welch(max(0.05, 4 / history.duration))
     psd = csd(TimeHistory(data, history.rate, channels), resolution)
     power = np.real(np.einsum("fii->if", psd.data))
@@ -395,12 +401,16 @@ def frfs_of_records(
     for record, (mine, notes) in zip(records, read, strict=True):
         names = {run.source for run in mine}
         hits = [h for h in found.hits if h.source in names]
-        kept = [accepted_hits(hits)] if found.hits else []
         whole = mine[0]
         if len(mine) > 1:  # one after the other, to be looked at
             whole = replace(whole, data=np.hstack([run.data for run in mine]))
         first = record.setup == records[0].setup  # other setups look the same
-        shown.append(summary(record, whole, [*notes, *kept, *found.notes], draw=first))
+        shown.append(
+            replace(
+                summary(record, whole, [*notes, *found.notes], draw=first),
+                hits=(sum(h.accepted for h in hits), len(hits)),
+            )
+        )
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
     frfs, _ = exchange_by_reciprocity(join_frfs(columns))
     return FrfsOfRecords(frfs, join_by_setup(columns), tuple(shown), rejected_hits(found.hits))

@@ -135,7 +135,7 @@ def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:
     found: DampingStage | None = None
     if "damping" in (*session.results, *session.store.stages()):
         found = session.get("damping")
-    if found is not None and found.regions is not None:
+    if found is not None and found.regions is not None and not found.why:
         own = scatter(found.modes) if found.modes is not None else 0.0
         words = "loss factors and dashpots by region"
         each = f"{100 * own:.0f}"
