@@ -179,7 +179,7 @@ def _cluster(address: str) -> Iterator[Pool]:
             f'workers at {address} need dask.distributed: pip install "ringtrue[cluster]"'
         ) from e
     try:
-        client = Client(address, set_as_default=False)
+        client: Any = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as e:
         raise ConfigError(f"workers {address}: no dask scheduler answers there: {e}") from e
     with client:
