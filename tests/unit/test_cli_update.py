@@ -83,7 +83,7 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
     ],
 )
 def test_settings_lead_to_the_same_factors(capsys: Capture, folder: Path, settings: str) -> None:
-    (folder / "study.toml").write_text(f"{STUDY}[update]\n{settings}")
+    (folder / "study.toml").write_text(f'{STUDY}[update]\nwrite = "all"\n{settings}')
     status, out, err = call(capsys, folder, "--seed", "1", "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
@@ -208,6 +208,7 @@ def test_what_was_measured_besides_modes_is_fitted_and_shown(capsys: Capture, fo
     (folder / "study.toml").write_text(
         f"""{STUDY}[update]
 residuals = ["mac"]
+write = "all"
 [[residual]]
 kind = "mass"
 mass = {mass}
@@ -266,6 +267,8 @@ def frequencies_alone(folder: Path) -> list[float]:
 
 def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folder: Path) -> None:
     frequencies_alone(folder)
+    with (folder / "study.toml").open("a") as f:
+        f.write('[update]\nwrite = "all"\n')
     assert call(capsys, folder, "--json", "-")[0] == 0
     found = json.loads(call(capsys, folder, "--json", "-")[1])
     assert [p["factor"] for p in found["parameters"]] == pytest.approx(

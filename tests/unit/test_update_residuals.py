@@ -92,6 +92,7 @@ KINDS = {
     "log frf": lambda m: frf(m, "log"),
     "complex frf": lambda m: frf(m, "complex"),
     "anti-resonances": lambda m: AntiResonances(3, 3, np.array([4.0, 11.0, 17.0, 23.0])),
+    "frf at complex frequencies": lambda m: replace(frf(m, "log"), decay=0.1),
     "static": lambda m: StaticDeflections(np.eye(N)[:, [2, 8]], np.full((N, 2), 1e-4)),
 }
 

@@ -146,6 +146,8 @@ def update(
         write_json(summary, json)
     if json != "-":
         show_summary(study, summary)
-    if not found.ok:
+    if not found.solved:
         err.print(f"not to be trusted: {summary['why']}")
+    for misfit in found.misfits:
+        err.print(misfit.sentence())
     return 0 if found.ok else 1

@@ -17,6 +17,7 @@ FREQUENCY_KINDS = ("eigenvalues", "frequencies")  # residuals that need no shape
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber"]
+Written = Literal["proven", "all"]
 BEGINS: dict[str, object] = {
     "starts": 1,
     "stages": [],
@@ -59,6 +60,8 @@ class UpdateSection(StudySection):
     """Rule for the weight of the prior."""
     loss: Robust = "squares"
     """Against a wrong mode."""
+    write: Written = "proven"
+    """Factors that the deck gets: those whose interval does not hold 1, or all."""
     starts: int = Field(default=1, gt=0)
     """Number of starts; the first is the deck."""
     stages: list[list[str]] = Field(default=[])

@@ -69,6 +69,9 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
             out += [f"configuration {c.name}: {m.text}" for m in c.sensors.mendings]
         out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
     best = update.best if update is not None else None
+    if best is not None:
+        still = np.flatnonzero(best.factor == 1.0).tolist()
+        out += not_written_sentences([best.parameters[i] for i in still])
     if r.get("sensitivity") is not None and best is not None:
         out += held_sentences(r["sensitivity"].held.get(best.name, {}))
     # that the deck did not have and a factor of 2 adds
@@ -90,6 +93,7 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     if update is not None and best is not None:
         out += [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
         out.append(discrepancy_sentence(best.discrepancy.tolist()))
+        out += [m.sentence() for m in best.fit.misfits]
         proposed = localise.proposal.members if localise is not None else ()
         if best.name == "proposal" and localise is not None and not proposed:
             out.append(NO_CHANGE)
@@ -105,6 +109,15 @@ def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
         f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both "
         "changes them together"
         for name, by in held.items()
+    ]
+
+
+def not_written_sentences(names: Sequence[str]) -> list[str]:
+    """Parameters whose change is not proven."""
+    return [
+        f"{name} stays as in the deck: the interval of its factor holds 1 ([update] write = "
+        '"all" writes it)'
+        for name in names
     ]
 
 

@@ -33,7 +33,7 @@ from ringtrue.updating.residuals.modal import (
 )
 from ringtrue.updating.residuals.static import RigidMass
 from ringtrue.updating.solver import Method, Solution, latin_hypercube, multi_start, solve, staged
-from ringtrue.updating.strategy import Course, Settled
+from ringtrue.updating.strategy import Course, Settled, by_modes, joined_by_all
 from ringtrue.updating.strategy import settled as settled_from
 from ringtrue.updating.target import Target, Weights
 
@@ -219,14 +219,18 @@ class Minimisation:
 
     def run(self, problem: Problem, progress: Progress, start: Float | None = None) -> Settled:
         """The end of an updating from a start that the gates have led to, or from where they
-        lead.
+        lead: by the modes first, then by FRFs too.
         """
         course = self.course or course_of(self.settings)
         if start is not None:
             return settled_from(problem, course, start=start, progress=self.steps)
-        rough = self.starting_point(problem, progress)
-        end = settled_from(problem, course, start=rough.y, progress=self.steps)
-        return replace(end, path=(*rough.history, *end.path[1:]))
+        modal = by_modes(problem)
+        rough = self.starting_point(modal, progress)
+        end = settled_from(modal, course, start=rough.y, progress=self.steps)
+        end = replace(end, path=(*rough.history, *end.path[1:]))
+        if not any(t.whole for c in problem.configurations for t in c.terms):
+            return end
+        return joined_by_all(problem, end, course, self.steps)
 
     def starting_point(self, problem: Problem, progress: Progress) -> Solution:
         """Where the gates lead: the best end of several starts, sets that grow, or the deck."""

@@ -23,6 +23,7 @@ from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.shapes import unit
 from ringtrue.solvers.observed import FullModel
 from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.measured_data import Data
 from ringtrue.study.objective import (
     Minimisation,
     course_of_runs,
@@ -49,14 +50,15 @@ from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.store import FinishedSets
 from ringtrue.updating import strategy
-from ringtrue.updating.identifiability import stood_for, unmoved
-from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single
+from ringtrue.updating.adequacy import misfits
+from ringtrue.updating.identifiability import least_proven, stood_for
+from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single, weighed
 from ringtrue.updating.selection import selection_rules
 from ringtrue.updating.selection.candidates import elements_of
 from ringtrue.updating.selection.screening import of_parameter
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.strategy import Settled, displaced, whole_cost
-from ringtrue.updating.target import Target, match
+from ringtrue.updating.target import Target, Weights, match
 
 USUAL_RUNS = 60  # of an updating, for the progress that is shown
 
@@ -107,7 +109,9 @@ def update_reduced(
     problem = problem_of(session, [over(m, members) for m in models], u)
     end = how.run(problem, progress, start=y)
     whole = replace(end, path=(*path, *end.path[1:]))
-    result = summary(problem, targets(session, u), name, whole)
+    active = [over(m, members) for m in models]
+    data = [data_of(c, m) for c, m in zip(session.configurations, active, strict=True)]
+    result = summary(problem, targets(session, u), name, whole, data)
     return FinishedSet(result, displaced(problem, end.solution.end), 0)
 
 
@@ -236,8 +240,16 @@ def left_out_deviation(aims: Sequence[Target], ends: Sequence[Linearisation]) ->
     return percent(np.mean, error, np.ones(error.size, dtype=bool))
 
 
-def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -> SetResult:
-    """The updated set as it is compared with others."""
+def summary(
+    problem: Problem,
+    aims: Sequence[Target],
+    name: str,
+    end: Settled,
+    data: Sequence[Sequence[Data]] = (),
+) -> SetResult:
+    """The updated set as it is compared with others; `data` is what was measured besides the modes
+    of each configuration.
+    """
     done = end.solution
     path = end.path
     p = problem.parameters
@@ -249,6 +261,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
     steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
     cost = whole_cost(problem, done.end)
+    found = strategy.kept(end.problem)
     fit = SetFit(
         mean_deviation=percent(np.mean, error, used),
         max_deviation=percent(np.max, error, used),
@@ -256,6 +269,7 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         mean_deviation_left_out=left_out_deviation(aims, [p.now for p in done.end.points]),
         condition=float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
         criterion=aicc(cost, data_count(problem, done.end), done.x.size),
+        misfits=misfits(weighed(problem, _at_least(problem, found)), done.end, data),
     )
     history = UpdateHistory(
         objective=np.array([at.cost for at in path]),
@@ -275,8 +289,17 @@ def summary(problem: Problem, aims: Sequence[Target], name: str, end: Settled) -
         fit=fit,
         outcome=done.outcome,
         history=history,
-        discrepancy=strategy.kept(end.problem),
+        discrepancy=found,
     )
+
+
+def _at_least(problem: Problem, found: Float) -> Weights:
+    """The errors of frequencies and 1 − MAC that the study states, or those found (2,) where these
+    are larger: what is known of the form of the model is no misfit. `DISCREPANCY.loose` limits it.
+    """
+    stated = problem.configurations[0].target.weights
+    frequency, mac = np.fmax(found, (stated.frequency, stated.mac)).tolist()
+    return replace(stated, frequency=frequency, mac=mac)
 
 
 def update_by_runs(
@@ -481,7 +504,9 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
         results = _with_further_starts(session, results, chosen, progress)
         chosen = _lowest_criterion(results, comparable)
     kept.clear()
-    results[chosen] = best = _without_unmoved(session, results[chosen])
+    named_set = named.get(results[chosen].name)
+    u = named_set.settings(own) if named_set else own
+    results[chosen] = best = _only_proven(session, results[chosen], part(progress, 0.95, 1.0), u)
     why = WHY.format(name=best.name, value=best.fit.criterion)
     why += ALL_TESTS if session.others else ""
     why += "" if all(comparable) else OTHER
@@ -498,14 +523,49 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     )
 
 
-def _without_unmoved(session: Session, best: SetResult) -> SetResult:
-    """The set with a factor of 1 for what has not changed beyond its own error and moves no mode:
-    it is not written.
+def _only_proven(
+    session: Session, best: SetResult, progress: Progress, u: UpdateSection
+) -> SetResult:
+    """The set with a factor of 1 for each parameter whose interval holds it, the others fitted
+    anew: the least proven one first, until all that are left are proven.
     """
-    sets: SensitivityStage = session.get("sensitivity")
-    x = session.chosen(best.parameters).vector(best.factor)
-    slopes = sets.d_frequency[:, [sets.names.index(n) for n in best.parameters]]
-    return replace(best, factor=np.where(unmoved(x, best.std, slopes), 1.0, best.factor))
+    while u.write == "proven":
+        free = np.flatnonzero(best.factor != 1.0)
+        members = [best.parameters[i] for i in free.tolist()]
+        chosen = session.chosen(members)
+        x = chosen.vector(best.factor[free])
+        std = best.std[free] * best.factor[free] / chosen.derivative(x)
+        weakest = least_proven(x, std, session.config.uncertainty.level)
+        if weakest is None:
+            break
+        rest = np.delete(free, weakest)
+        factor = np.ones(best.factor.size)
+        if not rest.size:
+            return replace(best, factor=factor)
+        members = [best.parameters[i] for i in rest.tolist()]
+        if session.engine is None:
+            start = dict(zip(members, best.factor[rest].tolist(), strict=True))
+            again = update_reduced(session, best.name, members, progress, u, start).result
+        else:
+            again = update_by_runs(session, best.name, members, progress, u).result
+        factor[rest] = again.factor
+        spread = best.std.copy()
+        spread[rest] = again.std
+        known = best.identifiability.copy()
+        known[rest] = again.identifiability
+        path = np.ones((len(again.history.path), factor.size))
+        path[:, rest] = again.history.path
+        best = replace(
+            again,
+            parameters=best.parameters,
+            factor=factor,
+            std=spread,
+            bounds=best.bounds,
+            identifiability=known,
+            history=replace(again.history, path=path),
+            settings=best.settings,
+        )
+    return best
 
 
 def _field_values(session: Session, best: SetResult, factor: Float) -> dict[str, float]:

@@ -100,6 +100,11 @@ class Term:
         """Residuals at a point."""
         raise NotImplementedError
 
+    def fit(self, at: Point) -> Float:
+        """Squared deviation of each datum (n,) over the square of its stated error."""
+        block = self(at)
+        return np.asarray(np.bincount(block.datum, block.value**2))
+
     @property
     def expected(self) -> float:
         """Deviation that the best model is expected to keep: of a frequency (relative) or of
@@ -117,6 +122,17 @@ class Term:
         where it is not a multiple of these. `std` (m,) are the test's own, of the frequencies.
         """
         return None
+
+    @property
+    def highest(self) -> float:
+        """Highest frequency, Hz, at which it reads the model besides its modes; 0 for none."""
+        return 0.0
+
+    def broadened(self, width: float) -> Term:
+        """The kind with its peaks broadened by `width` times their frequency; itself where it has
+        none.
+        """
+        return self
 
     def reweighed(self, frequency: float, mac: float, independent: float) -> Term:
         """The kind with other model discrepancies of a frequency (relative) and of 1 − MAC.
@@ -222,11 +238,24 @@ class Weighted(Term):
         """The factor."""
         return self.factor
 
+    @property
+    def highest(self) -> float:
+        """See `Term`."""
+        return self.term.highest
+
+    def broadened(self, width: float) -> Weighted:
+        """See `Term`."""
+        return replace(self, term=self.term.broadened(width))
+
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         block = self.term(at)
         root = np.sqrt(self.factor)
         return replace(block, value=root * block.value, slope=root * block.slope)
+
+    def fit(self, at: Point) -> Float:
+        """See `Term`: by the error that was stated, whatever the factor."""
+        return self.term.fit(at)
 
     def widened(self, by: float) -> Weighted:
         """See `Term`."""
@@ -336,6 +365,10 @@ class Shapes(Term):
         slope = np.concatenate([root * g for _, g in parts] or [np.zeros((0, p))])
         datum = np.repeat(np.arange(rows.size), rows)
         return ResidualBlock(value, slope, datum, np.repeat(at.pairs[:, 0], rows))
+
+    def fit(self, at: Point) -> Float:
+        """See `Term`: (1 − MAC) over that expected, whatever the factor."""
+        return Term.fit(self, at) / self.factor
 
     @property
     def expected(self) -> float:
