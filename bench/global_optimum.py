@@ -11,7 +11,7 @@ some down:
     beam    6 m on four springs: both halves, both pairs of springs
 
 Measured are the lowest modes at 12 to 16 channels (0.1 % of a frequency, 2 % of a shape) and
-accelerances of one or two excitation points (3 %, and noise 60 dB below their root mean square)
+accelerances of one or two excitation points (3 %, and noise 80 dB below their root mean square)
 with 1 %, or with 0.3 % of damping, where peaks that are shifted do not overlap. In one family the
 FRFs cover twice as many modes as were identified. Each test is updated as `ringtrue update` does
 it. The optimum is the end of the same updating from the truth, compared by the objective that the
@@ -238,7 +238,7 @@ def measure(
     freqs = np.linspace(0.5 * f[0], 1.3 * f[s.modes - 1], LINES)
     h = frf(freqs, f, zeta, out, shapes[[every.index(i) for i in s.inputs]])
     noise = rng.standard_normal((2, *h.shape))
-    floor = 1e-3 * np.sqrt(np.mean(np.abs(h) ** 2))
+    floor = 1e-4 * np.sqrt(np.mean(np.abs(h) ** 2))
     h = h + (0.03 * np.abs(h) + floor) * (noise[0] + 1j * noise[1])
     outputs = tuple(Channel(c, "acceleration", "m/s^2") for c in s.channels)
     inputs = tuple(Channel(c, "force", "N") for c in s.inputs)

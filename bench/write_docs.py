@@ -64,6 +64,7 @@ RUNS = {  # name of the results: script and its options
     "localisation": "bench/localisation.py",
     "updating": "bench/updating.py starts",
     "updating_cost": "bench/updating.py cost",
+    "global_optimum": "bench/global_optimum.py",
     "uncertainty": "bench/uncertainty.py",
     "facility": "bench/facility.py",
     "kernels": "bench/kernels.py",

@@ -18,12 +18,12 @@ import ringtrue as rt
 from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Outcome
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.fem.response import frf
 from ringtrue.io.frfs import write_frfs
-from ringtrue.io.modes import write_modes
+from ringtrue.io.modes import read_modes, write_modes
 from ringtrue.study.acceptance import AcceptanceCheck, settles
 from ringtrue.study.opened import Opened
 from ringtrue.updating.identifiability import least_proven, stood_for, told_apart
@@ -225,6 +225,22 @@ def test_stiffness_and_mass_of_a_region_are_one_to_frequencies_and_two_to_a_driv
     assert found["misfits"] == []
     factors = {p["name"]: p["factor"] for p in found["parameters"]}
     assert factors == pytest.approx({"E": 0.9, "rho": 1.1}, rel=0.02)  # the prior pulls
+
+
+def test_modal_masses_of_mass_scaled_shapes_tell_both_too(tmp_path: Path, capsys: Capture) -> None:
+    path = study(tmp_path, {"E": CANDIDATES["E"], "rho": CANDIDATES["rho"]})
+    tap(tmp_path)
+    kinds = '[update]\nresiduals = ["eigenvalues", "shapes", "modal masses"]\nmass_error = 0.02\n'
+    path.write_text(path.read_text() + kinds)
+    words = ["update", str(path), str(tmp_path / "modes.json"), "--json", "-"]
+    assert run(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    factors = {p["name"]: p["factor"] for p in found["parameters"]}
+    assert factors == pytest.approx({"E": 0.9, "rho": 1.1}, rel=0.01)
+    modes = read_modes(tmp_path / "modes.json")
+    write_modes(tmp_path / "modes.json", replace(modes, norm=Norm.UNSCALED))
+    assert run(words) == 2
+    assert '"modal masses" need test modes of unit modal mass' in capsys.readouterr().err
 
 
 def test_python_holds_what_the_data_cannot_distinguish(tmp_path: Path) -> None:

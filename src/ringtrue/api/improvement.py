@@ -16,6 +16,7 @@ from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
@@ -442,7 +443,10 @@ def _configuration(
     else:
         top = highest(modes.frequencies, gates)
         seen = reduced(one.model, parameters, bridge, len(opened.modes(top).modes))
-    return Configuration(seen, target, modal_terms(u), name)
+    kilograms = 1.0
+    if isinstance(one.model, Model):
+        kilograms = UNIT_SYSTEMS[one.model.units].kilograms
+    return Configuration(seen, target, modal_terms(u, modes.norm, kilograms), name)
 
 
 def _at_end(

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ringtrue.study.config_sections import StudySection
 
-ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac"]
+ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "modal masses"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -54,6 +54,8 @@ class UpdateSection(StudySection):
     """That the best model of this form keeps, relative; that of the test is added."""
     mac_error: Positive = 0.05
     """The same of 1 - MAC."""
+    mass_error: Positive = 0.1
+    """Of a modal mass, relative."""
     discrepancy: Discrepancy = "found"
     """Errors of the kinds of residuals: as left over, as given, or as likely."""
     prior: Prior = "study"

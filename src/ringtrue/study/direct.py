@@ -188,7 +188,9 @@ def direct_problem(
         request = ModesRequest(2 * len(modes))
         full = FullModel(opened.model, parameters, look, request, engine)
         model = full.reaching(top)
-    terms = (*modal_terms(config.update), *(Weighted(d.term, d.weight) for d in data))
+    kilograms = UNIT_SYSTEMS[config.model.units].kilograms
+    modal = modal_terms(config.update, modes.norm, kilograms)
+    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
     limit_rows, limits = constraints(config, parameters)
     problem = Problem(
         (Configuration(model, target, terms),),

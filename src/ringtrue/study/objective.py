@@ -10,9 +10,9 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress
-from ringtrue.core.modes import elastic
+from ringtrue.core.modes import Norm, elastic
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.errors import DataError
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
@@ -26,6 +26,7 @@ from ringtrue.updating.residuals.modal import (
     Eigenvalues,
     Frequencies,
     Mac,
+    ModalMasses,
     Quantity,
     Shapes,
     Term,
@@ -38,7 +39,8 @@ from ringtrue.updating.strategy import settled as settled_from
 from ringtrue.updating.target import Target, Weights
 
 LOSSES: dict[str, RobustLoss] = {"squares": Squares(), "huber": Huber()}
-KINDS = ("eigenvalues", "frequencies", "shapes", "mac")
+MASSES = "modal masses"
+KINDS = ("eigenvalues", "frequencies", "shapes", "mac", MASSES)
 
 
 def target(c: StudyConfiguration, u: UpdateSection | None = None) -> Target:
@@ -101,18 +103,32 @@ def terms_of(
     c: StudyConfiguration, model: AtChannels | FullModel, u: UpdateSection | None = None
 ) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then its [[residual]]s."""
-    modal = modal_terms(u or c.session.config.update)
+    unit = c.session.unit.kilograms
+    modal = modal_terms(u or c.session.config.update, c.reference.elastic.norm, unit)
     if isinstance(model, FullModel):  # modes alone
         return modal
     return (*modal, *(Weighted(d.term, d.weight) for d in data_of(c, model)))
 
 
-def modal_terms(u: UpdateSection) -> tuple[Term, ...]:
-    """The kinds of residuals of the paired modes."""
+def modal_terms(u: UpdateSection, norm: Norm, kilograms: float) -> tuple[Term, ...]:
+    """The kinds of residuals of the paired modes; `kilograms` of the deck's unit of mass.
+
+    Raises
+    ------
+    ConfigError
+        If modal masses are asked for of test modes that have none.
+    """
+    if MASSES in u.residuals and norm is not Norm.MASS:
+        raise ConfigError(
+            f'[update] residuals: "{MASSES}" need test modes of unit modal mass; got {norm.value} '
+            "shapes. They come from a driving point (`ringtrue ema`); or compare its FRF by a "
+            "[[residual]]"
+        )
     made: dict[str, Term] = {
         "eigenvalues": Eigenvalues(u.frequency_error),
         "frequencies": Frequencies(u.frequency_error, "log"),
         "mac": Mac(u.mac_error),
+        MASSES: ModalMasses(u.mass_error, kilograms),
     }
     if u.shape_weight > 0:
         made["shapes"] = Shapes(u.mac_error, u.shape_weight)

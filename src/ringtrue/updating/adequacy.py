@@ -18,7 +18,13 @@ from scipy.stats import chi2
 
 from ringtrue.core.arrays import Float
 from ringtrue.updating.problem import MODE_STRIDE, Evaluated, Problem
-from ringtrue.updating.residuals.modal import NO_MODE, Quantity, Term
+from ringtrue.updating.residuals.modal import (
+    NO_MODE,
+    ModalMasses,
+    Quantity,
+    Term,
+    Weighted,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +119,7 @@ def misfits(
         for term in c.terms:
             rows = at.kind == kind
             kind = kind + 1
-            named = next(others, None) if term.quantity is Quantity.OTHER else None
+            named = next(others, None) if isinstance(term, Weighted) else None
             squares = term.fit(point)
             used_up = float(np.trace(linalg.solve(normal, g[rows].T @ g[rows], assume_a="pos")))
             freedom = max(squares.size - used_up, 1.0)
@@ -139,6 +145,8 @@ def _called(term: Term, named: LabelledData | None, modes: np.ndarray) -> tuple[
     if named is not None:
         return named.name, named.labels
     numbers = [f"test mode {t + 1}" for t in dict.fromkeys(modes.tolist()) if t != NO_MODE]
+    if isinstance(term, ModalMasses):
+        return "modal masses", numbers
     if term.quantity is Quantity.OTHER:
         return "data besides the modes", [f"datum {k + 1}" for k in range(modes.size)]
     return ("frequencies" if term.quantity is Quantity.FREQUENCY else "shapes"), numbers

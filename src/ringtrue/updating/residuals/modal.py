@@ -445,3 +445,40 @@ class Mac(Deviations):
             slope = slope / (2 * root**3)[:, None]
             value = value / (1 + root) / root
         return rows_block(value / self.std, slope / self.std, t)
+
+
+@dataclass(frozen=True, slots=True)
+class ModalMasses(Deviations):
+    """ln of the modal mass of each pair, test over model, at the scale of the test's shape.
+
+    A test shape of unit modal mass is s times the model's. It was scaled by the response of a
+    driving point, which tells mass from stiffness where frequencies tell their ratio alone. Modes
+    that are close to others are left out: a rotation among them is free. Ewins (2000), Modal
+    Testing, sec. 2.4.
+
+    Attributes
+    ----------
+    std : float
+        Of a modal mass, relative.
+    kilograms : float
+        Of the deck's unit of mass.
+    """
+
+    std: float = 0.1
+    kilograms: float = 1.0
+
+    def __call__(self, at: Point) -> ResidualBlock:
+        """See `Term`."""
+        alone = np.array([s.size == 1 for s in at.spans], dtype=np.bool_)
+        t, j = at.pairs[alone].T
+        psi = at.target.shapes[:, t] * np.sqrt(self.kilograms)
+        phi = at.now.shapes[:, j]
+        d_phi = at.now.d_shapes[:, j]
+        along = np.sum(phi * psi, axis=0)
+        size = np.sum(phi**2, axis=0)
+        if not along.all() or not size.all():
+            raise NumericalError("a test shape is orthogonal to its partner: it has no scale there")
+        value = -2 * np.log(np.abs(along) / size)
+        first = np.einsum("cmp,cm->mp", d_phi, psi) / along[:, None]
+        second = 2 * np.einsum("cmp,cm->mp", d_phi, phi) / size[:, None]
+        return rows_block(value / self.std, 2 * (first - second) / self.std, t)
