@@ -13,7 +13,7 @@ from ringtrue.cli.model import TimeLimit
 from ringtrue.cli.show import Json, err, out, progress, rows, tell, warn_of_units, write_json
 from ringtrue.core.digits import number, with_error
 from ringtrue.solvers.registry import EMBEDDED
-from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
+from ringtrue.study.messages import discrepancy_sentence, misfit_sentence, worse_frequencies
 
 HEADS = (
     "#",
@@ -149,5 +149,5 @@ def update(
     if not found.solved:
         err.print(f"not to be trusted: {summary['why']}")
     for misfit in found.misfits:
-        err.print(misfit.sentence())
+        err.print(misfit_sentence(misfit))
     return 0 if found.ok else 1

@@ -26,6 +26,7 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
+from ringtrue.updating.adequacy import Misfit
 
 MEND = (
     "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "
@@ -93,7 +94,7 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     if update is not None and best is not None:
         out += [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
         out.append(discrepancy_sentence(best.discrepancy.tolist()))
-        out += [m.sentence() for m in best.fit.misfits]
+        out += [misfit_sentence(m) for m in best.fit.misfits]
         proposed = localise.proposal.members if localise is not None else ()
         if best.name == "proposal" and localise is not None and not proposed:
             out.append(NO_CHANGE)
@@ -110,6 +111,15 @@ def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
         "changes them together"
         for name, by in held.items()
     ]
+
+
+def misfit_sentence(m: Misfit) -> str:
+    """A kind of residuals beyond its stated error."""
+    where = f" of {m.configuration}" if m.configuration else ""
+    return (
+        f"not fitted: {m.kind}{where} deviate by {m.ratio:.2g} times their stated error "
+        f"(χ² {m.chi_square:.3g}, by chance up to {m.limit:.3g}); most of all {', '.join(m.worst)}"
+    )
 
 
 def not_written_sentences(names: Sequence[str]) -> list[str]:

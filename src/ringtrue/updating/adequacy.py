@@ -83,15 +83,6 @@ class Misfit:
     limit: float
     worst: tuple[str, ...]
 
-    def sentence(self) -> str:
-        """In words."""
-        where = f" of {self.configuration}" if self.configuration else ""
-        return (
-            f"not fitted: {self.kind}{where} deviate by {self.ratio:.2g} times their stated error "
-            f"(χ² {self.chi_square:.3g}, by chance up to {self.limit:.3g}); most of all "
-            f"{', '.join(self.worst)}"
-        )
-
 
 def misfits(
     problem: Problem,

@@ -158,10 +158,14 @@ def joined_by_all(
         y = done.y
     seen = [problem.evaluate(at.y) for at in path]
     end = settled(problem, course, start=y, progress=progress)
+
+    def cost(y: Float) -> float:
+        return whole_cost(problem, problem.evaluate(y))
+
     best = min(seen, key=lambda at: whole_cost(problem, at))
-    if whole_cost(problem, best) < whole_cost(problem, end.solution.end):
+    if whole_cost(problem, best) < cost(end.solution.y):
         again = settled(problem, course, start=best.y, progress=progress)
-        end = min(end, again, key=lambda s: whole_cost(problem, problem.evaluate(s.solution.y)))
+        end = min(end, again, key=lambda s: cost(s.solution.y))
     return replace(end, path=(*seen, *end.path[1:]))
 
 

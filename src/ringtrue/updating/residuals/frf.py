@@ -104,7 +104,7 @@ class Frf(Deviations):
         function H(σ + iω): the mean of H(iω) under the Poisson kernel of width σ, over the lines
         of the record of both signs.
         """
-        if self.record is None:
+        if self.record is None or self.record[0].size < 2:
             return self
         freqs, data = self.record
         flat = data.reshape(freqs.size, -1)
