@@ -316,7 +316,7 @@ def only_proven(
             end = Minimisation(u, 0, course_of_runs(u), show).run(problem, show, start)
             done = Verified(end.solution, end.problem, 0.0, model.ledger.runs)
         else:
-            done = _on_basis(problem, u, 0, None, show, start)
+            done = _on_basis(problem, u, 0, None, show, start=start)
     return problem, done, tuple(dropped)
 
 

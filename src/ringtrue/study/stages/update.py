@@ -545,7 +545,7 @@ def _only_proven(
         members = [best.parameters[i] for i in rest.tolist()]
         if session.engine is None:
             start = dict(zip(members, best.factor[rest].tolist(), strict=True))
-            again = update_reduced(session, best.name, members, progress, u, start).result
+            again = update_reduced(session, best.name, members, progress, u, factors=start).result
         else:
             again = update_by_runs(session, best.name, members, progress, u).result
         factor[rest] = again.factor
