@@ -452,8 +452,8 @@ class ModalMasses(Deviations):
     """ln of the modal mass of each pair, test over model, at the scale of the test's shape.
 
     A test shape of unit modal mass is s times the model's. It was scaled by the response of a
-    driving point, which separates mass from stiffness where frequencies give their ratio alone. Modes
-    that are close to others are left out: a rotation among them is free. Ewins (2000), Modal
+    driving point, which separates mass from stiffness where frequencies give their ratio alone.
+    Modes that are close to others are left out: a rotation among them is free. Ewins (2000), Modal
     Testing, sec. 2.4.
 
     Attributes
