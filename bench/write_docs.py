@@ -65,6 +65,7 @@ RUNS = {  # name of the results: script and its options
     "updating": "bench/updating.py starts",
     "updating_cost": "bench/updating.py cost",
     "published": "bench/published.py",
+    "global_optimum": "bench/global_optimum.py",
     "uncertainty": "bench/uncertainty.py",
     "facility": "bench/facility.py",
     "kernels": "bench/kernels.py",

@@ -83,7 +83,7 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
     ],
 )
 def test_settings_lead_to_the_same_factors(capsys: Capture, folder: Path, settings: str) -> None:
-    (folder / "study.toml").write_text(f"{STUDY}[update]\n{settings}")
+    (folder / "study.toml").write_text(f'{STUDY}[update]\nwrite = "all"\n{settings}')
     status, out, err = call(capsys, folder, "--seed", "1", "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]
@@ -125,6 +125,28 @@ def test_starts_on_two_workers_end_where_those_of_one_process_do(
     status, _, err = call(capsys, folder, "--workers", "two")
     assert status == 2
     assert "workers 'two': a number of processes from 1 on, or the address" in " ".join(err.split())
+
+
+def test_what_no_parameter_mends_is_said_and_ends_with_status_1(
+    capsys: Capture, folder: Path
+) -> None:
+    """Frequencies 4 % off in turns, of which the study states 1 %; it is enough to state 5 %."""
+    whole = read_modes(folder / "test.json")
+    off = 1 + 0.04 * (-1.0) ** np.arange(len(whole))
+    write_modes(folder / "test.json", replace(whole, frequencies=whole.frequencies * off))
+    status, out, err = call(capsys, folder, "--json", "-")
+    assert status == 1
+    told = " ".join(err.split())
+    assert "not fitted: frequencies deviate by" in told
+    assert "test mode" in told
+    assert "not to be trusted" not in told
+    (found,) = json.loads(out)["misfits"]
+    assert found["kind"] == "frequencies"
+    assert found["chi_square"] > found["limit"]
+    (folder / "study.toml").write_text(STUDY + "[update]\nfrequency_error = 0.05\n")
+    status, out, err = call(capsys, folder, "--json", "-")
+    assert status == 0, err
+    assert json.loads(out)["misfits"] == []
 
 
 def turned_sheet() -> str:
@@ -221,6 +243,7 @@ def test_what_was_measured_besides_modes_is_fitted_and_shown(capsys: Capture, fo
     (folder / "study.toml").write_text(
         f"""{STUDY}[update]
 residuals = ["mac"]
+write = "all"
 [[residual]]
 kind = "mass"
 mass = {mass}
@@ -279,6 +302,8 @@ def frequencies_alone(folder: Path) -> list[float]:
 
 def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folder: Path) -> None:
     frequencies_alone(folder)
+    with (folder / "study.toml").open("a") as f:
+        f.write('[update]\nwrite = "all"\n')
     assert call(capsys, folder, "--json", "-")[0] == 0
     found = json.loads(call(capsys, folder, "--json", "-")[1])
     assert [p["factor"] for p in found["parameters"]] == pytest.approx(

@@ -20,7 +20,15 @@ from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import DenseModel, matrices_at
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.updating.residuals.frf import AntiResonances, Frf, zeros
-from ringtrue.updating.residuals.modal import Eigenvalues, Frequencies, Mac, Shapes, Term, point
+from ringtrue.updating.residuals.modal import (
+    Eigenvalues,
+    Frequencies,
+    Mac,
+    ModalMasses,
+    Shapes,
+    Term,
+    point,
+)
 from ringtrue.updating.residuals.static import (
     MassPropertyDeviations,
     RigidMass,
@@ -92,6 +100,7 @@ KINDS = {
     "log frf": lambda m: frf(m, "log"),
     "complex frf": lambda m: frf(m, "complex"),
     "anti-resonances": lambda m: AntiResonances(3, 3, np.array([4.0, 11.0, 17.0, 23.0])),
+    "frf at complex frequencies": lambda m: replace(frf(m, "log"), decay=0.1),
     "static": lambda m: StaticDeflections(np.eye(N)[:, [2, 8]], np.full((N, 2), 1e-4)),
 }
 
@@ -121,6 +130,21 @@ def test_residual_of_the_truth_is_zero_and_blind_to_the_scale_of_test_shapes(kin
     if isinstance(term, StaticDeflections):
         term = replace(term, measured=linalg.solve(matrices_at(model, x).stiffness, term.loads))
     assert np.abs(term(point(model, at, target)).value).max() < 1e-8
+
+
+def test_modal_masses_are_those_of_the_scale_of_the_shapes() -> None:
+    """Shapes times 1.1 have 1.21 times the modal mass, so that the structure's is less by as much;
+    in a deck in tonnes a shape is √1000 times as large.
+    """
+    model = row()
+    here = model.linearise(X)
+    target = replace(aim(model), shapes=-1.1 * here.shapes[:, :5])
+    got = ModalMasses(0.05)(point(model, here, target))
+    np.testing.assert_allclose(got.value, -2 * np.log(1.1) / 0.05)
+    tonnes = replace(target, shapes=target.shapes / np.sqrt(1000))
+    same = ModalMasses(0.05, 1000.0)(point(model, here, tonnes))
+    np.testing.assert_allclose(same.value, got.value)
+    check(ModalMasses(), model, aim(model))
 
 
 def test_mac_residuals_are_those_of_the_mac() -> None:

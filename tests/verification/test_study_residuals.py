@@ -228,7 +228,8 @@ def test_what_the_study_cannot_mean_is_refused(tmp_path: Path, more: str, told: 
 def test_constraint_holds(made: Path, tmp_path: Path) -> None:
     # density factor not below exp(-0.02)
     tie = '[[constraint]]\nterms = { "density" = -1.0 }\nmost = 0.02\n'
-    found = factors(run_study(study(made, tmp_path, STATIC + tie), until="update"))
+    path = study(made, tmp_path, STATIC + tie, 'write = "all"\n')
+    found = factors(run_study(path, until="update"))
     assert found["density"] == pytest.approx(np.exp(-0.02), rel=1e-6)
 
 

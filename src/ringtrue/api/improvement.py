@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +16,7 @@ from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.correlation.table import CorrelationTable, correlation_table
@@ -27,7 +28,13 @@ from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
 from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, parse_target
 from ringtrue.study.config_update import UpdateSection
-from ringtrue.study.direct import DirectProposal, propose_parameters, solved
+from ringtrue.study.direct import (
+    DirectProposal,
+    not_fitted,
+    not_told_apart,
+    propose_parameters,
+    solved,
+)
 from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
 from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
@@ -36,6 +43,7 @@ from ringtrue.study.stages.damping import DampedDeck, MeasuredDamping, fit_regio
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
+from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.selection.candidates import CandidateSettings
@@ -227,13 +235,12 @@ class UpdatedModel(Displayed):
     ----------
     names : tuple of str
     factors : (p,) float64
-        Updated over initial value.
+        Updated over initial value; 1 where held. All of them, whether the test proves them or not:
+        see `low` and `high`.
     low, high : (p,) float64
-        Bounds of the 90 % interval of each factor.
-    model : Model or MatrixModel
-        With the factors applied; of several configurations the first.
-    models : tuple
-        Of all configurations.
+        Bounds of the 90 % interval of each factor; those of the parameter where held.
+    models : tuple of Model or MatrixModel
+        With the factors applied, of all configurations.
     before, after : CorrelationTable
         Of the first configuration.
     outcome : Outcome
@@ -242,19 +249,30 @@ class UpdatedModel(Displayed):
         What met the tolerance, or why the updating ended.
     basis_error : float
         Relative frequency error of the reduced model at the end.
+    misfits : tuple of Misfit
+        Kinds of residuals beyond their stated errors: the end is no global minimum, or the form of
+        the model is wrong.
+    held : dict of str to tuple of str
+        Parameters that the data cannot distinguish from others, with those that stand for them.
     """
 
     names: tuple[str, ...]
     factors: Float
     low: Float
     high: Float
-    model: Model | MatrixModel
     models: tuple[Model | MatrixModel, ...]
     before: CorrelationTable
     after: CorrelationTable
     outcome: Outcome
     why: str
     basis_error: float
+    misfits: tuple[Misfit, ...] = ()
+    held: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Model | MatrixModel:
+        """With the factors applied; of several configurations the first."""
+        return self.models[0]
 
     def plot(self) -> Any:
         """The MAC matrix of the updated model, a plotly figure."""
@@ -331,41 +349,54 @@ def update(
         if not tests or test is not None:
             raise InputError("update: of several configurations each TestedModel has its own test")
     scale = None if shape_std is None else np.asarray(shape_std, dtype=np.float64)
-    configurations = []
-    for k, one in enumerate(tests):
-        mine = every
-        if one.parameters:
-            mine = every.take(every.at(one.parameters))
-        configurations.append(
-            _configuration(one, mine, leave_out, scale, u, f"configuration {k + 1}")
-        )
-    problem = Problem(tuple(configurations), every, loss=LOSSES[u.loss])
-    if len(configurations) == 1:
+
+    def over(free: ParameterSet) -> Problem:
+        """The problem with these free, the others as in the models."""
+        made = []
+        for k, one in enumerate(tests):
+            names = [n for n in free.names if n in (one.parameters or free.names)]
+            name = f"configuration {k + 1}"
+            mine = free.take(free.at(names))
+            made.append(_configuration(one, mine, leave_out, scale, u, name))
+        return Problem(tuple(made), free, loss=LOSSES[u.loss])
+
+    problem = over(every)
+    held = not_told_apart(problem)
+    free = [i for i, n in enumerate(every.names) if n not in held]
+    if held:
+        problem = over(every.take(free))
+    interval = np.stack([every.factors(x) for x in every.bounds()], axis=1)
+    if len(tests) == 1:
         done = solved(problem, Minimisation(u, seed), progress)
         solution = done.solution
         final = done.problem
         error = done.error
+        unfit = not_fitted(problem, done)
     else:
         end = Minimisation(u, seed).run(problem, progress)
         solution = end.solution
         final = end.problem
         error = float("nan")
+        unfit = misfits(problem, problem.evaluate(solution.y))
     start = final.evaluate(np.zeros(final.size))
-    interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
-    factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
+    found = np.ones(len(every))
+    found[free] = solution.factors
+    interval[free] = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
+    factors = dict(zip(every.names, found.tolist(), strict=True))
     made = tuple(_at_end(one.model, every, factors, one.parameters) for one in tests)
     return UpdatedModel(
         names=every.names,
-        factors=solution.factors,
+        factors=found,
         low=interval[:, 0],
         high=interval[:, 1],
-        model=made[0],
         models=made,
         before=_table(final, start, tests[0].test),
         after=_table(final, solution.end, tests[0].test),
         outcome=solution.outcome,
         why=solution.why,
         basis_error=error,
+        misfits=unfit,
+        held=held,
     )
 
 
@@ -412,7 +443,10 @@ def _configuration(
     else:
         top = highest(modes.frequencies, gates)
         seen = reduced(one.model, parameters, bridge, len(opened.modes(top).modes))
-    return Configuration(seen, target, modal_terms(u), name)
+    kilograms = 1.0
+    if isinstance(one.model, Model):
+        kilograms = UNIT_SYSTEMS[one.model.units].kilograms
+    return Configuration(seen, target, modal_terms(u, modes.norm, kilograms), name)
 
 
 def _at_end(

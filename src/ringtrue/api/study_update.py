@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +22,21 @@ from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.direct import (
     AGREE,
+    as_stated,
     direct_problem,
+    not_fitted,
     not_told_apart,
+    only_proven,
     read_target,
     solved,
-    unmoved_by,
 )
 from ringtrue.study.measured_data import Data
-from ringtrue.study.messages import held_sentences
+from ringtrue.study.messages import held_sentences, not_written_sentences
 from ringtrue.study.objective import Minimisation
 from ringtrue.study.placing import seat_words, seats_json
 from ringtrue.study.results import Seat
 from ringtrue.study.summary import finite
+from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import plausibility
 from ringtrue.updating.problem import Problem
 from ringtrue.updating.residuals.modal import Point
@@ -98,6 +101,8 @@ class FittedStudy:
     frequencies_only : bool
         Whether no shapes were measured.
     engine : str
+    misfits : tuple of Misfit
+        Kinds of residuals beyond their stated errors.
     """
 
     config: StudyConfig
@@ -110,11 +115,17 @@ class FittedStudy:
     files: tuple[Path, ...]
     frequencies_only: bool
     engine: str
+    misfits: tuple[Misfit, ...]
+
+    @property
+    def solved(self) -> bool:
+        """Whether it converged on a reduced model that agrees with the full one."""
+        return self.done.solution.outcome.ok and self.done.error <= AGREE
 
     @property
     def ok(self) -> bool:
-        """Whether it converged on a reduced model that agrees with the full one."""
-        return self.done.solution.outcome.ok and self.done.error <= AGREE
+        """Whether it was solved and fits all data within their errors."""
+        return self.solved and not self.misfits
 
 
 def update_study(
@@ -183,7 +194,11 @@ def update_study(
         checkpoint=asked.checkpoint,
         workers=workers,
     )
-    done = solved(problem, how, part(progress, 0.3, 1.0))
+    done = solved(problem, how, part(progress, 0.3, 0.9))
+    problem, done, dropped = only_proven(
+        problem, done, how, config.uncertainty.level, part(progress, 0.9, 1.0)
+    )
+    unproven = not_written_sentences(dropped)
     return FittedStudy(
         config=config,
         model=model,
@@ -191,10 +206,11 @@ def update_study(
         done=done,
         data=data,
         seats=places,
-        notes=(*notes, *seat_words(places), *held_sentences(held)),
-        files=_write(model, config, done, asked.folder),
+        notes=(*notes, *seat_words(places), *held_sentences(held), *unproven),
+        files=_write(model, config, done, dropped, asked.folder),
         frequencies_only=bool(notes),
         engine=engine,
+        misfits=not_fitted(problem, done, data),
     )
 
 
@@ -226,13 +242,18 @@ def _left_out(text: str, count: int) -> list[int]:
 
 
 def _write(
-    model: Model, config: StudyConfig, done: Verified, folder: Path | None
+    model: Model,
+    config: StudyConfig,
+    done: Verified,
+    dropped: Collection[str],
+    folder: Path | None,
 ) -> tuple[Path, ...]:
-    """The deck with its fields changed in place, in another folder."""
+    """The deck with its fields changed in place, in another folder; not those of `dropped`."""
     if folder is None:
         return ()
     folder.mkdir(parents=True, exist_ok=True)
-    factors = np.where(unmoved_by(done.solution), 1.0, done.solution.factors)
+    names = done.problem.parameters.names
+    factors = np.where(np.isin(names, list(dropped)), 1.0, done.solution.factors)
     moved = np.flatnonzero(factors != 1.0)
     parameters = config.candidates().take(moved.tolist())
     return tuple(edit_fields(model, field_changes(model, parameters, factors[moved]), folder))
@@ -241,16 +262,16 @@ def _write(
 def update_json(found: FittedStudy) -> dict[str, Any]:
     """The updating as JSON has it."""
     end = found.done.solution
-    parameters = found.config.candidates()
     # the deck and the end on the verified model, paired by the gates and weighed as assumed
-    verified = found.done.problem.configurations[0].model
     y = found.done.solution.y
-    same = replace(
-        found.problem, configurations=(replace(found.problem.configurations[0], model=verified),)
-    )
+    same = as_stated(found.problem, found.done)
     before, after = (same.evaluate(0 * y), same.evaluate(y))
-    std = end.std * parameters.derivative(end.x) / end.factors
-    columns = (parameters.names, end.factors.tolist(), std.tolist(), end.identifiability.tolist())
+    free = np.flatnonzero(found.problem.link.any(axis=1)).tolist()
+    parameters = found.problem.parameters.take(free)
+    x = end.x[free]
+    factors = end.factors[free]
+    std = end.std * parameters.derivative(x) / factors
+    columns = (parameters.names, factors.tolist(), std.tolist(), end.identifiability.tolist())
     table = [
         {"name": name, "factor": factor, "relative_std": deviation, "posterior_over_prior": ratio}
         for name, factor, deviation, ratio in zip(*columns, strict=True)
@@ -267,7 +288,8 @@ def update_json(found: FittedStudy) -> dict[str, Any]:
         "basis_error": found.done.error,
         "full_solutions": found.done.full_solutions,
         "parameters": table,
-        "flags": [f.text for f in plausibility(parameters, end.x, end.identifiability)],
+        "misfits": [asdict(m) for m in found.misfits],
+        "flags": [f.text for f in plausibility(parameters, x, end.identifiability)],
         "modes": _modes(target, points, shapes=not found.frequencies_only),
     }
     if found.data:

@@ -22,7 +22,7 @@ from ringtrue.cli.show import (
 )
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.study.acceptance import AcceptanceCheck, limits, missed_words, settles
+from ringtrue.study.acceptance import AcceptanceCheck, adequacy, limits, missed_words, settles
 from ringtrue.study.messages import run_messages
 from ringtrue.study.stages import STAGES
 
@@ -96,10 +96,11 @@ def run(
 ) -> int:
     """Run a study: what is up to date is taken from study.h5, the rest is computed.
 
-    Exit status 1: the updating did not converge (one that stalled is judged by the limits, where
-    there are any), or the final model misses a limit of \\[correlate] (accept_percent, accept_hz,
-    accept_mac, accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality,
-    accept_off_diagonal) that study.toml sets.
+    Exit status 1: the updating did not converge or fits a kind of data worse than its stated error
+    (where the study states limits, these judge an updating that stalled or does not fit), or the
+    final model misses a limit of \\[correlate] (accept_percent, accept_hz, accept_mac,
+    accept_pairs, accept_mean_percent, accept_mean_mac, accept_orthogonality, accept_off_diagonal)
+    that study.toml sets.
 
     Example: ringtrue run study.toml --until correlate
     """
@@ -118,6 +119,7 @@ def run(
     if updated := result.results.get("update"):
         outcome = updated.best.outcome
     stated = limits(result.config, result.results)
+    unfit = adequacy(result.results, required=not stated)
     if json:
         write_json(_summary(result.folder), json)
     if json != "-":
@@ -126,12 +128,12 @@ def run(
             out.print(f"{name}: {took}")
         tell(run_messages(result.results))
         out.print(f"report: {done.folder / 'report.html'}")
-        _verdict(stated)
+        _verdict((*unfit, *stated))
     for line in missed_words(result.config, result.results):
         err.print(f"not accepted: {line}")
     if outcome is not None and not outcome.ok:
         err.print(f"the updating did not converge: {outcome}")
-    return _status(stated) if settles(outcome, stated) else ExitStatus.FAILED
+    return _status((*unfit, *stated)) if settles(outcome, stated) else ExitStatus.FAILED
 
 
 def report(

@@ -23,7 +23,7 @@ from ringtrue.cli.show import (
 )
 from ringtrue.core.digits import number, with_error
 from ringtrue.solvers.registry import EMBEDDED
-from ringtrue.study.messages import discrepancy_sentence, worse_frequencies
+from ringtrue.study.messages import discrepancy_sentence, misfit_sentence, worse_frequencies
 
 HEADS = (
     "#",
@@ -158,6 +158,8 @@ def update(
         write_json(summary, json)
     if json != "-":
         show_summary(study, summary)
-    if not found.ok:
+    if not found.solved:
         err.print(f"not to be trusted: {summary['why']}")
+    for misfit in found.misfits:
+        err.print(misfit_sentence(misfit))
     return 0 if found.ok else 1

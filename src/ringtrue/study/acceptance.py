@@ -223,6 +223,25 @@ def convergence(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok, "outcome"),)
 
 
+def adequacy(results: Mapping[str, Any], *, required: bool) -> tuple[AcceptanceCheck, ...]:
+    """The kinds of residuals that the chosen updating does not fit; empty if it fits all.
+
+    Limits that the study states judge its model; without any these are required.
+    """
+    update: UpdateStage | None = results.get("update")
+    found = update.best.fit.misfits if update is not None else ()
+    return tuple(
+        AcceptanceCheck(
+            f"updating: deviation of {m.kind} over the stated error",
+            f"≤ {np.sqrt(m.limit / m.freedom):.2g}",
+            f"{m.ratio:.2g}",
+            held=False,
+            required=required,
+        )
+        for m in found
+    )
+
+
 def settles(outcome: Outcome | None, stated: tuple[AcceptanceCheck, ...]) -> bool:
     """Whether the end of an updating leaves it to the limits of the study whether its model is
     good.
@@ -291,4 +310,5 @@ def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Acceptance
     if update is not None and settles(update.best.outcome, stated):
         # one that stalled is judged by the limits
         ended = tuple(replace(c, required=c.held) for c in ended)
-    return (*ended, *stated, *improvement(results))
+    fitted = adequacy(results, required=not stated)
+    return (*ended, *fitted, *stated, *improvement(results))

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ringtrue.study.config_sections import StudySection
 
-ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac"]
+ModalKind = Literal["eigenvalues", "frequencies", "shapes", "mac", "modal masses"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -17,6 +17,7 @@ FREQUENCY_KINDS = ("eigenvalues", "frequencies")  # residuals that need no shape
 Discrepancy = Literal["found", "assumed", "evidence"]
 Prior = Literal["study", "evidence", "gcv", "l-curve"]
 Robust = Literal["squares", "huber"]
+Written = Literal["proven", "all"]
 BEGINS: dict[str, object] = {
     "starts": 1,
     "stages": [],
@@ -53,12 +54,16 @@ class UpdateSection(StudySection):
     """That the best model of this form keeps, relative; that of the test is added."""
     mac_error: Positive = 0.05
     """The same of 1 - MAC."""
+    mass_error: Positive = 0.1
+    """Of a modal mass, relative."""
     discrepancy: Discrepancy = "found"
     """Errors of the kinds of residuals: as left over, as given, or as likely."""
     prior: Prior = "study"
     """Rule for the weight of the prior."""
     loss: Robust = "squares"
     """Against a wrong mode."""
+    write: Written = "proven"
+    """Factors that the deck gets: those whose interval does not hold 1, or all."""
     starts: int = Field(default=1, gt=0)
     """Number of starts; the first is the deck."""
     stages: list[list[str]] = Field(default=[])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
@@ -57,8 +58,9 @@ from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_channels
-from ringtrue.updating.identifiability import stood_for, unmoved
-from ringtrue.updating.problem import Configuration, Problem, single
+from ringtrue.updating.adequacy import Misfit, misfits
+from ringtrue.updating.identifiability import least_proven, stood_for
+from ringtrue.updating.problem import Configuration, Problem, held_to, single
 from ringtrue.updating.residuals.modal import Weighted
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
 from ringtrue.updating.selection.candidates import parameters as candidate_parameters
@@ -160,6 +162,7 @@ def direct_problem(
     model: AtChannels | FullModel
     if engine is None:
         measured = _measured(config, modes, base, sheet)
+        top = max([top, *(m.highest for m in measured)])
         every = dict.fromkeys((*modes.channels, *channels_of(measured)))
         at = {name: i for i, name in enumerate(every)}
         look = observed(modes.channels)
@@ -184,7 +187,9 @@ def direct_problem(
         request = ModesRequest(2 * len(modes))
         full = FullModel(opened.model, parameters, look, request, engine)
         model = full.reaching(top)
-    terms = (*modal_terms(config.update), *(Weighted(d.term, d.weight) for d in data))
+    kilograms = UNIT_SYSTEMS[config.model.units].kilograms
+    modal = modal_terms(config.update, modes.norm, kilograms)
+    terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
     limit_rows, limits = constraints(config, parameters)
     problem = Problem(
         (Configuration(model, target, terms),),
@@ -204,14 +209,6 @@ def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
     parameters = problem.parameters
     weighted = problem.evaluate(np.zeros(problem.size)).slope * parameters.std()
     return stood_for(weighted, parameters.names)
-
-
-def unmoved_by(solution: Solution) -> Bool:
-    """Parameters (p,) whose change is not worth a new value in the deck."""
-    at = solution.end.points[0]
-    fe = at.every[:, 1]
-    slopes = 0.5 * at.now.d_lambda[fe] / (2 * np.pi * at.now.frequencies[fe, None]) ** 2
-    return unmoved(solution.x, solution.std, slopes)
 
 
 def _measured(
@@ -248,8 +245,8 @@ def _sheet(opened: Opened, config: StudyConfig, base: Path) -> SensorSheet | Non
 def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
     """As a study updates a set of parameters, on a basis verified by full solutions.
 
-    From further starts, too, where used modes that the model has are left without partner; the end
-    of lower J.
+    From further starts, too, where used modes that the model has are left without partner or a
+    kind of residuals is not fitted; the end of lower J.
     """
     model = problem.configurations[0].model
     u = how.settings
@@ -260,9 +257,11 @@ def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
         return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
     done = _on_basis(problem, how, show)
     more = further_starts(u)
-    if more is None or how.checkpoint or not displaced(problem, done.solution.end):
+    if more is None or how.checkpoint:
         return done
-    show(0.5, "modes without partner: further starts")
+    if not displaced(problem, done.solution.end) and not not_fitted(problem, done):
+        return done
+    show(0.5, "modes without partner or data that are not fitted: further starts")
     try:
         other = _on_basis(problem, replace(how, settings=more), show)
     except NumericalError:  # the end from the deck stands
@@ -270,12 +269,65 @@ def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
     return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
 
 
-def _on_basis(problem: Problem, how: Minimisation, show: Progress) -> Verified:
+def as_stated(problem: Problem, done: Verified) -> Problem:
+    """The problem with its errors as stated, on the model that was verified at the end."""
+    verified = done.problem.configurations[0].model
+    return replace(problem, configurations=(replace(problem.configurations[0], model=verified),))
+
+
+def not_fitted(problem: Problem, done: Verified, data: Sequence[Data] = ()) -> tuple[Misfit, ...]:
+    """The kinds of residuals that the end does not fit within the errors that are stated."""
+    stated = as_stated(problem, done)
+    return misfits(stated, stated.evaluate(done.solution.y), [data])
+
+
+def only_proven(
+    problem: Problem, done: Verified, how: Minimisation, level: float, show: Progress = quiet
+) -> tuple[Problem, Verified, tuple[str, ...]]:
+    """Without the parameters whose interval holds 1: the least proven one is held at the deck's
+    value and the others are fitted anew, until all that are left are proven.
+
+    Returns
+    -------
+    problem : Problem
+        With the parameters that are left free; a last one that is not proven stays.
+    done : Verified
+    dropped : tuple of str
+        Those that are not written.
+    """
+    dropped = list[str]()
+    while how.settings.write == "proven":
+        solution = done.solution
+        weakest = least_proven(solution.y, solution.std, level)
+        if weakest is None:
+            break
+        name = problem.parameters.names[int(problem.link[:, weakest].argmax())]
+        dropped.append(name)
+        rest = np.delete(np.arange(problem.size), weakest)
+        if not rest.size:
+            break
+        free = np.flatnonzero(problem.link.any(axis=1)).tolist()
+        names = [problem.parameters.names[i] for i in free]
+        problem = held_to(as_stated(problem, done), [n for n in names if n != name])
+        model = problem.configurations[0].model
+        start = solution.y[rest]
+        if isinstance(model, FullModel):
+            anew = replace(how, course=course_of_runs(how.settings), steps=show, checkpoint=None)
+            end = anew.run(problem, show, start)
+            done = Verified(end.solution, end.problem, 0.0, model.ledger.runs)
+        else:
+            done = _on_basis(problem, replace(how, checkpoint=None), show, start)
+    return problem, done, tuple(dropped)
+
+
+def _on_basis(
+    problem: Problem, how: Minimisation, show: Progress, start: Float | None = None
+) -> Verified:
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
         end = how.run(p, show, start=y)
         return end.solution, end.problem
 
-    return solve_verified(problem, solved=at, tolerance=AGREE, progress=show)
+    return solve_verified(problem, solved=at, start=start, tolerance=AGREE, progress=show)
 
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test

@@ -155,6 +155,11 @@ class Measured(ABC):
         """Whether static deflections were measured."""
         return False
 
+    @property
+    def highest(self) -> float:
+        """Highest frequency, Hz, that modes of the model are needed up to; 0 for none."""
+        return 0.0
+
     @abstractmethod
     def data(self, on: MeasuredModel) -> Data:
         """The residuals on a model."""
@@ -220,10 +225,13 @@ def _damping(section: FrfResidual, modes: ModeSet, decay: float) -> Damping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfMeasurement(Measured):
-    """FRFs at the chosen lines, with the damping of the model that they are compared with."""
+    """FRFs at the chosen lines and at all, with the damping of the model that they are compared
+    with.
+    """
 
     section: FrfResidual
     frfs: FrfSet
+    record: FrfSet
     damping: Damping
 
     @classmethod
@@ -237,6 +245,8 @@ class FrfMeasurement(Measured):
         out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
         into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
         lines = _lines(section, found.freqs, source.modes.frequencies, where)
+        whole = np.isfinite(found.data).all(axis=(1, 2)) & (found.freqs > 0)
+        record = found.part(np.flatnonzero(whole), out, into)
         part = found.part(lines, out, into)
         if not np.abs(part.data).all():
             raise DataError(
@@ -245,7 +255,14 @@ class FrfMeasurement(Measured):
         outputs = tuple(c.id for c in part.outputs)
         inputs = tuple(c.id for c in part.inputs)
         damping = _damping(section, source.modes, found.window_decay)
-        return cls(name, outputs, inputs, section=section, frfs=part, damping=damping)
+        return cls(
+            name, outputs, inputs, section=section, frfs=part, record=record, damping=damping
+        )
+
+    @property
+    def highest(self) -> float:
+        """See `Measured`."""
+        return float(self.frfs.freqs.max())
 
     def data(self, on: MeasuredModel) -> Data:
         """Deviations, root mean square over the lines."""
@@ -260,6 +277,7 @@ class FrfMeasurement(Measured):
             order=POWER[frfs.kind],
             form=s.form,
             std=s.error,
+            record=(self.record.freqs, self.record.data * on.units.kilograms),
         )
         labels = tuple(f"{o} / {i}" for o in self.outputs for i in self.inputs)
         n = len(labels)
@@ -292,6 +310,11 @@ class ZeroMeasurement(Measured):
         """As the section states them."""
         name = section.name or section.kind
         return cls(name, (section.output,), (section.input,), section)
+
+    @property
+    def highest(self) -> float:
+        """See `Measured`."""
+        return max(self.section.frequencies)
 
     def data(self, on: MeasuredModel) -> Data:
         """Frequencies of the zeros, Hz."""

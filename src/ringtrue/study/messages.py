@@ -26,6 +26,7 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
+from ringtrue.updating.adequacy import Misfit
 
 MEND = (
     "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "
@@ -69,6 +70,9 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
             out += [f"configuration {c.name}: {m.text}" for m in c.sensors.mendings]
         out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
     best = update.best if update is not None else None
+    if best is not None:
+        still = np.flatnonzero(best.factor == 1.0).tolist()
+        out += not_written_sentences([best.parameters[i] for i in still])
     if r.get("sensitivity") is not None and best is not None:
         out += held_sentences(r["sensitivity"].held.get(best.name, {}))
     # that the deck did not have and a factor of 2 adds
@@ -90,6 +94,7 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     if update is not None and best is not None:
         out += [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
         out.append(discrepancy_sentence(best.discrepancy.tolist()))
+        out += [misfit_sentence(m) for m in best.fit.misfits]
         proposed = localise.proposal.members if localise is not None else ()
         if best.name == "proposal" and localise is not None and not proposed:
             out.append(NO_CHANGE)
@@ -105,6 +110,24 @@ def held_sentences(held: Mapping[str, Sequence[str]]) -> list[str]:
         f"{'stand' if len(by) > 1 else 'stands'} for it; one candidate with the targets of both "
         "changes them together"
         for name, by in held.items()
+    ]
+
+
+def misfit_sentence(m: Misfit) -> str:
+    """A kind of residuals beyond its stated error."""
+    where = f" of {m.configuration}" if m.configuration else ""
+    return (
+        f"not fitted: {m.kind}{where} deviate by {m.ratio:.2g} times their stated error "
+        f"(χ² {m.chi_square:.3g}, by chance up to {m.limit:.3g}); most of all {', '.join(m.worst)}"
+    )
+
+
+def not_written_sentences(names: Sequence[str]) -> list[str]:
+    """Parameters whose change is not proven."""
+    return [
+        f"{name} stays as in the deck: the interval of its factor holds 1 ([update] write = "
+        '"all" writes it)'
+        for name in names
     ]
 
 

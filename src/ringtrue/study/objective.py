@@ -10,10 +10,10 @@ import numpy as np
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress
-from ringtrue.core.modes import elastic
+from ringtrue.core.modes import Norm, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.side_by_side import Workers
-from ringtrue.errors import DataError
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
@@ -27,6 +27,7 @@ from ringtrue.updating.residuals.modal import (
     Eigenvalues,
     Frequencies,
     Mac,
+    ModalMasses,
     Quantity,
     Shapes,
     Term,
@@ -42,12 +43,13 @@ from ringtrue.updating.solver import (
     solve,
     staged,
 )
-from ringtrue.updating.strategy import Course, Settled
+from ringtrue.updating.strategy import Course, Settled, by_modes, joined_by_all
 from ringtrue.updating.strategy import settled as settled_from
 from ringtrue.updating.target import Target, Weights
 
 LOSSES: dict[str, RobustLoss] = {"squares": Squares(), "huber": Huber()}
-KINDS = ("eigenvalues", "frequencies", "shapes", "mac")
+MASSES = "modal masses"
+KINDS = ("eigenvalues", "frequencies", "shapes", "mac", MASSES)
 
 
 def target(c: StudyConfiguration, u: UpdateSection | None = None) -> Target:
@@ -105,18 +107,32 @@ def terms_of(
     c: StudyConfiguration, model: AtChannels | FullModel, u: UpdateSection | None = None
 ) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then its [[residual]]s."""
-    modal = modal_terms(u or c.session.config.update)
+    unit = c.session.unit.kilograms
+    modal = modal_terms(u or c.session.config.update, c.reference.elastic.norm, unit)
     if isinstance(model, FullModel):  # modes alone
         return modal
     return (*modal, *(Weighted(d.term, d.weight) for d in data_of(c, model)))
 
 
-def modal_terms(u: UpdateSection) -> tuple[Term, ...]:
-    """The kinds of residuals of the paired modes."""
+def modal_terms(u: UpdateSection, norm: Norm, kilograms: float) -> tuple[Term, ...]:
+    """The kinds of residuals of the paired modes; `kilograms` of the deck's unit of mass.
+
+    Raises
+    ------
+    ConfigError
+        If modal masses are asked for of test modes that have none.
+    """
+    if MASSES in u.residuals and norm is not Norm.MASS:
+        raise ConfigError(
+            f'[update] residuals: "{MASSES}" need test modes of unit modal mass; got {norm.value} '
+            "shapes. They come from a driving point (`ringtrue ema`); or compare its FRF by a "
+            "[[residual]]"
+        )
     made: dict[str, Term] = {
         "eigenvalues": Eigenvalues(u.frequency_error),
         "frequencies": Frequencies(u.frequency_error, "log"),
         "mac": Mac(u.mac_error),
+        MASSES: ModalMasses(u.mass_error, kilograms),
     }
     if u.shape_weight > 0:
         made["shapes"] = Shapes(u.mac_error, u.shape_weight)
@@ -226,14 +242,18 @@ class Minimisation:
 
     def run(self, problem: Problem, progress: Progress, start: Float | None = None) -> Settled:
         """The end of an updating from a start that the gates have led to, or from where they
-        lead.
+        lead: by the modes first, then by FRFs too.
         """
         course = self.course or course_of(self.settings)
         if start is not None:
             return settled_from(problem, course, start=start, progress=self.steps)
-        rough = self.starting_point(problem, progress)
-        end = settled_from(problem, course, start=rough.y, progress=self.steps)
-        return replace(end, path=(*rough.history, *end.path[1:]))
+        modal = by_modes(problem)
+        rough = self.starting_point(modal, progress)
+        end = settled_from(modal, course, start=rough.y, progress=self.steps)
+        end = replace(end, path=(*rough.history, *end.path[1:]))
+        if not any(t.whole for c in problem.configurations for t in c.terms):
+            return end
+        return joined_by_all(problem, end, course, self.steps)
 
     def starting_point(self, problem: Problem, progress: Progress) -> Solution:
         """Where the gates lead: the best end of several starts, sets that grow, or the deck."""

@@ -30,6 +30,7 @@ from ringtrue.planning.exciters import LEAST_REACH
 from ringtrue.planning.plan_files import Setups
 from ringtrue.planning.virtual_test import VirtualTest
 from ringtrue.shapes import worst_off_diagonal
+from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
 from ringtrue.updating.selection.localisation import SCARCE
@@ -760,6 +761,7 @@ class SetFit:
     mean_deviation_left_out: float
     condition: float
     criterion: float  # AICc
+    misfits: tuple[Misfit, ...] = ()  # kinds of residuals beyond their stated errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.parameters import Parameter, ParameterSet
@@ -67,9 +68,6 @@ class FlagLimits:
         |correlation| from which on two parameters are known together, not each by itself.
     kept : float
         Share of a change that should be there whatever modes are left out.
-    still : float
-        Relative shift of a frequency: half of the last digit in which deviations are stated
-        (0.01 %).
     """
 
     edge: float = 0.01
@@ -78,7 +76,6 @@ class FlagLimits:
     slight: float = 0.05
     tied: float = 0.9
     kept: float = 0.5
-    still: float = 5e-5
 
 
 FLAGS = FlagLimits()
@@ -366,15 +363,21 @@ def form_flags(
     return tuple(flags)
 
 
-def unmoved(x: Float, std: Float, slopes: Float) -> Bool:
-    """Parameters (p,) whose change is smaller than its own stated error and moves no mode.
+def least_proven(x: Float, std: Float, level: float) -> int | None:
+    """The parameter that is the fewest standard deviations off nominal of those whose interval
+    holds it; None where no interval does.
+
+    Its change moves all data together by less than their errors: what these say of it is in its
+    standard deviation.
 
     Parameters
     ----------
     x, std : (p,) float64
         Changes from nominal and their standard deviations.
-    slopes : (m, p) float64
-        Of ln f of the modes to x.
+    level : float
+        Probability of the interval.
     """
-    shift = np.abs(slopes * x).max(axis=0, initial=0.0)
-    return np.asarray((np.abs(x) < std) & (shift < FLAGS.still))
+    ratio = np.abs(x) / np.maximum(std, 1e-300)
+    if not ratio.size or ratio.min() > ndtri(0.5 + level / 2):
+        return None
+    return int(ratio.argmin())

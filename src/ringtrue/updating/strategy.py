@@ -45,12 +45,16 @@ class Course:
     discrepancy : {"found", "assumed", "evidence"}
         Weights of the last part: with what the parts before have left, as they are, or those that
         make the data of each kind of residuals most likely.
+    widths : tuple of float
+        By how much of their frequency the peaks of FRFs are broadened, one part after the other,
+        before they are compared as they are.
     """
 
     method: Method = field(default_factory=Method)
     iterations: int = 100
     prior: Rule | Literal["given"] = "given"
     discrepancy: Literal["found", "assumed", "evidence"] = "assumed"
+    widths: tuple[float, ...] = (0.1, 0.03, 0.01)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +119,54 @@ def settled(
     if final is not firm:
         done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
     return Settled(done, final, (*near.history, *done.history[1:]))
+
+
+def by_modes(problem: Problem) -> Problem:
+    """The problem without what reads the model between its modes: FRFs and their zeros.
+
+    A peak that is shifted by more than its width is compared with another one, or with none: these
+    data have a minimum at each, and join once the modes are near.
+    """
+    parts = (
+        replace(c, terms=tuple(t for t in c.terms if not t.whole)) for c in problem.configurations
+    )
+    return replace(problem, configurations=tuple(parts))
+
+
+def joined_by_all(
+    problem: Problem,
+    first: Settled,
+    course: Course,
+    progress: Progress | None = None,
+) -> Settled:
+    """From the end of an updating `by_modes` to that of the whole problem: with broad peaks first,
+    which narrow in turns.
+
+    Begun again from the best point of any part where that is below the end; the lower J is kept.
+    """
+    path = list(first.path)
+    y = first.solution.y
+    for width in course.widths:
+        aims = [c.target.doubting() for c in problem.configurations]
+        parts = (
+            replace(c, terms=tuple(t.broadened(width) for t in c.terms))
+            for c in _aimed(problem, aims).configurations
+        )
+        broad = replace(problem, configurations=tuple(parts))
+        done = solve(broad, course.method, start=y, iterations=course.iterations, progress=progress)
+        path += done.history[1:]
+        y = done.y
+    seen = [problem.evaluate(at.y) for at in path]
+    end = settled(problem, course, start=y, progress=progress)
+
+    def cost(y: Float) -> float:
+        return whole_cost(problem, problem.evaluate(y))
+
+    best = min(seen, key=lambda at: whole_cost(problem, at))
+    if whole_cost(problem, best) < cost(end.solution.y):
+        again = settled(problem, course, start=best.y, progress=progress)
+        end = min(end, again, key=lambda s: cost(s.solution.y))
+    return replace(end, path=(*seen, *end.path[1:]))
 
 
 def _majority(problem: Problem, y: Float) -> float:
@@ -294,7 +346,8 @@ def solve_verified(
         In place of `solve`.
     start : (q,) float64, optional
     tolerance : float
-        Largest relative frequency error that is accepted, up to the highest test frequency.
+        Largest relative frequency error that is accepted, up to the highest frequency that is
+        compared.
 
     Raises
     ------
@@ -312,7 +365,8 @@ def solve_verified(
     while error > tolerance and count < FULL_SOLUTIONS:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
         better, truth = model.enrich(done.x[at], sensitivities=True)
-        seen = np.flatnonzero(truth.frequencies <= 1.05 * only.target.frequencies.max())
+        top = max([1.05 * only.target.frequencies.max(), *(t.highest for t in only.terms)])
+        seen = np.flatnonzero(truth.frequencies <= top)
         error = _off(model.modes(done.x[at]).frequencies[seen], truth.frequencies[seen])
         model = better
         count = count + 1

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.iterate import Progress, part
-from ringtrue.core.side_by_side import side_by_side
+from ringtrue.core.iterate import Progress, part, quiet
+from ringtrue.core.side_by_side import Workers, side_by_side
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import NumericalError
 from ringtrue.model.edit import carried, field_value
@@ -24,6 +24,7 @@ from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.shapes import unit
 from ringtrue.solvers.observed import FullModel
 from ringtrue.study.config_update import UpdateSection
+from ringtrue.study.measured_data import Data
 from ringtrue.study.objective import (
     Minimisation,
     course_of_runs,
@@ -49,14 +50,15 @@ from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.store import FinishedSets
 from ringtrue.updating import strategy
-from ringtrue.updating.identifiability import stood_for, unmoved
-from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single
+from ringtrue.updating.adequacy import misfits
+from ringtrue.updating.identifiability import least_proven, stood_for
+from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single, weighed
 from ringtrue.updating.selection import selection_rules
 from ringtrue.updating.selection.candidates import elements_of
 from ringtrue.updating.selection.screening import of_parameter
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.strategy import Settled, displaced, whole_cost
-from ringtrue.updating.target import Target, match
+from ringtrue.updating.target import Target, Weights, match
 
 USUAL_RUNS = 60  # of an updating, for the progress that is shown
 
@@ -74,12 +76,15 @@ class SetUpdate:
     how : Minimisation
     start : (p,) float64, optional
         Where it starts; [update] says where if not given.
+    data : tuple of tuple of Data
+        What was measured besides the modes of each configuration.
     """
 
     name: str
     problem: Problem
     how: Minimisation
     start: Float | None = None
+    data: tuple[tuple[Data, ...], ...] = ()
 
 
 def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
@@ -106,7 +111,7 @@ def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
         raise not_verified(error)
     end = case.how.run(problem, progress, start=y)
     whole = replace(end, path=(*path, *end.path[1:]))
-    result = summary(problem, case.name, whole)
+    result = summary(problem, case.name, whole, case.data)
     return FinishedSet(result, displaced(problem, end.solution.end), 0)
 
 
@@ -233,8 +238,12 @@ def left_out_deviation(aims: Sequence[Target], ends: Sequence[Linearisation]) ->
     return percent(np.mean, error, np.ones(error.size, dtype=bool))
 
 
-def summary(problem: Problem, name: str, end: Settled) -> SetResult:
-    """The updated set as it is compared with others."""
+def summary(
+    problem: Problem, name: str, end: Settled, data: Sequence[Sequence[Data]] = ()
+) -> SetResult:
+    """The updated set as it is compared with others; `data` is what was measured besides the modes
+    of each configuration.
+    """
     aims = [c.target for c in problem.configurations]
     done = end.solution
     path = end.path
@@ -247,6 +256,7 @@ def summary(problem: Problem, name: str, end: Settled) -> SetResult:
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
     steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
     cost = whole_cost(problem, done.end)
+    found = strategy.kept(end.problem)
     fit = SetFit(
         mean_deviation=percent(np.mean, error, used),
         max_deviation=percent(np.max, error, used),
@@ -254,6 +264,7 @@ def summary(problem: Problem, name: str, end: Settled) -> SetResult:
         mean_deviation_left_out=left_out_deviation(aims, [p.now for p in done.end.points]),
         condition=float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
         criterion=aicc(cost, data_count(problem, done.end), done.x.size),
+        misfits=misfits(weighed(problem, _at_least(problem, found)), done.end, data),
     )
     history = UpdateHistory(
         objective=np.array([at.cost for at in path]),
@@ -273,8 +284,17 @@ def summary(problem: Problem, name: str, end: Settled) -> SetResult:
         fit=fit,
         outcome=done.outcome,
         history=history,
-        discrepancy=strategy.kept(end.problem),
+        discrepancy=found,
     )
+
+
+def _at_least(problem: Problem, found: Float) -> Weights:
+    """The errors of frequencies and 1 − MAC that the study states, or those found (2,) where these
+    are larger: what is known of the form of the model is no misfit. `DISCREPANCY.loose` limits it.
+    """
+    stated = problem.configurations[0].target.weights
+    frequency, mac = np.fmax(found, (stated.frequency, stated.mac)).tolist()
+    return replace(stated, frequency=frequency, mac=mac)
 
 
 def update_by_runs(case: SetUpdate, progress: Progress) -> FinishedSet:
@@ -452,28 +472,41 @@ def _updated(
     workers = session.config.study.workers
     # the runs of a solver are counted where they are started
     one_by_one = len(sets) > 1 or session.engine is not None
+    models = session.models(progress) if session.engine is None else ()
     cases = {}
     for name, members in sets.items():
         u = session.config.update
         u = named[name].settings(u) if name in named else u
-        how = Minimisation(u, session.config.study.seed, workers=1 if one_by_one else workers)
-        problem = _problem(session, members, u, progress)
-        cases[f"updating: {name}"] = SetUpdate(name, problem, how)
+        of_starts = 1 if one_by_one else workers
+        cases[f"updating: {name}"] = _case(session, name, members, u, workers=of_starts)
     if session.engine is not None:
         yield from side_by_side(update_by_runs, cases, workers, progress)
         return
-    models = [m.model for m in session.models(progress)]
-    shared = [large for m in models for large in (m.system, m.basis, m.pencil)]
+    shared = [large for m in models for large in (m.model.system, m.model.basis, m.model.pencil)]
     yield from side_by_side(update_reduced, cases, workers, progress, shared)
 
 
-def _problem(
-    session: Session, members: Sequence[str], u: UpdateSection, progress: Progress
-) -> Problem:
-    """The objective over a set of parameters, on reduced models or by runs of a solver."""
+def _case(
+    session: Session,
+    name: str,
+    members: Sequence[str],
+    u: UpdateSection,
+    factors: Mapping[str, float] | None = None,
+    workers: Workers = 1,
+) -> SetUpdate:
+    """A set of parameters to be updated, on reduced models or by runs of a solver; starts are
+    spread over the workers.
+    """
     if session.engine is not None:
-        return problem_of(session, [_full(c, members) for c in session.configurations], u)
-    return problem_of(session, [over(m, members) for m in session.models(progress)], u)
+        problem = problem_of(session, [_full(c, members) for c in session.configurations], u)
+        data: tuple[tuple[Data, ...], ...] = ()
+    else:
+        models = [over(m, members) for m in session.models(quiet)]
+        problem = problem_of(session, models, u)
+        data = tuple(data_of(c, m) for c, m in zip(session.configurations, models, strict=True))
+    y = None if factors is None else session.chosen(members).vector(factors)
+    how = Minimisation(u, session.config.study.seed, workers=workers)
+    return SetUpdate(name, problem, how, start=y, data=data)
 
 
 def update_sets(session: Session, progress: Progress) -> UpdateStage:
@@ -511,7 +544,9 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
         sets = _with_further_starts(session, sets, chosen, progress)
         chosen = _lowest_criterion(sets, comparable)
     kept.clear()
-    sets[chosen] = best = _without_unmoved(session, sets[chosen])
+    named_set = named.get(sets[chosen].name)
+    u = named_set.settings(own) if named_set else own
+    sets[chosen] = best = _only_proven(session, sets[chosen], part(progress, 0.95, 1.0), u)
     why = WHY.format(name=best.name, value=best.fit.criterion)
     why += ALL_TESTS if session.others else ""
     why += "" if all(comparable) else OTHER
@@ -528,14 +563,50 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     )
 
 
-def _without_unmoved(session: Session, best: SetResult) -> SetResult:
-    """The set with a factor of 1 for what has not changed beyond its own error and moves no mode:
-    it is not written.
+def _only_proven(
+    session: Session, best: SetResult, progress: Progress, u: UpdateSection
+) -> SetResult:
+    """The set with a factor of 1 for each parameter whose interval holds it, the others fitted
+    anew: the least proven one first, until all that are left are proven.
     """
-    sets: SensitivityStage = session.get("sensitivity")
-    x = session.chosen(best.parameters).vector(best.factor)
-    slopes = sets.d_frequency[:, [sets.names.index(n) for n in best.parameters]]
-    return replace(best, factor=np.where(unmoved(x, best.std, slopes), 1.0, best.factor))
+    while u.write == "proven":
+        free = np.flatnonzero(best.factor != 1.0)
+        members = [best.parameters[i] for i in free.tolist()]
+        chosen = session.chosen(members)
+        x = chosen.vector(best.factor[free])
+        std = best.std[free] * best.factor[free] / chosen.derivative(x)
+        weakest = least_proven(x, std, session.config.uncertainty.level)
+        if weakest is None:
+            break
+        rest = np.delete(free, weakest)
+        factor = np.ones(best.factor.size)
+        if not rest.size:
+            return replace(best, factor=factor)
+        members = [best.parameters[i] for i in rest.tolist()]
+        if session.engine is None:
+            start = dict(zip(members, best.factor[rest].tolist(), strict=True))
+            case = _case(session, best.name, members, u, start)
+            again = update_reduced(case, progress).result
+        else:
+            again = update_by_runs(_case(session, best.name, members, u), progress).result
+        factor[rest] = again.factor
+        spread = best.std.copy()
+        spread[rest] = again.std
+        known = best.identifiability.copy()
+        known[rest] = again.identifiability
+        path = np.ones((len(again.history.path), factor.size))
+        path[:, rest] = again.history.path
+        best = replace(
+            again,
+            parameters=best.parameters,
+            factor=factor,
+            std=spread,
+            bounds=best.bounds,
+            identifiability=known,
+            history=replace(again.history, path=path),
+            settings=best.settings,
+        )
+    return best
 
 
 def _field_values(session: Session, best: SetResult, factor: Float) -> dict[str, float]:
@@ -586,15 +657,12 @@ def _with_further_starts(
         starts.append(("from the proposal", own, at))
     if more is not None:
         starts.append(("further starts", more, None))
-    info = session.config.study
     for what, u, factors in starts:
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
-        problem = _problem(session, best.parameters, u, progress)
-        how = Minimisation(u, info.seed, workers=info.workers)
-        y = None if factors is None else session.chosen(best.parameters).vector(factors)
+        case = _case(session, name, best.parameters, u, factors, session.config.study.workers)
         try:
-            done = update_reduced(SetUpdate(name, problem, how, y), progress)
+            done = update_reduced(case, progress)
         except NumericalError as e:  # the end from the deck stands
             _log.info("%s: %s", name, e)
             continue

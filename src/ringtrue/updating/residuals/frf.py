@@ -4,7 +4,7 @@ modes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -46,6 +46,10 @@ class Frf(Deviations):
         over the root mean square of the measured one, real and imaginary parts.
     std : float
         Of one value: of ln|H|, or of the scaled parts.
+    decay : float
+        σ/ω: both sides are taken at s = σ + iω. 0 but where `broadened`.
+    record : freqs (f,), Hz, and data (f, o, i), optional
+        All measured lines, two or more: what `broadened` needs.
     """
 
     freqs: Float
@@ -56,6 +60,8 @@ class Frf(Deviations):
     order: int = 2
     form: Literal["log", "complex"] = "log"
     std: float = 0.2
+    decay: float = 0.0
+    record: tuple[Float, Complex] | None = None
     whole = True
 
     def __post_init__(self) -> None:
@@ -63,6 +69,11 @@ class Frf(Deviations):
         shape = (self.freqs.size, self.outputs.size, self.inputs.size)
         if self.measured.shape != shape:
             raise InputError(f"FRFs {self.measured.shape} for (line, output, input) = {shape}")
+
+    @property
+    def highest(self) -> float:
+        """See `Term`."""
+        return float(self.freqs.max(initial=0.0))
 
     def response(self, at: Point) -> tuple[Complex, Complex]:
         """H (q, o, i) of the model and ∂H/∂x (q, o, i, p)."""
@@ -74,16 +85,37 @@ class Frf(Deviations):
         if isinstance(given, Damping):
             given = given.at(now.frequencies)
         zeta = np.broadcast_to(given, lam.shape)
-        w = 2 * np.pi * self.freqs[:, None]
+        s = 2 * np.pi * self.freqs[:, None] * (self.decay + 1j)
         root = np.sqrt(np.abs(lam))
-        g = 1 / (lam - w**2 + 2j * zeta * root * w)
+        g = 1 / (lam + s**2 + 2 * zeta * root * s)
         h = np.einsum("qm,om,im->qoi", g, out, into, optimize=True)
-        by_lambda = -(g**2) * (1 + 1j * zeta * w / np.where(root > 0, root, np.inf))
+        by_lambda = -(g**2) * (1 + zeta * s / np.where(root > 0, root, np.inf))
         d_h = np.einsum("qm,omp,im->qoip", g, d_out, into, optimize=True)
         d_h += np.einsum("qm,om,imp->qoip", g, out, d_in, optimize=True)
         d_h += np.einsum("qm,mp,om,im->qoip", by_lambda, now.d_lambda, out, into, optimize=True)
-        by = (1j * w[:, :, None]) ** self.order
+        by = s[:, :, None] ** self.order
         return h * by, d_h * by[..., None]
+
+    def broadened(self, width: float) -> Frf:
+        """The same with the peaks of both sides broadened, so that those that are shifted by less
+        still overlap; itself without a record.
+
+        Impulse responses times e^{-σt}, as an exponential window has them, have the transfer
+        function H(σ + iω): the mean of H(iω) under the Poisson kernel of width σ, over the lines
+        of the record of both signs.
+        """
+        if self.record is None or self.record[0].size < 2:
+            return self
+        freqs, data = self.record
+        flat = data.reshape(freqs.size, -1)
+        at = self.freqs[:, None]
+        sigma = width * at
+        step = np.gradient(freqs)
+        above = step * sigma / (sigma**2 + (freqs - at) ** 2)
+        below = step * sigma / (sigma**2 + (freqs + at) ** 2)
+        total = (above + below).sum(axis=1, keepdims=True)
+        mean = (above @ flat + below @ flat.conj()) / total
+        return replace(self, decay=width, measured=mean.reshape(self.measured.shape))
 
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
@@ -103,6 +135,11 @@ class Frf(Deviations):
         return ResidualBlock(
             value, slope, np.tile(np.arange(h.size), 2), np.full(value.size, NO_MODE)
         )
+
+    def fit(self, at: Point) -> Float:
+        """See `Term`: an FRF is a datum, its square the mean over the lines."""
+        value = self(at).value
+        return np.asarray(np.mean(value.reshape(-1, self.outputs.size * self.inputs.size) ** 2, 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,9 +168,14 @@ class AntiResonances(Deviations):
     gate: float = 0.3
     whole = True
 
+    @property
+    def highest(self) -> float:
+        """See `Term`."""
+        return float(np.max(self.frequencies))
+
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
-        top = float(np.max(self.frequencies)) * (1 + self.gate)
+        top = self.highest * (1 + self.gate)
         mu, d_mu = zeros(at.whole, self.output, self.input, top)
         f = np.sqrt(mu) / (2 * np.pi)
         f_test = np.asarray(self.frequencies, dtype=np.float64)

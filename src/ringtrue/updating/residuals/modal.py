@@ -100,6 +100,11 @@ class Term:
         """Residuals at a point."""
         raise NotImplementedError
 
+    def fit(self, at: Point) -> Float:
+        """Squared deviation of each datum (n,) over the square of its stated error."""
+        block = self(at)
+        return np.asarray(np.bincount(block.datum, block.value**2))
+
     @property
     def expected(self) -> float:
         """Deviation that the best model is expected to keep: of a frequency (relative) or of
@@ -117,6 +122,17 @@ class Term:
         where it is not a multiple of these. `std` (m,) are the test's own, of the frequencies.
         """
         return None
+
+    @property
+    def highest(self) -> float:
+        """Highest frequency, Hz, at which it reads the model besides its modes; 0 for none."""
+        return 0.0
+
+    def broadened(self, width: float) -> Term:
+        """The kind with its peaks broadened by `width` times their frequency; itself where it has
+        none.
+        """
+        return self
 
     def reweighed(self, frequency: float, mac: float, independent: float) -> Term:
         """The kind with other model discrepancies of a frequency (relative) and of 1 − MAC.
@@ -222,11 +238,24 @@ class Weighted(Term):
         """The factor."""
         return self.factor
 
+    @property
+    def highest(self) -> float:
+        """See `Term`."""
+        return self.term.highest
+
+    def broadened(self, width: float) -> Weighted:
+        """See `Term`."""
+        return replace(self, term=self.term.broadened(width))
+
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
         block = self.term(at)
         root = np.sqrt(self.factor)
         return replace(block, value=root * block.value, slope=root * block.slope)
+
+    def fit(self, at: Point) -> Float:
+        """See `Term`: by the error that was stated, whatever the factor."""
+        return self.term.fit(at)
 
     def widened(self, by: float) -> Weighted:
         """See `Term`."""
@@ -337,6 +366,10 @@ class Shapes(Term):
         datum = np.repeat(np.arange(rows.size), rows)
         return ResidualBlock(value, slope, datum, np.repeat(at.pairs[:, 0], rows))
 
+    def fit(self, at: Point) -> Float:
+        """See `Term`: (1 − MAC) over that expected, whatever the factor."""
+        return Term.fit(self, at) / self.factor
+
     @property
     def expected(self) -> float:
         """See `Term`."""
@@ -412,3 +445,40 @@ class Mac(Deviations):
             slope = slope / (2 * root**3)[:, None]
             value = value / (1 + root) / root
         return rows_block(value / self.std, slope / self.std, t)
+
+
+@dataclass(frozen=True, slots=True)
+class ModalMasses(Deviations):
+    """ln of the modal mass of each pair, test over model, at the scale of the test's shape.
+
+    A test shape of unit modal mass is s times the model's. It was scaled by the response of a
+    driving point, which separates mass from stiffness where frequencies give their ratio alone.
+    Modes that are close to others are left out: a rotation among them is free. Ewins (2000), Modal
+    Testing, sec. 2.4.
+
+    Attributes
+    ----------
+    std : float
+        Of a modal mass, relative.
+    kilograms : float
+        Of the deck's unit of mass.
+    """
+
+    std: float = 0.1
+    kilograms: float = 1.0
+
+    def __call__(self, at: Point) -> ResidualBlock:
+        """See `Term`."""
+        alone = np.array([s.size == 1 for s in at.spans], dtype=np.bool_)
+        t, j = at.pairs[alone].T
+        psi = at.target.shapes[:, t] * np.sqrt(self.kilograms)
+        phi = at.now.shapes[:, j]
+        d_phi = at.now.d_shapes[:, j]
+        along = np.sum(phi * psi, axis=0)
+        size = np.sum(phi**2, axis=0)
+        if not along.all() or not size.all():
+            raise NumericalError("a test shape is orthogonal to its partner: it has no scale there")
+        value = -2 * np.log(np.abs(along) / size)
+        first = np.einsum("cmp,cm->mp", d_phi, psi) / along[:, None]
+        second = 2 * np.einsum("cmp,cm->mp", d_phi, phi) / size[:, None]
+        return rows_block(value / self.std, 2 * (first - second) / self.std, t)
