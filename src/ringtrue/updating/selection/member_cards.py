@@ -45,7 +45,10 @@ def member_cards(model: Model, members: Sequence[MissingMember], unit: str = "")
     for rank, member in enumerate(members, start=1):
         made = _cards(model, member, number)
         number += len(member.nodes) + 1
-        head = f"$ {rank}. {member.text(unit)}\n"
+        head = (
+            f"$ {rank}. {member.name}, {member.stiffness:.3g} +- {member.std:.1g} {unit}".rstrip()
+        )
+        head += f", explains {100 * member.share:.0f} %, worth {member.worth:.1f} (AICc)\n"
         parts.append(head + (made if rank == 1 else _comment(made)))
     return "".join(parts)
 

@@ -119,13 +119,14 @@ class MissingMember:
             amount = "stiff, how much is not known,"
         each = " each" if len(self.nodes) > 1 else ""
         where = "" if self.components == "axial" else f" along directions {self.components}"
-        modes = ", ".join(str(m + 1) for m in self.modes)
+        mode = "mode" if len(self.modes) == 1 else "modes"
+        modes = f"{mode} {', '.join(str(m + 1) for m in self.modes)}"
         proof = f"worth {self.worth:.1f} (AICc)"
         if self.worth <= 0:
             proof = "one of so many members may explain as much by chance"
         text = f"{self.name}: {amount}{each}{where} explains "
         text += f"{100 * self.share:.0f} % of the deviations that the parameters leave"
-        text += f", most in test modes {modes}; {proof}" if modes else f"; {proof}"
+        text += f", most in test {modes}; {proof}" if modes else f"; {proof}"
         if self.stands_for:
             text += "; it is an alternative to those before it"
         return text
@@ -382,7 +383,7 @@ def _fit(fitted: FittedModel, added: Float | None = None, start: float = 0.0) ->
     parameters, member = np.hsplit(e.slope, [count])
     k = start * float(np.exp(done.x[-1]))
     own = float(_Scores.of(e.value, parameters, member).own[0])
-    return _Fit(done.value, k, k / np.sqrt(own), by_mode)
+    return _Fit(done.value, k, k * own**-0.5, by_mode)
 
 
 def _lowered(without: _Fit, found: _Fit) -> tuple[int, ...]:
