@@ -275,6 +275,8 @@ def missing_members(
     hopeful = falling(promise)[: np.count_nonzero(promise > DEFAULT_SEARCH.noise)]
     kind = [possible.forms[choices[u][0]] if choices[u].size == 1 else "" for u in hopeful]
     first = [u for k in sorted(set(kind)) for u in hopeful[np.array(kind) == k][: r.tried].tolist()]
+    if not first:
+        return ()
     fits = [_fit(fitted, stiffness[choices[u]].sum(axis=0), screen.stiffness(u)) for u in first]
     without = _fit(fitted)
     fall = np.array([without.value - f.value for f in fits])
