@@ -9,6 +9,7 @@ import numpy as np
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.study import results as r
 from ringtrue.updating.identifiability import Flag
+from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.selection.proposal import Proposal, Proposed
 from ringtrue.updating.validation import Held
 
@@ -84,6 +85,12 @@ def localise(regions: Sequence[str], names: Sequence[str]) -> r.LocaliseStage:
         ),
         r.CandidatePool(124, ("MAT1 99 E",), tuple(f"PBAR {i} A" for i in range(40))),
         _proposal(names),
+        members=(
+            MissingMember(
+                "brace", "axial", ((39, 78), (48, 87)), 2.1e9, 4e8, 0.6, 0.31, 0.31, 12.4, (2, 5)
+            ),
+            MissingMember("support", "3", ((7, 0),), 4e7, 2e7, 1.0, 0.12, 0.02, -4.0, (0,)),
+        ),
     )
 
 

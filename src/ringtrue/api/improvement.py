@@ -47,6 +47,7 @@ from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
 
@@ -100,6 +101,9 @@ class Localisation(Displayed):
         By how much AICc falls.
     proposal : ParameterSet
         The factors, to be handed to `update`. Missing masses are in `found` alone.
+    members : tuple of MissingMember
+        Braces, joints and supports that the deck may lack, ranked by what one stiffness explains of
+        what the proposal leaves; each is told for itself.
     notes : tuple of str
     seats : tuple of Seat
         Where each sensor reads the model.
@@ -112,6 +116,7 @@ class Localisation(Displayed):
     std: Float
     worth: Float
     proposal: ParameterSet
+    members: tuple[MissingMember, ...]
     notes: tuple[str, ...]
     seats: tuple[Seat, ...]
     found: DirectProposal
@@ -196,6 +201,7 @@ def localise(
         std=np.array([m.std for m in members]),
         worth=np.array([m.worth for m in members]),
         proposal=ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
+        members=found.members,
         notes=notes,
         seats=places,
         found=found,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,9 +23,12 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
+from ringtrue.io.files import atomic_write
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
 from ringtrue.study.placing import seats_json
+from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.member_cards import member_cards
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 
@@ -48,6 +52,13 @@ def localise(
             min=1,
         ),
     ] = POOL,
+    members: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the missing member that is ranked first as cards ([[remodel]] adds them), "
+            "the others as comments."
+        ),
+    ] = None,
     json: Json = None,
 ) -> int:
     """Which parameters to update: candidates from the deck, ranked and explained, and what cannot
@@ -69,11 +80,16 @@ def localise(
             progress=show,
         )
     found = done.found
+    unit = CandidateSettings(units=units).unit("stiffness")
+    if members is not None:
+        text = member_cards(found.model, found.members, unit)
+        with atomic_write(members) as path:
+            path.write_text(text, encoding="utf-8")
     if json:
         sensed = {"sensors": seats_json(done.seats)} if done.seats else {}
         write_json(_table(found) | {"notes": done.notes} | sensed, json)
     if json != "-":
-        _print(deck, found)
+        _print(deck, found, unit)
         tell([*done.notes, *_tables(found)])
     return 0
 
@@ -107,6 +123,7 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
         "screened_out": list(localised.screened),
         "left_out": [{"name": d.name, "reason": d.reason} for d in localised.dropped],
         "other_rules": {k: list(v) for k, v in found.orders.items()},
+        "missing_members": [{"name": m.name} | asdict(m) for m in localised.members],
     }
 
 
@@ -136,7 +153,7 @@ def _tables(found: DirectProposal) -> list[str]:
     return out
 
 
-def _print(deck: Path, found: DirectProposal) -> None:
+def _print(deck: Path, found: DirectProposal, unit: str) -> None:
     body = [
         (i, m.name, *m.digits(), f"{m.worth:.1f}", len(m.collinear) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)
@@ -149,3 +166,7 @@ def _print(deck: Path, found: DirectProposal) -> None:
         body,
     )
     out.print(found.proposal.text())
+    if found.members:
+        out.print("members that the deck may lack, each told for itself (--members writes cards):")
+    for i, m in enumerate(found.members, start=1):
+        out.print(f"{i}. {m.text(unit)}")

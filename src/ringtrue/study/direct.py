@@ -66,6 +66,11 @@ from ringtrue.updating.selection.candidates import Candidate, CandidateSettings,
 from ringtrue.updating.selection.candidates import parameters as candidate_parameters
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT, reduced_errors
+from ringtrue.updating.selection.missing_members import (
+    FittedModel,
+    MissingMember,
+    missing_members,
+)
 from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import (
     SIZES,
@@ -350,6 +355,8 @@ class DirectProposal:
         That were not looked at closely.
     made : int
         All that were made from the deck.
+    members : tuple of MissingMember
+        That the deck may lack, the first first.
     """
 
     proposal: Proposal
@@ -358,6 +365,7 @@ class DirectProposal:
     dropped: tuple[Dropped, ...]
     screened: tuple[str, ...]
     made: int
+    members: tuple[MissingMember, ...] = ()
 
 
 def propose_parameters(
@@ -440,6 +448,9 @@ def propose_parameters(
         progress=part(progress, 0.55, 1.0),
     )
     names = {c.name for c in keep}
+    rows = np.arange(len(test.channels))
+    left = replace(aim, weights=found.left_over(aim.weights))
+    fitted = FittedModel.of(analysis.system, reduced, rows, found.x, left)
     return DirectProposal(
         proposal=found,
         model=model,
@@ -447,6 +458,7 @@ def propose_parameters(
         dropped=lost,
         screened=tuple(c.name for c in moved if c.name not in names),
         made=len(every),
+        members=missing_members(model, fitted),
     )
 
 

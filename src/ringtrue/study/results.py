@@ -34,6 +34,7 @@ from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
 from ringtrue.updating.selection.localisation import SCARCE
+from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.selection.proposal import Proposal
 from ringtrue.updating.uncertainty import Posterior
 from ringtrue.updating.validation import Held
@@ -734,6 +735,8 @@ class LocaliseStage:
     proposal_basis: str = ""  # data of the proposal other than the modes of the study's own test
     # (k,) nodes where a mass may be missing
     places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    # ranked; each is told for itself, the first first
+    members: tuple[MissingMember, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

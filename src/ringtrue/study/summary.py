@@ -294,6 +294,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "error_concentration": {n: _number(x) for n, x in gathered},
         "proposed": proposed,
+        "missing_members": [asdict(m) for m in found.members],
         **rests,
     }
 

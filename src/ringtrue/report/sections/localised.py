@@ -22,7 +22,8 @@ from ringtrue.report.parts import (
     number,
     sentence,
 )
-from ringtrue.study.results import LocaliseStage
+from ringtrue.study.results import LocaliseStage, ModelStage
+from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.proposal import Proposed
 
 LEAD = (
@@ -47,6 +48,7 @@ LACKING = (
     " A mass that the deck lacks is in units of the deck; its factor in later tables is "
     "that of the structure's mass."
 )
+MEMBERS = "Members that the deck may lack, each told for itself"
 FEW = 14  # candidates that are not folded away
 
 
@@ -58,7 +60,11 @@ def section(data: Stages) -> Section | None:
     title = "Where the model is wrong"
     found = s.indicators
     if not found.modes.size:
-        return Section("localisation", title, [Text(NO_SHAPES, "lead"), *_proposal(s)])
+        return Section(
+            "localisation",
+            title,
+            [Text(NO_SHAPES, "lead"), *_proposal(s), *_members(s, data.model)],
+        )
     count = len(found.regions)
     which = f", the {plots.BARS} largest of {count}" if count > plots.BARS else ""
     text = f"Concentration of error by region{which}; dotted: an error that is spread evenly."
@@ -68,7 +74,16 @@ def section(data: Stages) -> Section | None:
         bars = Columns([[bars], [Scene3D(plots.view(data.model.scene, s), same, 430)]])
     lead = Text(LEAD.format(EXPANSIONS[found.expansion]), "lead")
     every = Fold("All indicators by region", [_regions(s)])
-    return Section("localisation", title, [lead, bars, every, Heading("Proposal"), *_proposal(s)])
+    found_blocks = [Heading("Proposal"), *_proposal(s), *_members(s, data.model)]
+    return Section("localisation", title, [lead, bars, every, *found_blocks])
+
+
+def _members(s: LocaliseStage, model: ModelStage | None) -> list[Block]:
+    """Braces, joints and supports that the deck may lack, a sentence each."""
+    if not s.members:
+        return []
+    unit = CandidateSettings(units="" if model is None else model.units).unit("stiffness")
+    return [Items([sentence(m.text(unit)) for m in s.members], MEMBERS)]
 
 
 def _regions(s: LocaliseStage) -> ReportTable:

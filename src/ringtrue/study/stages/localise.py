@@ -56,6 +56,7 @@ from ringtrue.updating.selection.localisation import (
     reduced_errors,
     variation,
 )
+from ringtrue.updating.selection.missing_members import FittedModel, missing_members
 from ringtrue.updating.selection.proposal import propose
 from ringtrue.updating.selection.screening import (
     SIZES,
@@ -135,6 +136,10 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         data = [m.name for c in session.configurations for m in c.measured]
         basis = ", ".join([*tests, *data])
     p = model.parameters
+    deck = session.remodelled
+    left = replace(aim, weights=proposal.left_over(aim.weights))
+    fitted = FittedModel.of(deck.analysis.system, model.model, model.rows, proposal.x, left)
+    members = missing_members(deck.model, fitted)
     known = identifiability(end_data.slope * p.std())
     return LocaliseStage(
         indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
@@ -151,6 +156,7 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         proposal=proposal,
         proposal_basis=basis,
         places=session.places,
+        members=members,
     )
 
 

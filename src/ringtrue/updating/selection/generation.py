@@ -12,7 +12,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.parameters import CardField, Parameter, Substructure
 from ringtrue.errors import InputError
-from ringtrue.fem.element_cards import MATERIAL, PROPERTY
+from ringtrue.fem.element_cards import ELEMENTS, MATERIAL, PROPERTY
 from ringtrue.fem.mesh import union
 from ringtrue.fem.parametrisation.changed_model import affected_cards, rows_of
 from ringtrue.model.cards import MADE
@@ -46,7 +46,7 @@ _NODE_FIELDS = {
     card: tuple(
         r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS
     )
-    for card in PROPERTY
+    for card in ELEMENTS
 }
 NONE = 1e-7  # likewise: a bound must not be the nominal value
 _FIELDS = ("M", "X1", "X2", "X3", "I11", "I21", "I22", "I31", "I32", "I33")
@@ -276,7 +276,7 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
     pid = np.concatenate([model[c]["PID"] for c in cards])
     eid = np.concatenate([model[c].ids for c in cards])
     family = np.concatenate([np.full(len(model[c]), PROPERTY[c]) for c in cards])
-    nodes = _connectivity(model, cards)
+    nodes = connectivity(model, cards)
     centre = np.asarray((nodes @ positions(model)) / np.maximum(nodes.sum(axis=1), 1)[:, None])
     for key in sorted({(str(f), int(p)) for f, p in zip(family, pid, strict=True)}):
         of = np.flatnonzero((family == key[0]) & (pid == key[1]))
@@ -300,7 +300,7 @@ def _property(model: Model, key: tuple[str, int]) -> str:
     return next((c for c in cards if c in model and (model[c].ids == key[1]).any()), key[0])
 
 
-def _connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
+def connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
     """1 where an element (e) of the cards stands on a node (n), csr (e, n)."""
     grid = model["GRID"]
     parts = []
@@ -390,14 +390,28 @@ def places(model: Model, free: Bool, seen: Sequence[int] | Int) -> Int:
         free = free & read  # nodes that a refinement has made are in no file
     ids = grid.ids[free]
     xyz = positions(model)[free]
-    out = np.flatnonzero(np.isin(ids, seen)).tolist()[:PLACES]
-    far = np.full(ids.size, np.inf)
-    for i in out:
-        far = np.minimum(far, np.linalg.norm(xyz - xyz[i], axis=1))
-    while len(out) < PLACES and far.max(initial=0.0) > 0:
+    first = np.flatnonzero(np.isin(ids, seen))[:PLACES]
+    more = spread_out(xyz, PLACES - first.size, xyz[first])
+    return np.sort(ids[np.concatenate([first, more])])
+
+
+def spread_out(xyz: Float, most: int, taken: Float | None = None) -> Int:
+    """Up to `most` points that cover all: each is the farthest from those before, rows (k,).
+
+    Parameters
+    ----------
+    xyz : (n, 3) float64
+    taken : (k, 3) float64, optional
+        Points that come before the first; without any the first row is the first.
+    """
+    out: list[int] = []
+    far = np.full(len(xyz), np.inf)
+    for x in xyz[:0] if taken is None else taken:
+        far = np.minimum(far, np.linalg.norm(xyz - x, axis=1))
+    while len(out) < most and far.max(initial=0.0) > 0:
         out.append(int(np.argmax(far)))
         far = np.minimum(far, np.linalg.norm(xyz - xyz[out[-1]], axis=1))
-    return np.sort(ids[out])
+    return np.array(out, dtype=np.int64)
 
 
 def lumped(

@@ -32,6 +32,7 @@ from ringtrue.updating.selection.subset_search import (
     foreseen,
     subsets,
 )
+from ringtrue.updating.target import Weights
 
 INDICATORS = {
     "force": "force residual",
@@ -212,6 +213,11 @@ class Proposal(FrozenArrays):
     def seen(self) -> bool:
         """Whether shapes were measured."""
         return bool(np.isfinite(self.mac[0]))
+
+    def left_over(self, weights: Weights) -> Weights:
+        """The weights of deviations as large as the best set leaves them."""
+        frequency, mac = self.discrepancy.tolist()
+        return replace(weights, frequency=frequency, mac=mac)
 
     def unexplained(self) -> str:
         """Why nothing is proposed, in words."""
