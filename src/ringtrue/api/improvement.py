@@ -103,7 +103,7 @@ class Localisation(Displayed):
         The factors, to be handed to `update`. Missing masses are in `found` alone.
     members : tuple of MissingMember
         Braces, joints and supports that the deck may lack, ranked by what one stiffness explains of
-        what the proposal leaves; each is told for itself.
+        what the proposal leaves; each is judged by itself.
     notes : tuple of str
     seats : tuple of Seat
         Where each sensor reads the model.

@@ -167,6 +167,6 @@ def _print(deck: Path, found: DirectProposal, unit: str) -> None:
     )
     out.print(found.proposal.text())
     if found.members:
-        out.print("members that the deck may lack, each told for itself (--members writes cards):")
+        out.print("members that the deck may lack, each judged by itself (--members writes cards):")
     for i, m in enumerate(found.members, start=1):
         out.print(f"{i}. {m.text(unit)}")

@@ -735,7 +735,7 @@ class LocaliseStage:
     proposal_basis: str = ""  # data of the proposal other than the modes of the study's own test
     # (k,) nodes where a mass may be missing
     places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    # ranked; each is told for itself, the first first
+    # ranked; each is judged by itself, the first first
     members: tuple[MissingMember, ...] = ()
 
 

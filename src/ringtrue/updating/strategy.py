@@ -349,7 +349,7 @@ def solve_verified(
     tolerance : float
         Largest relative frequency error that is accepted, up to the highest frequency that is
         compared. The objective must not be moved by a full solution, either: it sees shapes of
-        modes that the channels hardly see.
+        modes with small motions at the channels.
 
     Raises
     ------

@@ -48,7 +48,7 @@ LACKING = (
     " A mass that the deck lacks is in units of the deck; its factor in later tables is "
     "that of the structure's mass."
 )
-MEMBERS = "Members that the deck may lack, each told for itself"
+MEMBERS = "Members that the deck may lack, each judged by itself"
 FEW = 14  # candidates that are not folded away
 
 

@@ -657,10 +657,11 @@ def _with_further_starts(
         starts.append(("from the proposal", own, at))
     if more is not None:
         starts.append(("further starts", more, None))
+    workers = session.config.study.workers
     for what, u, factors in starts:
         progress(0.9, f"{best.name}: modes without partner, {what}")
         name = f"{best.name}, {what}"
-        case = _case(session, name, best.parameters, u, factors, session.config.study.workers)
+        case = _case(session, name, best.parameters, u, factors, workers=workers)
         try:
             done = update_reduced(case, progress)
         except NumericalError as e:  # the end from the deck stands

@@ -49,16 +49,14 @@ def member_cards(model: Model, members: Sequence[MissingMember], unit: str = "")
             f"$ {rank}. {member.name}, {member.stiffness:.3g} +- {member.std:.1g} {unit}".rstrip()
         )
         head += f", explains {100 * member.share:.0f} %, worth {member.worth:.1f} (AICc)\n"
-        parts.append(head + (made if rank == 1 else _comment(made)))
+        if rank > 1:
+            made = "".join(f"$ {line}\n" for line in made.splitlines())
+        parts.append(head + made)
     return "".join(parts)
 
 
-def _comment(cards: str) -> str:
-    return "".join(f"$ {line}\n" for line in cards.splitlines())
-
-
 def _cards(model: Model, member: MissingMember, number: int) -> str:
-    """The property, then an element for each of those that are alike."""
+    """The property, then an element for each of the like members."""
     if member.form == "brace":
         return _bars(model, member, number)
     along, about = member.stiffness, member.stiffness * member.arm**2

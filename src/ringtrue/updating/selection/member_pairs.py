@@ -193,8 +193,8 @@ def _pairs(nodes: sparse.csr_array) -> sparse.csr_array:
 def _apart(graph: sparse.csr_array) -> sparse.csr_array:
     """1 where two different nodes are connected, (n, n)."""
     out = sparse.coo_array(graph)
-    apart = out.row != out.col
-    entries = (np.ones(apart.sum()), (out.row[apart], out.col[apart]))
+    distinct = out.row != out.col
+    entries = (np.ones(distinct.sum()), (out.row[distinct], out.col[distinct]))
     return sparse.csr_array(sparse.coo_array(entries, shape=out.shape))
 
 

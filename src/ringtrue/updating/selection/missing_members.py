@@ -32,8 +32,6 @@ from ringtrue.updating.selection.subset_search import DEFAULT_SEARCH
 from ringtrue.updating.target import Target
 
 ROUNDING = 1e-9  # share of a squared slope below which it is rounding
-STARTS = (1.0, 3.0, 10.0, 30.0)  # of k, in units of what the slopes give
-OPEN = 10.0  # standard deviation of ln k before the test: none to speak of
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +45,27 @@ class MemberRanking:
     tried : int
         Single members of each form, and sets of members, that the slopes rank first: so many of
         each are fitted with all parameters.
-    alike : int
+    paired : int
         Braces of one length and inclination, up to which any two of them are also tried with one
         stiffness; structures are built of like parts.
     suspended : float
         A deck of which six modes are below so many times the lowest one of the test is suspended
         softly: it lacks no support.
+    starts : tuple of float
+        Of a stiffness, in units of what the slopes give.
+    std : float
+        Standard deviation of the logarithm of a stiffness before the test: none to speak of.
     """
 
     most: int = 6
     tried: int = 16
-    alike: int = 24
+    paired: int = 24
     suspended: float = 0.5
+    starts: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0)
+    std: float = 10.0
+
+
+RANKING = MemberRanking()
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +78,14 @@ class MissingMember:
     components : str
         As in `PossibleMembers`.
     nodes : tuple of (int, int)
-        Ids of GRID of each of the members that are alike; the second is 0 for the ground.
+        Ids of GRID of each of the like members; the second is 0 for the ground.
     stiffness, std : float
         Of each, and its standard deviation, in units of the deck.
     arm : float
         Length: stiffness about an axis is `stiffness` times its square.
     share : float
         Of the squared weighted deviations that the parameters leave, what it explains.
-    beside : float
+    remaining : float
         The same with those that are ranked before it in the model.
     worth : float
         Fall of the squared weighted deviations less the price of one stiffness and of the search
@@ -94,22 +101,22 @@ class MissingMember:
     std: float
     arm: float
     share: float
-    beside: float
+    remaining: float
     worth: float
     modes: tuple[int, ...]
 
     @property
     def name(self) -> str:
-        """Where it is: `brace 39 to 78 and 3 alike`."""
+        """Where it is: `brace 39 to 78 and 3 others`."""
         a, b = self.nodes[0]
         place = f"{self.form} {a} to {b}" if b else f"{self.form} at {a}"
         more = len(self.nodes) - 1
-        return f"{place} and {more} alike" if more else place
+        return f"{place} and {more} other{'s' if more > 1 else ''}" if more else place
 
     @property
     def stands_for(self) -> bool:
         """Whether those that are ranked before it explain more than half of what it does."""
-        return self.beside < self.share / 2
+        return self.remaining < self.share / 2
 
     def text(self, unit: str = "") -> str:
         """What it is and what speaks for it, in one sentence."""
@@ -200,8 +207,8 @@ class FittedModel(FrozenArrays):
             Stiffness of each at x = 0.
         """
         scaled = added * np.where(start > 0, start, 1.0)[:, None, None]
-        own = [Parameter(f"p{i}", (), 0.02, 50.0, "log", 1.0) for i in range(self.x.size)]
-        more = [Parameter(f"k{i}", (), 1e-3, 1e3, "log", OPEN) for i in range(len(added))]
+        own = [Parameter(f"p{i}", (), 0.02, 50.0, std=1.0) for i in range(self.x.size)]
+        more = [Parameter(f"k{i}", (), 1e-3, 1e3, std=RANKING.std) for i in range(len(added))]
         dense = DenseModel(
             stiffness=np.diag(self.values) + np.tensordot(start, added, axes=1),
             mass=np.eye(self.values.size),
@@ -250,19 +257,11 @@ class _Scores:
         return np.asarray(np.maximum(self.along, 0.0) ** 2 / self.own)
 
 
-def missing_members(
-    model: Model, fitted: FittedModel, ranking: MemberRanking | None = None
-) -> tuple[MissingMember, ...]:
-    """Those that explain most, the first first; none where none explains more than noise.
-
-    Parameters
-    ----------
-    model : Model
-        The deck.
-    fitted : FittedModel
-    ranking : MemberRanking, optional
+def missing_members(model: Model, fitted: FittedModel) -> tuple[MissingMember, ...]:
+    """Those that explain most of the deviations of a deck, the first first; none where none
+    explains more than noise.
     """
-    r = ranking or MemberRanking()
+    r = RANKING
     search = MemberSearch(supports=0) if fitted.suspended(r.suspended) else MemberSearch()
     possible = possible_members(model, fitted.system, search)
     if not len(possible):
@@ -303,7 +302,7 @@ def missing_members(
             std=fits[i].std,
             arm=float(possible.arms[at[0]]),
             share=share,
-            beside=share * screen.kept(u, before),
+            remaining=share * screen.kept(u, before),
             worth=float(fall[i] - price),
             modes=_lowered(without, fits[i]),
         )
@@ -348,7 +347,7 @@ class _Screen:
         return float(self.scores.along[u] / self.scores.own[u])
 
     def kept(self, u: int, before: Sequence[int]) -> float:
-        """The part of its fall that a choice keeps beside others, 0 to 1."""
+        """The part of its fall that a choice keeps with others in the model, 0 to 1."""
         g = self.members[:, list(before)]
         # slopes without a prior: so large that C⁻¹ leaves nothing along them
         free = np.column_stack([self.parameters, 1e4 * g / np.linalg.norm(g, axis=0)])
@@ -375,7 +374,7 @@ def _fit(fitted: FittedModel, added: Float | None = None, start: float = 0.0) ->
     problem = fitted.with_members(more, np.full(len(more), start))
     begin = np.zeros(problem.size)
     if added is not None:  # slopes tell too little of a stiff member
-        begin = min((np.append(begin[:-1], np.log(s)) for s in STARTS), key=problem.cost)
+        begin = min((np.append(begin[:-1], np.log(s)) for s in RANKING.starts), key=problem.cost)
     done = short_update(problem, range(problem.size), begin)
     e = problem.evaluate(done.x)
     modes = fitted.aim.frequencies.size
@@ -396,19 +395,19 @@ def _lowered(without: _Fit, found: _Fit) -> tuple[int, ...]:
 
 
 def choices_of(possible: PossibleMembers, ranking: MemberRanking) -> list[Int]:
-    """Sets of members with one stiffness, rows each: single ones; of braces any two that are alike,
+    """Sets of members with one stiffness, rows each: single ones; of braces any two of one kind,
     and all that are parallel and as long.
     """
     out = [np.array([i]) for i in range(len(possible))]
-    alike: dict[tuple[float, ...], list[int]] = {}
+    kinds: dict[tuple[float, ...], list[int]] = {}
     parallel: dict[tuple[float, ...], list[int]] = {}
     for i, along in enumerate(possible.along):
         if possible.forms[i] != "brace":
             continue
         signed = along * next((float(np.sign(v)) for v in along if v), 1.0)
-        alike.setdefault(tuple(np.abs(along).tolist()), []).append(i)
+        kinds.setdefault(tuple(np.abs(along).tolist()), []).append(i)
         parallel.setdefault(tuple(signed.tolist()), []).append(i)
-    for some in alike.values():
-        if len(some) <= ranking.alike:
+    for some in kinds.values():
+        if len(some) <= ranking.paired:
             out += [np.array(pair) for pair in combinations(some, 2)]
     return out + [np.array(some) for some in parallel.values() if len(some) > 2]
