@@ -291,9 +291,12 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     # what the shapes do as well: a turn of two modes of one pole
     void = np.diag(core).real < LIMITS.flat * np.diag(gg).real
     w2 = lines.response**2
-    tile = np.tile(psi, (1 + n_in, 1))
-    hessian = core * ((tile.conj() * w2) @ tile.T)
-    gradient = ((tile.conj() * w2) * (gy - xg.conj().T @ psi)).sum(axis=1)
+    weighted = psi.conj() * w2  # the shapes of all parameters of a mode are the same
+    each = (1 + n_in, 2 * m)
+    alike = weighted @ psi.T
+    hessian = (core.reshape(*each, *each) * alike[:, None]).reshape(core.shape)
+    rest = (gy - xg.conj().T @ psi).reshape(*each, -1)
+    gradient = (weighted * rest).sum(axis=2).ravel()
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]

@@ -42,7 +42,7 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings
-from ringtrue.signal.spectra import Geophone, Welch, csd, deconvolve, lowest_frequency
+from ringtrue.signal.spectra import Geophone, Welch, deconvolve, lowest_frequency, psd
 from ringtrue.study.config_sections import IdentifySection, TestSection
 from ringtrue.study.hammer_records import (
     ForceRecordFormat,
@@ -112,10 +112,9 @@ def corrected(
 
 def _lowest(history: TimeHistory, sheet: SensorType) -> float:
     """From where on the signals of geophones stand above their noise, Hz."""
-    psd = csd(history, Welch(0.1))
-    level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
-    noise = np.full(psd.freqs.shape, sheet.noise**2)
-    return max(lowest_frequency(psd.freqs, level, noise), sheet.corner_hz * 0.6)
+    freqs, density = psd(history, Welch(0.1))
+    noise = np.full(freqs.shape, sheet.noise**2)
+    return max(lowest_frequency(freqs, np.median(density, axis=0), noise), sheet.corner_hz * 0.6)
 
 
 def summary(
@@ -149,9 +148,8 @@ def preview(history: TimeHistory) -> RecordPreview:
     channels = tuple(history.channels[i] for i in at)
     data = np.asarray(history.data[at], dtype=np.float64)
     resolution = Welch(max(0.05, 4 / history.duration))
-    psd = csd(TimeHistory(data, history.rate, channels), resolution)
-    power = np.real(np.einsum("fii->if", psd.data))
-    every = max(1, psd.freqs.size // 2000)
+    freqs, density = psd(TimeHistory(data, history.rate, channels), resolution)
+    every = max(1, freqs.size // 2000)
     step = max(1, data.shape[1] // 1500)  # samples of a preview
     # the value of largest modulus in each run of samples
     runs = data[:, : data.shape[1] // step * step].reshape(len(data), -1, step)
@@ -162,8 +160,8 @@ def preview(history: TimeHistory) -> RecordPreview:
         unit=unit,
         time=np.arange(signal.shape[1]) * step / history.rate,
         signal=np.asarray(signal),
-        freqs=psd.freqs[::every],
-        psd=power[:, ::every],
+        freqs=freqs[::every],
+        psd=density[:, ::every],
     )
 
 
