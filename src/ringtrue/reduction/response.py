@@ -275,18 +275,21 @@ def _krylov(
     first block.
     """
     x = _orthonormal(mass, first(factor.solve(loads).reshape(loads.shape)))
-    blocks = [x]
+    every = np.empty((x.shape[0], steps * x.shape[1]), order="F")
+    count = x.shape[1]
+    every[:, :count] = x
     for _ in range(steps - 1):  # each needs the one before
         x = factor.solve(mass @ x).reshape(x.shape)
-        known = np.hstack(blocks)
+        known = every[:, :count]
         for _ in range(2):
             x = x / np.sqrt(np.einsum("ij,ij->j", x, mass @ x))
             x = x - known @ (known.T @ (mass @ x))
         if np.einsum("ij,ij->j", x, mass @ x).max() < NEW:
             break
         x = _orthonormal(mass, x)
-        blocks.append(x)
-    return np.hstack(blocks)
+        every[:, count : count + x.shape[1]] = x
+        count += x.shape[1]
+    return every[:, :count]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
