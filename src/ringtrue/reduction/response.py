@@ -275,21 +275,18 @@ def _krylov(
     first block.
     """
     x = _orthonormal(mass, first(factor.solve(loads).reshape(loads.shape)))
-    every = np.empty((x.shape[0], steps * x.shape[1]), order="F")
-    count = x.shape[1]
-    every[:, :count] = x
+    blocks = [x]
     for _ in range(steps - 1):  # each needs the one before
         x = factor.solve(mass @ x).reshape(x.shape)
-        known = every[:, :count]
+        known = np.hstack(blocks)
         for _ in range(2):
             x = x / np.sqrt(np.einsum("ij,ij->j", x, mass @ x))
             x = x - known @ (known.T @ (mass @ x))
         if np.einsum("ij,ij->j", x, mass @ x).max() < NEW:
             break
         x = _orthonormal(mass, x)
-        every[:, count : count + x.shape[1]] = x
-        count += x.shape[1]
-    return every[:, :count]
+        blocks.append(x)
+    return np.hstack(blocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
