@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, sparse
@@ -242,7 +243,7 @@ def unit(shapes: Any_) -> Any_:
     ----------
     shapes : (n, m) float64 or complex128
     """
-    length = np.linalg.norm(shapes, axis=0)
+    length = np.sqrt((shapes.conj() * shapes).real.sum(axis=0))
     return np.asarray(shapes / np.where(length > 0, length, 1.0))
 
 
@@ -312,7 +313,7 @@ FADE = 1.5  # times a limit, where what holds below the limit has faded away
 
 def basis(b: Any_) -> Any_:
     """Orthonormal basis (n, r) of the columns of `b` (n, k), r <= k."""
-    u, s, _ = linalg.svd(unit(np.asarray(b)), full_matrices=False)
+    u, s, _ = np.linalg.svd(unit(np.asarray(b)), full_matrices=False)
     return np.asarray(u[:, s > DEPENDENT * max(s.max(initial=0.0), DEPENDENT)])
 
 
@@ -399,8 +400,9 @@ def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tu
     """
     f = np.asarray(frequencies, dtype=np.float64)
     order = np.argsort(f, kind="stable")
-    chains = np.split(order, np.flatnonzero(gaps(f[order]) >= close) + 1) if f.size else []
-    return tuple(g for chain in chains for g in _split(tuple(chain.tolist()), f, largest))
+    ends = [0, *(np.flatnonzero(gaps(f[order]) >= close) + 1).tolist(), f.size]
+    modes = tuple(order.tolist())
+    return tuple(g for a, b in pairwise(ends) if a < b for g in _split(modes[a:b], f, largest))
 
 
 def _split(chain: tuple[int, ...], f: Float, largest: int) -> list[tuple[int, ...]]:

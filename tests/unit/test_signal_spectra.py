@@ -12,7 +12,7 @@ import pytest
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.signal.frf import frf_variance, independent_segments, shaker_frfs
-from ringtrue.signal.spectra import Welch
+from ringtrue.signal.spectra import Welch, csd, psd
 
 RATE, N = 256.0, 64 * 256
 GAIN = np.array([[1.0, -0.5], [0.3, 2.0], [-1.2, 0.7]])
@@ -31,6 +31,19 @@ def record(seed: int, *, inputs: int = 2, noise: float = 0.5, mixed: float = 0.6
 
 def truth(freqs: np.ndarray, inputs: int = 2) -> np.ndarray:
     return np.exp(-2j * np.pi * freqs / RATE)[:, None, None] * GAIN[:, :inputs]
+
+
+def test_densities_are_the_diagonal_of_the_cross_spectra() -> None:
+    """Their sum over the lines, of segments of even and odd length, is the power of the record."""
+    history = record(0)
+    for resolution in (1.0, 256 / 255):
+        freqs, density = psd(history, Welch(resolution))
+        whole = csd(history, Welch(resolution))
+        np.testing.assert_array_equal(freqs, whole.freqs)
+        auto = np.einsum("fii->if", whole.data)
+        np.testing.assert_allclose(density, auto.real, rtol=1e-12)
+        power = density.sum(axis=1) * freqs[1]
+        np.testing.assert_allclose(power, history.data.var(axis=1), rtol=0.03)
 
 
 def test_several_shakers_and_their_variance() -> None:

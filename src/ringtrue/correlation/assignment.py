@@ -289,6 +289,8 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
         share = share_in(units[0], b[:, gb])  # no rotation inside the group reaches more
         held = np.asarray(share > WORTH.hold * settings.mac_gate)
         gains = held & np.asarray(share > single[:, gb].max(axis=1) + WORTH.soft - WORTH.tie)
+        if not gains.any():
+            continue
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
         for ga in (g for g in groups_a if gains[g].any() and near[g].any()):
             # a chain of close modes of A may be longer: a neighbour belongs elsewhere

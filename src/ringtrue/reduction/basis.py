@@ -195,7 +195,7 @@ class StaticSensitivities:
         """Of each term and mode, (f, terms · count)."""
         found = [np.zeros((self.pencil.size, 0))]
         for done, term in enumerate(terms):
-            load = np.zeros((self.pencil.size, self.count))
+            load = np.zeros((self.pencil.size, self.count), order="F")
             rows, load[rows] = self._forces(term)
             found.append(self._responses(load))
             if progress is not None:
@@ -225,15 +225,17 @@ class StaticSensitivities:
         return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
     def _responses(self, load: Float, progress: Progress | None = None) -> Float:
-        """Static responses to loads (f, k), both free of the modes."""
+        """Static responses to loads (f, k), both free of the modes; by columns, as the factor takes
+        and gives them.
+        """
         factor = self.pencil.at(self.modes.shift)
         phi = self.modes.vectors
         mphi = self.pencil.mass @ phi
-        x = np.empty(load.shape)
+        x = np.empty(load.shape, order="F")
         for s in range(0, load.shape[1], CHUNK):
-            some = load[:, s : s + CHUNK]
-            part = factor.solve(some - mphi @ (phi.T @ some))
-            x[:, s : s + CHUNK] = part - phi @ (mphi.T @ part)
+            some = load[:, s : s + CHUNK].T
+            part = factor.solve((some - (some @ phi) @ mphi.T).T).T
+            x[:, s : s + CHUNK] = (part - (part @ mphi) @ phi.T).T
             if progress is not None:
                 progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
         return x

@@ -576,11 +576,11 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[N
 
 
 def _held(x: Any_) -> Bool | None:
-    """(sample,) samples that are held; None where few equal their neighbours."""
+    """(sample,) samples that are held; None where none are."""
     if np.count_nonzero(x[1:] == x[:-1]) < HOLDS.least:
         return None
     first, length = equal_runs(x)
-    if length.size < 2:
+    if length.size < 2 or length.max() <= HOLDS.least:
         return None
     long = length > HOLDS.least + HOLDS.typical * float(np.percentile(length, 99))
     at = np.flatnonzero(long)
@@ -588,6 +588,8 @@ def _held(x: Any_) -> Bool | None:
         (at[:, None] + np.arange(-HOLDS.neighbours, HOLDS.neighbours + 1)).clip(0, length.size - 1)
     ]
     long[at] = length[at] > HOLDS.least + HOLDS.typical * np.median(near, axis=1)
+    if not long.any():  # as nearly always
+        return None
     steps = np.abs(np.diff(x[first].astype(np.float64)))
     leap = HOLDS.leap * float(np.median(steps))
     into = np.insert(steps, 0, np.inf) > leap

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.signal import ellip, ellipord, sosfilt, sosfreqz
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.signal.spectra import Band
@@ -62,6 +61,8 @@ def decays_of(data: Any_, rate: float, bounds: Int, bands: Sequence[Band]) -> li
     bands : sequence of Band, from the highest
         The rate of each divides that of the one before, and the first one that of the record.
     """
+    from scipy.signal import sosfreqz  # slow to import, and few commands need it
+
     parts = [np.array(data[:, a:b], dtype=np.float64) for a, b in bounds.tolist()]
     total = [np.ones(1 << 13) for _ in bands]
     out = []
@@ -99,11 +100,15 @@ def decays_of(data: Any_, rate: float, bounds: Int, bands: Sequence[Band]) -> li
 
 def _filter(passing: float, stopped: float, kind: Literal["low", "high"]) -> Float:
     """(section, 6) elliptic filter, edges in cycles a sample."""
+    from scipy.signal import ellip, ellipord  # slow to import, and few commands need it
+
     order, edge = ellipord(2 * passing, 2 * stopped, 0.02, STOP_DB)
     return np.asarray(ellip(int(order), 0.02, STOP_DB, float(edge), kind, output="sos"))
 
 
 def _backwards(sections: Float, y: Float) -> Float:
+    from scipy.signal import sosfilt  # slow to import, and few commands need it
+
     return np.asarray(sosfilt(sections, y[:, ::-1], axis=1)[:, ::-1])
 
 

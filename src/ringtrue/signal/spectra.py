@@ -87,32 +87,59 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
         If the record is shorter than one segment.
     """
     data = history.data
-    rate = history.rate
-    length = round(rate / settings.resolution)
-    if data.shape[1] < length:
-        raise DataError(
-            f"{history.source}: {history.duration:.4g} s are too short for a resolution of "
-            f"{settings.resolution:.4g} Hz; it needs {1 / settings.resolution:.4g} s"
-        )
-    win = window(settings.window, length)
-    starts = np.arange(
-        0,
-        data.shape[1] - length + 1,
-        max(1, round(length * (1 - settings.overlap))),
-        dtype=np.int64,
-    )
-    total = np.zeros((length // 2 + 1, len(data), len(data)), dtype=np.complex128)
-    batch = max(1, 4_000_000 // (length * len(data)))
+    win, starts = _welch_segments(history, settings)
+    total = np.zeros((win.size // 2 + 1, len(data), len(data)), dtype=np.complex128)
+    batch = max(1, 4_000_000 // (win.size * len(data)))
     for i in range(0, starts.size, batch):  # streamed: a batch of segments is what is in memory
         y = np.ascontiguousarray(
             segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0)
         )
         total += y @ y.conj().transpose(0, 2, 1)
-    total *= 2.0 / (rate * length * starts.size)
-    total[0] /= 2.0
+    total *= _density(history.rate, win.size, starts.size)[:, None, None]
+    freqs = rfftfreq(win.size, 1 / history.rate)
+    return Csd(total, freqs, history.channels, int(starts.size))
+
+
+def psd(history: TimeHistory, settings: Welch) -> tuple[Float, Float]:
+    """Frequencies (freq,), Hz, and the Welch estimate of each channel by itself, (ch, freq).
+
+    Raises
+    ------
+    DataError
+        As `csd` does.
+    """
+    data = history.data
+    win, starts = _welch_segments(history, settings)
+    total = np.zeros((len(data), win.size // 2 + 1))
+    batch = max(1, 4_000_000 // (win.size * len(data)))
+    for i in range(0, starts.size, batch):
+        y = segments_spectrum(data, starts[i : i + batch], win)
+        total += (y.real**2 + y.imag**2).sum(axis=0)
+    total *= _density(history.rate, win.size, starts.size)
+    return rfftfreq(win.size, 1 / history.rate), total
+
+
+def _welch_segments(history: TimeHistory, settings: Welch) -> tuple[Float, Int]:
+    """The window of a segment, and the first samples of all."""
+    length = round(history.rate / settings.resolution)
+    samples = history.data.shape[1]
+    if samples < length:
+        raise DataError(
+            f"{history.source}: {history.duration:.4g} s are too short for a resolution of "
+            f"{settings.resolution:.4g} Hz; it needs {1 / settings.resolution:.4g} s"
+        )
+    hop = max(1, round(length * (1 - settings.overlap)))
+    starts = np.arange(0, samples - length + 1, hop, dtype=np.int64)
+    return window(settings.window, length), starts
+
+
+def _density(rate: float, length: int, count: int) -> Float:
+    """What makes sums over `count` segments one-sided densities, (freq,)."""
+    scale = np.full(length // 2 + 1, 2.0 / (rate * length * count))
+    scale[0] /= 2.0
     if length % 2 == 0:
-        total[-1] /= 2.0
-    return Csd(total, rfftfreq(length, 1 / rate), history.channels, int(starts.size))
+        scale[-1] /= 2.0
+    return scale
 
 
 def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> tuple[Float, Float]:

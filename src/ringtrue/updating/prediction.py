@@ -227,7 +227,9 @@ def bands(draws: Float, level: float = 0.9) -> Bands:
             f"{draws.shape[0]} draws for a band of {level}: level in 0..1, at least 1/(1 - "
             "level) draws"
         )
-    low, median, high = np.nanquantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
+    # without NaN all columns at once: the same numbers, sooner
+    quantile = np.nanquantile if np.isnan(draws).any() else np.quantile
+    low, median, high = quantile(draws, [(1 - level) / 2, 0.5, (1 + level) / 2], axis=0)
     return Bands(low, median, high, level)
 
 

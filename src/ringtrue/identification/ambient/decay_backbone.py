@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import polynomial
 from scipy.fft import fft, ifft, next_fast_len
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_arrays
 from ringtrue.core.display import Displayed
@@ -213,7 +213,7 @@ def fit_backbone(
 
 
 def _critical(false_alarm: float, degrees: int) -> float:
-    return float(chi2.isf(false_alarm, 2 * max(degrees, 1)))
+    return float(chdtri(2 * max(degrees, 1), false_alarm))
 
 
 def _smooth(values: Complex, weights: Float, at: Int, part: Envelope) -> Float:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import median_filter
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome, iterate
@@ -349,7 +349,7 @@ def strongest_decay(
         if total[at] > best.gain:
             best = DecayPeak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)
     freedom = 2 * len(rest[0]) * len(rest)
-    critical = float(chi2.isf(false_alarm / (count * samples), freedom))
+    critical = float(chdtri(freedom, false_alarm / (count * samples)))
     return replace(best, critical=critical)
 
 

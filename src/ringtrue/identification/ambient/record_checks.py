@@ -16,7 +16,7 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.spectral_bins import SpectralBins, oscillator_spectrum
 from ringtrue.signal.clock_alignment import channel_phases, in_step
-from ringtrue.signal.spectra import Band, Welch, csd
+from ringtrue.signal.spectra import Band, Welch, psd
 from ringtrue.signal.transients import Events
 
 AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
@@ -184,13 +184,12 @@ def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool
         return np.zeros(frequency.size, dtype=np.bool_)
     pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
     some = history.pick([history.channels[i].id for i in pick])
-    psd = csd(some, Welch(history.rate / 256))
-    auto = np.real(np.einsum("fii->fi", psd.data))
-    level = (auto / auto.mean(axis=0)).mean(axis=1)
+    freqs, auto = psd(some, Welch(history.rate / 256))
+    level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
     top = np.minimum(frequency * (1 + 3 * damping), limits.ends * history.rate)
     mode = oscillator_spectrum(top / frequency, damping)
-    here = np.interp(frequency, psd.freqs, level)
-    there = np.interp(top, psd.freqs, level)
+    here = np.interp(frequency, freqs, level)
+    there = np.interp(top, freqs, level)
     return np.asarray(high & (there < limits.fall * mode * here))
 
 

@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
-from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
@@ -427,6 +426,8 @@ def spectrum_peaks(
     2001). Where the curves of two modes cross, the lower value has a peak under a dip of the upper:
     that is none.
     """
+    from scipy.signal import find_peaks  # slow to import, and few commands need it
+
     limits = settings or PeakSettings()
     freqs, count, size = singular_values(bins, limits)
     if freqs.size < 8:

@@ -153,11 +153,12 @@ class FitState:
     part: Complex
     shapes: Complex
     cost: float
-    hessian: Complex
+    hessian: Complex  # at (x, x), of the values (λ, then l of each input)
+    conjugate: Complex  # at (x, conj x)
     gradient: Complex
     shape_var: Float
     slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
-    free: Int  # positions of values; those of their conjugates follow
+    free: Int  # positions among the values
 
 
 def refine(
@@ -231,10 +232,9 @@ def _step(
     _, d, fails = lapack.dposv(h, np.concatenate([slope.real, slope.imag]), lower=True)
     if fails:
         return None
-    step = np.zeros(state.hessian.shape[0], dtype=np.complex128)
+    step = np.zeros(state.gradient.size, dtype=np.complex128)
     step[state.free] = scale * (d[: scale.size] + 1j * d[scale.size :])
-    m, n_in = state.part.shape
-    d = step.reshape(1 + n_in, 2, m)[:, 0]
+    d = step.reshape(-1, state.poles.size)
     away = state.poles + d[0] - start
     poles = start + away * np.minimum(1.0, reach / np.maximum(np.abs(away), 1e-300))
     if not np.isfinite(d).all() or (poles.imag <= 0).any() or (poles.real >= 0).any():
@@ -247,31 +247,27 @@ def _scaled(state: FitState) -> tuple[Float, Float]:
     """Gauss-Newton matrix of the free parameters in their (real, imaginary) parts over `scale`, and
     that (free,).
     """
-    v = state.free
-    m = state.poles.size
-    scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[v], 1e-300))
+    free = np.ix_(state.free, state.free)
+    scale = 1 / np.sqrt(np.maximum(np.diag(state.hessian).real[state.free], 1e-300))
     both = scale[:, None] * scale
-    return real_form(
-        state.hessian[np.ix_(v, v)] * both, state.hessian[np.ix_(v, v + m)] * both
-    ), scale
+    return real_form(state.hessian[free] * both, state.conjugate[free] * both), scale
 
 
 def _free(part: Complex, moving: Bool) -> Int:
     """Positions of the parameters that are `moving` but the largest participation of each mode: it
     fixes the scale.
-
-    Of the values; their conjugates stand as many places further as there are modes.
     """
-    m, n_in = part.shape
-    mask = moving.reshape(1 + n_in, 2, m).copy()
-    mask[:, 1] = False
-    mask[1 + np.abs(part).argmax(axis=1), 0, np.arange(m)] = False
+    m = len(part)
+    mask = moving.reshape(-1, m).copy()
+    mask[1 + np.abs(part).argmax(axis=1), np.arange(m)] = False
     return np.flatnonzero(mask.ravel())
 
 
 def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     """Shapes, cost, gradient, Gauss-Newton matrix; augmented coordinates (λ, then l of each input;
     value, conj).
+
+    Rows of conjugates are those of the values, conjugate and turned round: they are left out.
     """
     m, n_in = part.shape
     cc, cd, dd, cy, dy = _products(lines, poles)
@@ -280,20 +276,24 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     xx = cc * ll
     xy = (l.conj() * cy).sum(axis=0)
     xg = np.concatenate([cd * ll, *(l.conj() * cc)], axis=1)
-    gy = np.concatenate([(l.conj() * dy).sum(axis=0), *cy])
     scale = 1 / np.sqrt(np.maximum(np.diag(xx).real, 1e-300))
     # small; its diagonal is needed too
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * xx * scale) * scale
     psi = inverse @ xy
-    gg = _gram(cc, cd, dd * ll, l)
     slope = -inverse @ xg
-    core = gg + xg.conj().T @ slope
+    gx = xg.reshape(2 * m, 1 + n_in, 2, m)[:, :, 0].reshape(2 * m, -1).conj().T
+    gg = _gram(cc, cd, dd * ll, l)
+    core = gg + gx @ slope
+    each = np.arange(len(core))
+    own = each + each // m * m  # the columns of the values
     # what the shapes do as well: a turn of two modes of one pole
-    void = np.diag(core).real < LIMITS.flat * np.diag(gg).real
+    void = core[each, own].real < LIMITS.flat * gg[each, own].real
     w2 = lines.response**2
-    tile = np.tile(psi, (1 + n_in, 1))
-    hessian = core * ((tile.conj() * w2) @ tile.T)
-    gradient = ((tile.conj() * w2) * (gy - xg.conj().T @ psi)).sum(axis=1)
+    weighted = psi[:m].conj() * w2  # the shapes of all parameters of a mode are the same
+    alike = (weighted @ psi.T).reshape(m, 1, 2, m)
+    hessian = core.reshape(1 + n_in, m, 1 + n_in, 2, m) * alike
+    gy = np.concatenate([(l[:, :m].conj() * dy[:, :m]).sum(axis=0), *cy[:, :m]])
+    rest = (gy - gx @ psi).reshape(1 + n_in, m, -1)
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
@@ -302,8 +302,9 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
         part=part,
         shapes=psi[:m].T,
         cost=cost,
-        hessian=hessian,
-        gradient=gradient,
+        hessian=hessian[:, :, :, 0].reshape(len(core), -1),
+        conjugate=hessian[:, :, :, 1].reshape(len(core), -1),
+        gradient=(weighted * rest).sum(axis=2).ravel(),
         shape_var=shape_var,
         slope=slope,
         free=_free(part, ~void),
@@ -326,27 +327,36 @@ def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, 
     y = np.concatenate([lines.y.real, lines.y.imag], axis=1)
     gram = 2 * (z.T @ z).reshape(2, 2 * m, 2, 2 * m)
     data = 2 * (z.T @ y).reshape(y.shape[0], 2, 2 * m, -1)
-    eye = 0.5 * np.eye(m)
-    turn = np.block([[eye, eye], [-1j * eye, 1j * eye]])
-    back = turn.conj().T
-    cc, cd, dd = (back @ gram[i, :, k] @ turn for i, k in ((0, 0), (0, 1), (1, 1)))
-    cy = back @ data[:, 0]
-    dy = back @ data[:, 1]
+    cc, cd, dd = (_augmented_gram(gram[i, :, k]) for i, k in ((0, 0), (0, 1), (1, 1)))
+    real, imaginary = data.reshape(len(data), 2, 2, m, -1).transpose(2, 1, 0, 3, 4)
+    cy, dy = 0.5 * np.concatenate([real + 1j * imaginary, real - 1j * imaginary], axis=2)
     return cc, cd, dd, cy, dy
 
 
+def _augmented_gram(g: Float) -> Complex:
+    """Of products (2 m, 2 m) by the real and imaginary parts of residues, those by the residues and
+    their conjugates.
+    """
+    a, b, c, d = (x for row in g.reshape(2, len(g) // 2, 2, -1).transpose(0, 2, 1, 3) for x in row)
+    value = 0.25 * (a + d + 1j * (c - b))
+    conjugate = 0.25 * (a - d + 1j * (b + c))
+    return np.block([[value, conjugate], [conjugate.conj(), value.conj()]])
+
+
 def _gram(cc: Complex, cd: Complex, dd: Complex, l: Complex) -> Complex:
-    """Gram matrix of the derivatives with unit shapes: pole columns span all inputs, participations
-    one each.
+    """Gram matrix of the derivatives with unit shapes, rows of the values alone: pole columns span
+    all inputs, participations one each.
     """
     n_in, n = l.shape[:2]
-    gg = np.zeros((1 + n_in, n, 1 + n_in, n), dtype=np.complex128)
-    gg[0, :, 0] = dd
+    m = n // 2
+    gg = np.zeros((1 + n_in, m, 1 + n_in, n), dtype=np.complex128)
+    gg[0, :, 0] = dd[:m]
     for i in range(n_in):  # a handful of inputs
-        gg[1 + i, :, 1 + i] = cc
-        gg[1 + i, :, 0] = cd * l[i].T
-        gg[0, :, 1 + i] = gg[1 + i, :, 0].conj().T
-    return gg.reshape((1 + n_in) * n, -1)
+        cross = cd * l[i].T
+        gg[1 + i, :, 1 + i] = cc[:m]
+        gg[1 + i, :, 0] = cross[:m]
+        gg[0, :, 1 + i] = cross[:, :m].conj().T
+    return gg.reshape((1 + n_in) * m, -1)
 
 
 def _result(lines: Lines, state: FitState, outcome: Outcome, local: bool) -> Refined:
@@ -389,15 +399,17 @@ def _covariance(
     data = 2 * lines.y.size
     error2 = max(state.cost / max(data - 2 * free.size - 2 * state.shapes.size, 1), 0.0)
     h, scale = _scaled(state)
-    cov = np.zeros_like(state.hessian)
+    size = 2 * state.gradient.size
+    cov = np.zeros((size, size), dtype=np.complex128)
     both = 2 * scale[:, None] * scale
     inner, turned = (both * x for x in augmented_form(pseudo_inverse(h, LIMITS.flat)))
-    conjugate = free + state.poles.size
-    cov[np.ix_(free, free)], cov[np.ix_(free, conjugate)] = inner, turned
-    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, free)] = inner.conj(), turned.conj()
+    value = free + free // state.poles.size * state.poles.size
+    conjugate = value + state.poles.size
+    cov[np.ix_(value, value)], cov[np.ix_(value, conjugate)] = inner, turned
+    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, value)] = inner.conj(), turned.conj()
     everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
     own, shared = everywhere if rest is None else _local_error(lines, state, rest)
-    each = np.tile(np.sqrt(shared), state.hessian.shape[0] // shared.size)
+    each = np.tile(np.sqrt(shared), size // shared.size)
     return cov * each[:, None] * each, own, error2
 
 

@@ -45,10 +45,10 @@ from ringtrue.signal.impacts import HammerSettings
 from ringtrue.signal.spectra import (
     Geophone,
     Welch,
-    csd,
     deconvolve,
     detrend,
     lowest_frequency,
+    psd,
 )
 from ringtrue.study.config_sections import IdentifySection, TestSection
 from ringtrue.study.hammer_records import (
@@ -118,10 +118,9 @@ def corrected(
 
 def _lowest(history: TimeHistory, sheet: SensorType) -> float:
     """From where on the signals of geophones stand above their noise, Hz."""
-    psd = csd(history, Welch(0.1))
-    level = np.median(np.real(np.einsum("fii->fi", psd.data)), axis=1)
-    noise = np.full(psd.freqs.shape, sheet.noise**2)
-    return max(lowest_frequency(psd.freqs, level, noise), sheet.corner_hz * 0.6)
+    freqs, density = psd(history, Welch(0.1))
+    noise = np.full(freqs.shape, sheet.noise**2)
+    return max(lowest_frequency(freqs, np.median(density, axis=0), noise), sheet.corner_hz * 0.6)
 
 
 def summary(
@@ -155,9 +154,8 @@ def preview(history: TimeHistory) -> RecordPreview:
     channels = tuple(history.channels[i] for i in at)
     data = detrend(history.data[at])
     resolution = Welch(max(0.05, 4 / history.duration))
-    psd = csd(TimeHistory(data, history.rate, channels), resolution)
-    power = np.real(np.einsum("fii->if", psd.data))
-    every = max(1, psd.freqs.size // 2000)
+    freqs, density = psd(TimeHistory(data, history.rate, channels), resolution)
+    every = max(1, freqs.size // 2000)
     step = max(1, data.shape[1] // 1500)  # samples of a preview
     # the value of largest modulus in each run of samples
     runs = data[:, : data.shape[1] // step * step].reshape(len(data), -1, step)
@@ -168,8 +166,8 @@ def preview(history: TimeHistory) -> RecordPreview:
         unit=unit,
         time=np.arange(signal.shape[1]) * step / history.rate,
         signal=np.asarray(signal),
-        freqs=psd.freqs[::every],
-        psd=power[:, ::every],
+        freqs=freqs[::every],
+        psd=density[:, ::every],
     )
 
 
