@@ -295,7 +295,8 @@ def sentence(text: str) -> str:
 
 
 def signs(text: str) -> str:
-    """Typed relations, arrows and minus signs as what they stand for."""
+    """Typed relations, arrows, minus signs and quotes of settings as what they stand for."""
+    text = re.sub(r"`([^`]*)`", r"“\1”", text)
     text = text.replace(">=", "≥").replace("<=", "≤").replace("->", "→")
     return re.sub(r"(?<=[\s(])-(?=\d)", "−", text)
 
