@@ -129,7 +129,7 @@ class WordWriter:
             case Picture():
                 self._photo(block.photo)
             case Diff():
-                self._caption("Listing", block.caption)
+                self._caption("Listing", block.caption, above=True)
                 self._listing(block.text)
             case Code():
                 self._title(block.title)
@@ -160,8 +160,9 @@ class WordWriter:
         _colour(run, tone.split()[-1] if tone else "")
         return paragraph
 
-    def _caption(self, what: str, text: str) -> None:
+    def _caption(self, what: str, text: str, *, above: bool = False) -> None:
         paragraph = self.document.add_paragraph(style="Caption")
+        paragraph.paragraph_format.keep_with_next = above
         paragraph.add_run(f"{what}  ").bold = True
         paragraph.add_run(text).bold = False
 
@@ -169,7 +170,7 @@ class WordWriter:
         from docx.oxml import OxmlElement
 
         self.tables += 1
-        self._caption(f"Table {self.tables}", block.caption)
+        self._caption(f"Table {self.tables}", block.caption, above=True)
         left = [head.startswith("|") for head in block.heads]
         rows = [[Cell(head.lstrip("|")) for head in block.heads], *block.rows]
         if block.foot:
@@ -214,6 +215,7 @@ class WordWriter:
             drawn = self.drawn[self.scripted]
             self.scripted += 1
             self.document.add_picture(io.BytesIO(drawn.png), width=Inches(drawn.width))
+            self.document.paragraphs[-1].paragraph_format.keep_with_next = True
             self._marked(drawn.legend)
             self._modes(drawn)
         else:
