@@ -22,9 +22,11 @@ from ringtrue.core.modes import OtherCandidates
 from ringtrue.core.notes import Note
 from ringtrue.demos.lsf.demo import checks
 from ringtrue.errors import ConfigError, InputError
+from ringtrue.plots.correlation import labels
+from ringtrue.plots.diagram import auto_mac
 from ringtrue.plots.style import joined
 from ringtrue.report.build import Acceptance, Photo, build, figure_json
-from ringtrue.report.parts import fixed, number
+from ringtrue.report.parts import fixed, number, signs
 from ringtrue.study.config_sections import InstrumentSection, StudyInfo
 from ringtrue.study.results import IdentifyStage
 
@@ -136,6 +138,40 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     assert "3 of 10 model orders show it" in text
     assert text.count("time preview and power spectral density") == 4
     assert "Not drawn: h04" in text
+
+
+def test_natural_modes_have_the_same_numbers_in_matrix_and_table(
+    stages: dict[str, object],
+) -> None:
+    identify = stages["identify"]
+    assert isinstance(identify, IdentifyStage)
+    ambient = identify.ambient
+    note = Note("candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10})
+    others = OtherCandidates(
+        ambient.modes.take([0]), ambient.uncertainty.take([0]), ("doubtful",), (note,)
+    )
+    shown = replace(ambient, others=others).diagram
+    names = auto_mac(shown).data[0].y
+    natural = [name for name, kind in zip(names, shown.classes, strict=True) if kind == "natural"]
+    assert natural == labels(ambient.modes.frequencies)
+    assert len(set(names)) == len(natural) + 1
+
+
+def test_a_test_without_scatter_is_not_called_exact(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
+    """A file of frequencies states no standard deviations: the quotient with them has no meaning."""
+    s = stages["uncertainty"]
+    parts = s.bands.parts.copy()
+    parts[:, 1] = 0.0
+    silent = {"uncertainty": replace(s, bands=replace(s.bands, parts=parts))}
+    page = build(silent, tmp_path / "r.html", info=StudyInfo(title="silent")).read_text()
+    assert "is the discrepancy of the model" in page
+    assert "times more exact" not in page
+
+
+def test_settings_in_notes_are_quoted() -> None:
+    assert signs("with `refine = 1`: -3 %") == "with “refine = 1”: −3 %"
 
 
 def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(

@@ -25,6 +25,7 @@ from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.planning.plan_files import NAMES, PlannedExcitation, reach_of, write_test_sheet
+from ringtrue.report.build import ReportFormat as ReportFormat
 from ringtrue.report.build import deliver, write_report
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs
@@ -143,9 +144,23 @@ class Study:
         assert isinstance(value, dict)
         return value
 
-    def report(self, target: str | Path | None = None) -> Path:
-        """Write the report anew; in the folder of the store if no file is named."""
-        return write_report(self.run, Path(target or self.folder / "report.html"))
+    def report(self, target: str | Path | None = None, form: ReportFormat = "html") -> Path:
+        """Write the report anew; in the folder of the store if no file is named.
+
+        Parameters
+        ----------
+        target : str or Path, optional
+            The file.
+        form : {"html", "pdf", "docx"}
+            A page; the page printed by an installed Chromium; a document of Word, which needs
+            `ringtrue[documents]`.
+
+        Raises
+        ------
+        SolverMissing
+            If Chromium or python-docx is not installed.
+        """
+        return write_report(self.run, Path(target or self.folder / f"report.{form}"), form=form)
 
     def plot(self) -> Any:
         """The MAC matrix of the last correlation, a plotly figure."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ringtrue.api.studies import open_study, run_study
+from ringtrue.api.studies import ReportFormat, open_study, run_study
 from ringtrue.cli.show import (
     ExitStatus,
     Json,
@@ -139,18 +139,28 @@ def run(
 def report(
     store: Annotated[Path, typer.Argument(help="study.h5, its study.toml, or their folder.")],
     target: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The HTML file.")
+        Path | None, typer.Option("--out", metavar="FILE", help="The file to write.")
     ] = None,
+    form: Annotated[
+        ReportFormat,
+        typer.Option(
+            "--format",
+            help="html; pdf, printed by an installed Chromium; docx, with the figures as pictures "
+            "where there is a Chromium.",
+        ),
+    ] = "html",
     json: Json = None,
 ) -> int:
     """Write the report of a stored study anew.
 
-    Example: ringtrue report lsf/study.h5
+    RINGTRUE_CHROMIUM names the Chromium, where it is not on the PATH.
+
+    Example: ringtrue report lsf/study.h5 --format pdf
     """
     if target is not None and not target.parent.is_dir():
         raise ConfigError(f"--out {target}: no folder {target.parent}")
     stored = open_study(store)
-    path = stored.report(target)
+    path = stored.report(target, form)
     if json:
         write_json({"report": str(path)} | stored.summary, json)
     if json != "-":

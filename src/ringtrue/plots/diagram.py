@@ -216,9 +216,13 @@ def _known(x: float, form: str) -> str:
 
 def auto_mac(shown: IdentificationDiagram, height: int = 0) -> go.Figure:
     """The MAC among the modes of all classes."""
+    # natural modes have their numbers, as in the tables; the rest are counted by themselves
+    natural = np.array([kind == "natural" for kind in shown.classes])
+    numbered = iter(labels(shown.modes.frequencies[natural]))
+    rest = iter(labels(shown.modes.frequencies[~natural]))
     names = [
-        label if kind == "natural" else f"{label} {GLYPHS[kind]}"
-        for label, kind in zip(labels(shown.modes.frequencies), shown.classes, strict=True)
+        next(numbered) if kind == "natural" else f"{GLYPHS[kind]} {next(rest)}"
+        for kind in shown.classes
     ]
     side = MatrixSide(names, "Mode, Hz")
     return matrix(shown.auto_mac, side, side, height=height, diagonal=False)

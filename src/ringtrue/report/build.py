@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import plotly.graph_objects as go
@@ -18,6 +18,7 @@ from ringtrue.core.arrays import Any_
 from ringtrue.io.files import atomic_write
 from ringtrue.plots.scene import thinned
 from ringtrue.plots.style import packed
+from ringtrue.report.browser import print_page
 from ringtrue.report.parts import Acceptance, Photo, Plot, Scene3D, Section, Stages
 from ringtrue.report.sections import (
     conclusion,
@@ -32,6 +33,7 @@ from ringtrue.report.sections import (
     system,
     updated,
 )
+from ringtrue.report.word import write_word
 from ringtrue.study.acceptance import AcceptanceCheck, verdict
 from ringtrue.study.conclusion import conclude
 from ringtrue.study.config import StudyConfig
@@ -41,6 +43,8 @@ from ringtrue.study.summary import finite, summarise
 from ringtrue.viewer.view import asset, script_json
 
 __all__ = ["Acceptance", "Photo", "build"]
+
+ReportFormat = Literal["html", "pdf", "docx"]
 
 SECTIONS: tuple[Callable[[Stages], Section | None], ...] = (
     conclusion.section,
@@ -90,24 +94,40 @@ MOST = 12_000
 GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; the rest is its look
 
 
-def build(
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a report says; `build` shows it as a page, `ringtrue.report.word` as a document.
+
+    Attributes
+    ----------
+    data : Stages
+    sections : sequence of Section
+        Numbered from 1 in this order.
+    """
+
+    data: Stages
+    sections: Sequence[Section]
+
+    def page(self) -> str:
+        """The whole page, which needs nothing else."""
+        return _render(self.data, self.sections)
+
+
+def assemble(
     stages: Mapping[str, Any],
-    out: Path,
     *,
     info: StudyInfo,
     acceptance: Acceptance | None = None,
     photos: Sequence[Photo] = (),
     checks: Sequence[AcceptanceCheck] = (),
-) -> Path:
-    """Write the report of a study.
+) -> Report:
+    """The sections of the report of a study.
 
     Parameters
     ----------
     stages : mapping of str to stage result
         Any of model, plan, identify, compare, correlate, sensitivity, update, tune, final,
         provenance; a section whose stages are absent is left out.
-    out : Path
-        The HTML file; it appears complete or not at all.
     info : StudyInfo
         Headline, the system under test in words (paragraphs parted by empty lines), what the model
         is for, and who signs.
@@ -117,16 +137,6 @@ def build(
         The user's own photographs, embedded.
     checks : sequence of AcceptanceCheck
         What must hold of the study, and whether it did.
-
-    Returns
-    -------
-    Path
-        `out`.
-
-    Raises
-    ------
-    ConfigError, InputError
-        If a photograph cannot be read.
     """
     stages = dict(stages)
     if (model := stages.get("model")) is not None:
@@ -136,8 +146,29 @@ def build(
     data = Stages(info, accepted, conclude(stages, checks, accepted), photos, **stages)
     of_test = data.model is None and data.identify is not None
     order = TEST_SECTIONS if of_test else SECTIONS
-    sections = [s for s in (make(data) for make in order) if s is not None]
-    page = _render(data, sections)
+    return Report(data, [s for s in (make(data) for make in order) if s is not None])
+
+
+def build(
+    stages: Mapping[str, Any],
+    out: Path,
+    *,
+    info: StudyInfo,
+    acceptance: Acceptance | None = None,
+    photos: Sequence[Photo] = (),
+    checks: Sequence[AcceptanceCheck] = (),
+) -> Path:
+    """Write the report of a study as a page, which appears complete or not at all; returns `out`.
+
+    What it is made of: `assemble`.
+
+    Raises
+    ------
+    ConfigError, InputError
+        If a photograph cannot be read.
+    """
+    report = assemble(stages, info=info, acceptance=acceptance, photos=photos, checks=checks)
+    page = report.page()
     with atomic_write(out) as part:
         part.write_text(page, encoding="utf-8")
     return out
@@ -287,19 +318,40 @@ def deliver(
     return write_report(run, run.folder / "report.html", checks)
 
 
-def write_report(run: StudyRun, out: Path, checks: Sequence[AcceptanceCheck] | None = None) -> Path:
-    """The report of a run or of a stored study."""
+def write_report(
+    run: StudyRun,
+    out: Path,
+    checks: Sequence[AcceptanceCheck] | None = None,
+    *,
+    form: ReportFormat = "html",
+) -> Path:
+    """The report of a run or of a stored study.
+
+    Raises
+    ------
+    SolverMissing
+        If there is no Chromium to print, or no python-docx.
+    SolverFailed
+        If Chromium did not draw it.
+    """
     config: StudyConfig = run.config
     captions = [*config.report.captions, *[""] * len(config.report.photos)]
     photos = [
         Photo(run.session.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)
     ]
     stages = {k: v for k, v in run.results.items() if v is not None}
-    return build(
+    report = assemble(
         stages,
-        out,
         info=config.study,
         acceptance=Acceptance.of(config.correlate),
         photos=photos,
         checks=verdict(config, stages) if checks is None else checks,
     )
+    with atomic_write(out) as part:
+        if form == "pdf":
+            print_page(report.page(), part)
+        elif form == "docx":
+            write_word(report.data, report.sections, report.page(), part)
+        else:
+            part.write_text(report.page(), encoding="utf-8")
+    return out

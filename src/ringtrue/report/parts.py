@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 
+from ringtrue import __version__
 from ringtrue.core.arrays import Float
 from ringtrue.core.digits import MISSING as MISSING
 from ringtrue.core.digits import number as number
@@ -294,7 +295,8 @@ def sentence(text: str) -> str:
 
 
 def signs(text: str) -> str:
-    """Typed relations, arrows and minus signs as what they stand for."""
+    """Typed relations, arrows, minus signs and quotes of settings as what they stand for."""
+    text = re.sub(r"`([^`]*)`", r"“\1”", text)
     text = text.replace(">=", "≥").replace("<=", "≤").replace("->", "→")
     return re.sub(r"(?<=[\s(])-(?=\d)", "−", text)
 
@@ -328,6 +330,18 @@ class Stages:
     def kind(self) -> str:
         """What the report is on."""
         return "Modal test" if self.model is None else "Finite element model validation"
+
+    @property
+    def meta(self) -> list[str]:
+        """The lines below the title: when and with what, for whom and by whom."""
+        info = self.info
+        run = [f"ringtrue {__version__}"]
+        if (p := self.provenance) is not None:
+            run = [p.started[:16].replace("T", " "), f"ringtrue {p.version}", f"seed {p.seed}"]
+        client = f"for {info.client}" if info.client else ""
+        revision = f"revision {info.revision}" if info.revision else ""
+        people = [part for part in (client, revision, info.author) if part]
+        return [" · ".join(parts) for parts in (run, people) if parts]
 
     @property
     def test(self) -> TestModel | None:

@@ -132,7 +132,8 @@ def _what(data: Stages, c: Conclusion) -> str:
     what = "The model"
     if model is not None:
         name = model.files[0].replace("\\", "/").rpartition("/")[2]
-        what = f"The deck {name} ({model.dof:,} degrees of freedom)"
+        freedoms = f"{model.dof:,}".replace(",", "\u202f")
+        what = f"The deck {name} ({freedoms} degrees of freedom)"
     reference = data.reference
     count = len(reference) if reference is not None else 0
     text = f"{what} was held against {count} measured modes"
@@ -213,7 +214,8 @@ def _change(x: Change) -> list[str | Cell]:
         reason = Cell("; ".join(DOUBTS[d] for d in x.doubts), "doubt")
     elif math.isfinite(x.kept):
         kept = number(100 * x.kept, 2)
-        reason = f"excludes 1; at least {kept} % of it stays with modes left out"
+        share = "all of it" if kept == "100" else f"at least {kept} % of it"
+        reason = f"excludes 1; {share} stays with modes left out"
     elif x.interval is None:
         reason = "no interval is known"
     else:

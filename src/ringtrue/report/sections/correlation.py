@@ -78,7 +78,8 @@ def pairs(
         heads.insert(2, "|Mode")
         for row, name in zip(rows, names, strict=True):
             row.insert(2, name)
-    return ReportTable(heads, rows, text, foot if rows else (), lead=lead).without_blank("MAC")
+    table_of_pairs = ReportTable(heads, rows, text, foot if rows else (), lead=lead)
+    return table_of_pairs.without_blank("MAC").without_blank("Δf/σ")
 
 
 def _scatter(deviations: Significance, repeats: float) -> str:
@@ -188,7 +189,7 @@ def initial(data: Stages) -> Section | None:
     if c.sensors.alignment:
         body.append(Text(sentence(c.sensors.alignment)))
     if c.notes:
-        body.append(Items(c.notes, f"Notes on the test ({len(c.notes)})"))
+        body.append(Items([sentence(n) for n in c.notes], f"Notes on the test ({len(c.notes)})"))
     if read := c.sensors.seats:
         body.append(Fold(f"Where the sensors are read ({len(read)} channels)", [seats(read)]))
     body += blocks(c.initial, data, "The initial model against the test.", updating=True)

@@ -36,6 +36,9 @@ def response(data: Stages) -> Section | None:
     if f is None:
         return None
     blocks: list[Block] = [Heading("Damping"), _damping_plot(data), _damping_table(data)]
+    if not _has_damping(data):
+        taken = " and ".join(dict.fromkeys(f.damping_from)) or "none"
+        blocks = [Text(f"The test has no damping ratios. Damping of the final model: {taken}.")]
     if f.evidence is not None and f.evidence.frfs is not None:
         blocks += [Heading("Measured against computed responses"), *_agreement(f.evidence.frfs)]
     if f.frfs is not None:
@@ -48,6 +51,14 @@ def response(data: Stages) -> Section | None:
             caption += known.get(name, "")
             blocks.append(Plot(signals.frf_pair(f.frfs, k, unit), caption))
     return Section("response", "Damping and response", blocks)
+
+
+def _has_damping(data: Stages) -> bool:
+    """Whether the test has damping ratios."""
+    if data.identify is None:
+        return False
+    found = [data.identify.ambient, data.identify.hammer]
+    return any(np.isfinite(x.modes.damping).any() for x in found if x is not None)
 
 
 def _agreement(e: FrfEvidence) -> list[Block]:
@@ -176,6 +187,8 @@ def damping(data: Stages) -> Section | None:
     if d is None:
         return None
     if d.regions is None or d.modes is None:
+        if not _has_damping(data):
+            return None  # the section above says so
         return Section("damping", "Damping by region", [Text(sentence(d.why), "note")])
     blocks: list[Block] = [Text(_lead(d, d.modes), "lead"), _regions(d.regions)]
     if d.why:

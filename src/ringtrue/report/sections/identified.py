@@ -73,7 +73,7 @@ def diagrams(data: Stages) -> Section | None:
     if tabs:
         blocks += tabs[0][1] if len(tabs) == 1 else [Tabs(tabs)]
     drawn: list[list[Block]] = [
-        [Plot(plots.auto_mac(found.diagram), f"MAC among the modes: {caption}.")]
+        [Plot(plots.auto_mac(found.diagram), f"{caption}: the MAC among them.")]
         for caption, found in _tests(ident)
         if len(found) + len(found.others) > 1 and not found.modes.frequency_only
     ]
@@ -146,6 +146,8 @@ def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     if any(words):
         named = [[r[0], word, *r[1:]] for r, word in zip(table.rows, words, strict=True)]
         table = replace(table, heads=["#", "|Mode", *table.heads[1:]], rows=named)
+    for head in ("σ", "ζ", "MPC"):  # of a file of frequencies alone
+        table = table.without_blank(head)
     out: list[Block] = [table]
     if notes := found.others.notes:
         both = zip(found.others.modes.frequencies.tolist(), notes, strict=True)

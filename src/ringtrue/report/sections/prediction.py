@@ -83,8 +83,10 @@ def _facts(s: UncertaintyStage) -> Facts:
 def _lead(s: UncertaintyStage) -> str:
     f, m = (100 * float(x) for x in s.discrepancy)
     assumed = [100 * float(x) for x in s.assumed]
-    times = f / max(100 * float(np.median(s.bands.parts[:, 1])), 1e-9)
-    exact = f"; the test is about {float(f'{times:.1g}'):.0f} times more exact" if times > 2 else ""
+    scatter = 100 * float(np.median(s.bands.parts[:, 1]))
+    exact = ""
+    if 0 < 2 * scatter < f:  # a test without standard deviations says nothing of it
+        exact = f"; the test is about {float(f'{f / scatter:.1g}'):.0f} times more exact"
     found = f"{fixed(f, 2)} % of a frequency"
     before = number(assumed[0], 2)
     if np.isfinite(m):

@@ -192,9 +192,10 @@ def stages_table(data: Stages) -> ReportTable:
     heads += ["Min MAC, %", "Mean subspace MAC, %", "Min subspace MAC, %"]
     text = (
         "The stages of the model against the test. Modes that were used or left out are those "
-        "with a partner in the first stage and the last; the ones left out judge the prediction. "
-        "Subspace MAC: close modes are rotated inside their subspace towards the test."
+        "with a partner in the first stage and the last; the ones left out judge the prediction."
     )
+    if not all(t.frequency_only for _, t in named):
+        text += " Subspace MAC: close modes are rotated inside their subspace towards the test."
     return ReportTable(heads, rows, text).without_blank("MAC")
 
 

@@ -128,7 +128,7 @@ def _listed(parts: list[list[RecordSummary]], caption: str) -> list[Block]:
     notes = [f"{'; '.join(names)}: {note}" for note, names in described.items()]
     table = ReportTable(HEADS, [_test_row(mine) for mine in parts], caption)
     table = table.without_blank("Hits")
-    return [table, Items(notes)] if notes else [table]
+    return [table, Items([signs(n) for n in notes])] if notes else [table]
 
 
 def grouped(notes: Sequence[Note]) -> list[str]:
@@ -235,7 +235,9 @@ def _test(records: list[RecordSummary]) -> list[Block]:
     drawn = _telling(previews)
     for r in drawn:
         if (p := r.preview) is not None:
-            text = f"{r.name}, {r.excitation}: time preview and power spectral density."
+            shown = len(p.channels)
+            some = f", {shown} of {r.channels} channels" if shown < r.channels else ""
+            text = f"{r.name}, {r.excitation}: time preview and power spectral density{some}."
             out.append(Plot(plots.record(p, p.unit.replace("^2", "²")), text))
     if left := [r.name for r in previews if r not in drawn]:
         out.append(Text(f"Not drawn: {', '.join(left)}.", "note"))
@@ -280,7 +282,7 @@ def frf_section(data: Stages) -> Section | None:
         caption += f" Measured to {plain(float(frfs.freqs[-1]))} Hz, drawn to {number(top, 3)} Hz."
     blocks: list[Block] = [Plot(plots.frfs(frfs, ident.cmif, marks, top), caption)]
     if notes := [*grouped(ident.channel_notes), *ident.frf_notes]:
-        blocks.append(Items(notes, "Notes"))
+        blocks.append(Items([sentence(n) for n in notes], "Notes"))
     if ident.synthesis_error.size:
         middle = np.nanmedian(ident.synthesis_error)
         worst = np.nanmax(ident.synthesis_error)

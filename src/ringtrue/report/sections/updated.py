@@ -11,6 +11,7 @@ from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
     Block,
     Cell,
+    Fold,
     Heading,
     Items,
     Plot,
@@ -29,6 +30,8 @@ from ringtrue.report.sections.correlation import pairs
 from ringtrue.study.messages import discrepancy_sentence, held_sentences
 from ringtrue.study.placing import seat_words
 from ringtrue.study.results import DataResult, SetResult, UpdateStage
+
+FEW = 6  # pairs of candidates that stand in the open
 
 
 def choice(data: Stages) -> Section | None:
@@ -67,7 +70,10 @@ def choice(data: Stages) -> Section | None:
     if held:
         blocks.append(Items(tuple(held), "Held at the deck's values"))
     if s.clusters:
-        blocks.append(Items(s.clusters, "Candidates that the data cannot distinguish"))
+        title = "Candidates that the data cannot distinguish"
+        listed = Items(s.clusters, title if len(s.clusters) <= FEW else "")
+        many = f"{title} ({len(s.clusters)} pairs)"
+        blocks.append(Fold(many, [listed]) if len(s.clusters) > FEW else listed)
     return Section("sensitivities", "Sensitivities and parameters", blocks)
 
 

@@ -218,6 +218,25 @@
     folded.forEach((d) => { d.open = false; });
     window.ringtrueStill(0);
   });
+  // report.html#pictures leaves, in place of the page, its figures in their order: each as PNG, with what its legend
+  // says, and of mode shapes each mode.
+  async function pictures() {
+    dispatchEvent(new Event("beforeprint"));
+    const found = [];
+    for (const div of figures) {
+      const plot = div._fullLayout, scale = 2, canvas = div.querySelector(".stage > canvas");
+      const png = plot ? await Plotly.toImage(div, { format: "png", width: plot.width, height: plot.height, scale }) : canvas.toDataURL();
+      const width = plot ? plot.width : div.closest(".columns") ? (PAPER - 34) / 2 : PAPER;
+      const legend = [...div.querySelectorAll(".info, .legend > span")].map((e) => [
+        [...e.childNodes].map((n) => (n.className === "ramp" ? "to" : n.textContent.trim())).filter(Boolean).join(" "), e.querySelector("i")?.style.backgroundColor || "",
+      ]);
+      const modes = [...div.querySelectorAll(".sheet > div")].map((e) => [e.textContent, e.firstChild.toDataURL()]);
+      found.push({ png, width, legend: legend.filter(([text]) => text), modes });
+    }
+    document.documentElement.innerHTML = "<pre id=pictures></pre>";
+    document.getElementById("pictures").textContent = JSON.stringify(found);
+  }
+  if (location.hash === "#pictures") pictures();
   window.ringtrueDrawn = 0;
   figures.forEach((div) => seen.observe(div));
 })();

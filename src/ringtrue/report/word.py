@@ -1,0 +1,293 @@
+"""The report as a document of Word, to be edited and filed, from the sections of the page."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ringtrue.errors import SolverMissing
+from ringtrue.report.browser import Drawn, find_chromium, pictures
+from ringtrue.report.parts import (
+    Block,
+    Cell,
+    Checks,
+    Code,
+    Columns,
+    Diff,
+    Facts,
+    Fold,
+    Heading,
+    Items,
+    Key,
+    Photo,
+    Picture,
+    Plot,
+    ReportTable,
+    Scene3D,
+    Section,
+    Stages,
+    Tabs,
+    Text,
+)
+
+COLORS = {"good": "0B6B55", "bad": "A4351C", "warn": "8A5A00", "muted": "5C6B7A", "doubt": "A4351C"}
+NOT_DRAWN = "Not drawn: there was no Chromium. The page, report.html, has this figure."
+
+
+def write_word(data: Stages, sections: Sequence[Section], page: str, target: Path) -> None:
+    """Write the document.
+
+    Parameters
+    ----------
+    data : Stages
+        For the title.
+    sections : sequence of Section
+    page : str
+        The same report as a page, which Chromium draws the figures of; where there is none each has
+        its caption alone, with a note.
+    target : Path
+
+    Raises
+    ------
+    SolverMissing
+        If python-docx is not installed.
+    SolverFailed
+        If Chromium did not draw the figures.
+    InputError
+        If a photograph cannot be read.
+    """
+    try:
+        from docx import Document
+        from docx.shared import Mm, Pt, RGBColor
+    except ImportError as e:
+        raise SolverMissing("no python-docx: pip install 'ringtrue[documents]'") from e
+
+    document = Document()
+    paper = document.sections[0]
+    paper.page_width = Mm(210)
+    paper.page_height = Mm(297)
+    # margins of the printed page, so that figures have their size
+    paper.left_margin = paper.right_margin = Mm(14)
+    paper.top_margin = paper.bottom_margin = Mm(16)
+    for name, size in (("Normal", 10), ("Caption", 9), ("List Bullet", 9.5)):
+        document.styles[name].font.size = Pt(size)
+    document.styles["Caption"].font.color.rgb = RGBColor.from_string(COLORS["muted"])
+
+    document.core_properties.title = data.info.title
+    document.core_properties.author = data.info.author
+    document.add_paragraph(f"{data.kind} report")
+    document.add_heading(data.info.title, 0)
+    for line in data.meta:
+        document.add_paragraph(line)
+    drawn = pictures(page) if find_chromium() else []
+    writer = WordWriter(document, drawn)
+    for number, section in enumerate(sections, start=1):
+        document.add_heading(f"{number}  {section.title}", 1)
+        writer.blocks(section.blocks)
+    document.save(str(target))
+
+
+@dataclass(slots=True)
+class WordWriter:
+    """Writes blocks; figures and tables have the numbers of the page."""
+
+    document: Any
+    drawn: Sequence[Drawn]
+    figures: int = 0
+    tables: int = 0
+    scripted: int = 0  # figures so far that the page draws
+
+    def blocks(self, blocks: Sequence[Block]) -> None:
+        """Blocks one below the other: folds open, tabs and columns in a row."""
+        for block in blocks:
+            self.block(block)
+
+    def block(self, block: Block) -> None:
+        match block:
+            case Text():
+                self._paragraph(block.text, block.tone)
+            case Heading():
+                self.document.add_heading(block.text, 2)
+            case Items():
+                self._title(block.title)
+                for item in block.items:
+                    self.document.add_paragraph(item, "List Bullet")
+            case ReportTable():
+                self._report_table(block)
+            case Facts():
+                self._facts(block)
+            case Checks():
+                self._checks(block)
+            case Key():
+                self._marked(block.items)
+            case Plot() | Scene3D():
+                self._figure(block.caption)
+            case Picture():
+                self._photo(block.photo)
+            case Diff():
+                self._caption("Listing", block.caption, above=True)
+                self._listing(block.text)
+            case Code():
+                self._title(block.title)
+                self._listing(block.text)
+            case Tabs():
+                for name, inner in block.tabs:
+                    self._title(name)
+                    self.blocks(inner)
+            case Fold():
+                self._title(block.title)
+                self.blocks(block.blocks)
+            case Columns():
+                for column in block.columns:
+                    self.blocks(column)
+
+    def _title(self, text: str) -> None:
+        if text:
+            self.document.add_heading(text, 3)
+
+    def _paragraph(self, text: str, tone: str = "") -> Any:
+        from docx.shared import Pt
+
+        paragraph = self.document.add_paragraph()
+        run = paragraph.add_run(text)
+        if tone.startswith("verdict"):
+            run.bold = True
+            run.font.size = Pt(14)
+        _colour(run, tone.split()[-1] if tone else "")
+        return paragraph
+
+    def _caption(self, what: str, text: str, *, above: bool = False) -> None:
+        paragraph = self.document.add_paragraph(style="Caption")
+        paragraph.paragraph_format.keep_with_next = above
+        paragraph.add_run(f"{what}  ").bold = True
+        paragraph.add_run(text).bold = False
+
+    def _report_table(self, block: ReportTable) -> None:
+        from docx.oxml import OxmlElement
+
+        self.tables += 1
+        self._caption(f"Table {self.tables}", block.caption, above=True)
+        left = [head.startswith("|") for head in block.heads]
+        rows = [[Cell(head.lstrip("|")) for head in block.heads], *block.rows]
+        if block.foot:
+            # the first cell of the foot stands over the lead columns
+            rows.append([""] * (block.lead - 1) + list(block.foot))
+        table = self.document.add_table(len(rows), len(left), "Light List")
+        for at, (row, cells) in enumerate(zip(table.rows, rows, strict=True)):
+            bold = at == 0 or (bool(block.foot) and at == len(rows) - 1)
+            for place, cell, text in zip(row.cells, cells, left, strict=True):
+                _fill(place, cell, left=text, bold=bold)
+        # the heads stand on every page of the table
+        table.rows[0]._tr.get_or_add_trPr().append(OxmlElement("w:tblHeader"))
+        self.document.add_paragraph()
+
+    def _facts(self, block: Facts) -> None:
+        table = self.document.add_table(2, len(block.facts), "Table Grid")
+        for fact, label, value in zip(
+            block.facts, table.rows[0].cells, table.rows[1].cells, strict=True
+        ):
+            before = f"{fact.before} → " if fact.before else ""
+            _fill(label, Cell(fact.label, "muted"), left=True, bold=False)
+            _fill(value, f"{before}{fact.value} {fact.unit}".strip(), left=True, bold=True)
+        self.document.add_paragraph()
+
+    def _checks(self, block: Checks) -> None:
+        for check in block.checks:
+            paragraph = self.document.add_paragraph()
+            tone = "good" if check.held else "bad"
+            _colour(paragraph.add_run("✓  " if check.held else "✗  "), tone)
+            paragraph.add_run(f"{check.name}: ")
+            run = paragraph.add_run(check.got or ("held" if check.held else "failed"))
+            run.bold = True
+            _colour(run, tone)
+            if check.wanted not in ("", check.got):
+                paragraph.add_run(f", wanted {check.wanted}")
+
+    def _figure(self, caption: str) -> None:
+        from docx.shared import Inches
+
+        self.figures += 1
+        if self.drawn:
+            drawn = self.drawn[self.scripted]
+            self.scripted += 1
+            self.document.add_picture(io.BytesIO(drawn.png), width=Inches(drawn.width))
+            self.document.paragraphs[-1].paragraph_format.keep_with_next = True
+            self._marked(drawn.legend)
+            self._modes(drawn)
+        else:
+            self._paragraph(NOT_DRAWN, "muted")
+        self._caption(f"Figure {self.figures}", caption)
+
+    def _marked(self, items: Sequence[tuple[str, str]]) -> None:
+        """Names with the colours that they have in a figure."""
+        from docx.shared import RGBColor
+
+        if not items:
+            return
+        paragraph = self.document.add_paragraph()
+        for text, color in items:
+            if rgb := re.fullmatch(r"rgb\((\d+), (\d+), (\d+)\)", color):
+                parts = map(int, rgb.groups())
+                paragraph.add_run("■ ").font.color.rgb = RGBColor(*parts)
+            elif color:
+                shade = RGBColor.from_string(color.removeprefix("#").upper())
+                paragraph.add_run("■ ").font.color.rgb = shade
+            paragraph.add_run(f"{text}   ")
+
+    def _modes(self, drawn: Drawn) -> None:
+        """All modes of a figure, three in a row."""
+        from docx.shared import Inches
+
+        if not drawn.modes:
+            return
+        table = self.document.add_table(-(-len(drawn.modes) // 3), 3)
+        places = [place for row in table.rows for place in row.cells]
+        for place, (label, png) in zip(places, drawn.modes, strict=False):
+            run = place.paragraphs[0].add_run()
+            run.add_picture(io.BytesIO(png), width=Inches(0.31 * drawn.width))
+            place.add_paragraph(label, "Caption")
+
+    def _photo(self, photo: Photo) -> None:
+        from docx.image.exceptions import UnrecognizedImageError
+        from docx.shared import Mm
+
+        self.figures += 1
+        photo.data_url()  # the errors of the page
+        try:
+            self.document.add_picture(str(photo.path), width=Mm(182))
+        except UnrecognizedImageError:
+            self._paragraph(f"{photo.path.name}: Word takes PNG, JPEG and GIF alone.", "muted")
+        self._caption(f"Figure {self.figures}", photo.caption)
+
+    def _listing(self, text: str) -> None:
+        from docx.shared import Pt
+
+        run = self.document.add_paragraph().add_run(text)
+        run.font.name = "Courier New"
+        run.font.size = Pt(7.5)
+
+
+def _colour(run: Any, tone: str) -> None:
+    from docx.shared import RGBColor
+
+    if tone in COLORS:
+        run.font.color.rgb = RGBColor.from_string(COLORS[tone])
+
+
+def _fill(place: Any, cell: str | Cell, *, left: bool, bold: bool) -> None:
+    """Write one cell of a table."""
+    from docx.enum.text import WD_ALIGN_PARAGRAPH
+    from docx.shared import Pt
+
+    shown = Cell(cell) if isinstance(cell, str) else cell
+    paragraph = place.paragraphs[0]
+    paragraph.paragraph_format.space_after = Pt(0)
+    paragraph.alignment = WD_ALIGN_PARAGRAPH.LEFT if left else WD_ALIGN_PARAGRAPH.RIGHT
+    run = paragraph.add_run(shown.text)
+    run.font.size = Pt(8)
+    run.bold = bold
+    _colour(run, shown.tone)

@@ -1,0 +1,116 @@
+"""The report as PDF and as a document of Word, from the sections of the page."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import chromium
+import fake_study
+import pytest
+
+from ringtrue.errors import SolverMissing
+from ringtrue.report import word
+from ringtrue.report.browser import print_page
+from ringtrue.report.build import Report, assemble
+from ringtrue.report.parts import Columns, Fold, Picture, Plot, ReportTable, Scene3D, Tabs
+from ringtrue.report.word import write_word
+from ringtrue.study.config_sections import StudyInfo
+
+try:
+    import docx
+except ImportError:
+    docx = None
+
+needs_docx = pytest.mark.skipif(
+    docx is None, reason="no python-docx: documents of Word are NOT tested"
+)
+needs_browser = pytest.mark.skipif(
+    chromium.find() is None, reason="no Chromium on this machine: printing is NOT tested"
+)
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    info = StudyInfo(title="Spinning <bay>", client="Owner", author="A. Engineer")
+    return assemble(fake_study.study(), info=info)
+
+
+def every(blocks: Any) -> list[Any]:
+    """Blocks with those inside tabs, folds and columns, in the order of the page."""
+    out: list[Any] = []
+    for b in blocks:
+        out.append(b)
+        match b:
+            case Tabs():
+                out += [x for _, inner in b.tabs for x in every(inner)]
+            case Fold():
+                out += every(b.blocks)
+            case Columns():
+                out += [x for column in b.columns for x in every(column)]
+    return out
+
+
+@needs_docx
+def test_a_document_without_chromium_has_all_headings_tables_and_captions(
+    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(word, "find_chromium", lambda: None)
+    path = tmp_path / "r.docx"
+    write_word(report.data, report.sections, "", path)
+    opened = docx.Document(str(path))
+    texts = [p.text for p in opened.paragraphs]
+    for number, section in enumerate(report.sections, start=1):
+        assert f"{number}  {section.title}" in texts
+    assert "for Owner · A. Engineer" in texts
+    blocks = [b for s in report.sections for b in every(s.blocks)]
+    tables = [b for b in blocks if isinstance(b, ReportTable)]
+    figures = [b for b in blocks if isinstance(b, (Plot, Scene3D, Picture))]
+    assert f"Table {len(tables)}  {tables[-1].caption}" in texts
+    assert f"Figure {len(figures)}  {figures[-1].caption}" in texts
+    assert texts.count(word.NOT_DRAWN) == len(figures)
+    written = [
+        [[c.text for c in row.cells] for row in t.rows]
+        for t in opened.tables
+        if t.style.name == "Light List"
+    ]
+    assert len(written) == len(tables)
+    for table, found in zip(tables, written, strict=True):
+        assert found[0] == [h.lstrip("|") for h in table.heads]
+        cells = [[str(getattr(c, "text", c)) for c in row] for row in table.rows]
+        assert found[1 : 1 + len(cells)] == cells
+
+
+@needs_docx
+@needs_browser
+def test_a_document_has_every_figure_as_a_picture(report: Report, tmp_path: Path) -> None:
+    path = tmp_path / "r.docx"
+    page = report.page()
+    write_word(report.data, report.sections, page, path)
+    opened = docx.Document(str(path))
+    drawn = len(re.findall(r"data-(?:plot|view)=", page))
+    assert drawn > 20
+    assert len(opened.inline_shapes) >= drawn
+    sizes = {len(part.blob) for part in opened.part.package.image_parts}
+    assert min(sizes) > 3000  # an empty figure packs into less
+    assert word.NOT_DRAWN not in [p.text for p in opened.paragraphs]
+
+
+@needs_browser
+def test_a_page_is_printed(report: Report, tmp_path: Path) -> None:
+    print_page(report.page(), tmp_path / "r.pdf")
+    raw = (tmp_path / "r.pdf").read_bytes()
+    assert raw.startswith(b"%PDF")
+    assert raw.count(b"/Type /Page\n") > 10
+
+
+def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("RINGTRUE_CHROMIUM", raising=False)
+    with pytest.raises(SolverMissing, match=r"no Chromium: install .* RINGTRUE_CHROMIUM"):
+        print_page("", tmp_path / "r.pdf")
+    monkeypatch.setenv("RINGTRUE_CHROMIUM", "nothing-there")
+    with pytest.raises(SolverMissing, match="RINGTRUE_CHROMIUM=nothing-there: no program there"):
+        print_page("", tmp_path / "r.pdf")
+    assert not (tmp_path / "r.pdf").exists()
