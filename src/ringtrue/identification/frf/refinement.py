@@ -290,8 +290,8 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     void = core[each, own].real < LIMITS.flat * gg[each, own].real
     w2 = lines.response**2
     weighted = psi[:m].conj() * w2  # the shapes of all parameters of a mode are the same
-    alike = (weighted @ psi.T).reshape(m, 1, 2, m)
-    hessian = core.reshape(1 + n_in, m, 1 + n_in, 2, m) * alike
+    common = (weighted @ psi.T).reshape(m, 1, 2, m)
+    hessian = core.reshape(1 + n_in, m, 1 + n_in, 2, m) * common
     gy = np.concatenate([(l[:, :m].conj() * dy[:, :m]).sum(axis=0), *cy[:, :m]])
     rest = (gy - gx @ psi).reshape(1 + n_in, m, -1)
     cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
