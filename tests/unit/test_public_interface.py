@@ -139,3 +139,8 @@ def test_the_modules_of_the_names_are_those_that_the_types_are_checked_with() ->
     checked = text[text.index("if TYPE_CHECKING") : text.index("_PLACES")]
     for module, _ in rt._WHERE.values():
         assert f"from ringtrue.{module} import" in checked, module
+
+
+def test_a_path_is_no_model() -> None:
+    with pytest.raises(rt.InputError, match=r"rt\.read_deck"):
+        rt.solve_modes(rt.example_deck())  # type: ignore[arg-type]

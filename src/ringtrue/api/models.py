@@ -192,6 +192,8 @@ def solve_modes(
 
     Raises
     ------
+    InputError
+        If this is no model.
     ConfigError
         If an option does not fit the engine, or the deck has no damping for complex modes.
     SingularModel
@@ -208,6 +210,8 @@ def solve_modes(
     >>> fe.frequencies.round(3), fe.complete
     (array([2.24 , 6.276, 9.069]), True)
     """
+    if not isinstance(model, Model | MatrixModel):
+        raise InputError(f"model {model!r}: a Model; read a deck by rt.read_deck(path)")
     if band is not None and not band[0] < band[1]:
         raise ConfigError(f"band {band[0]} {band[1]}: must be F0 < F1")
     if damped and engine != EMBEDDED:
