@@ -312,7 +312,7 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
     )
     fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
     fig.update_layout(shapes=[rule(1)])
-    drawn = np.concatenate([np.ravel(t.x) for t in fig.data]).astype(np.float64)
+    drawn = np.concatenate([[1.0], *(np.ravel(t.x) for t in fig.data)]).astype(np.float64)
     low, high = np.log10([np.nanmin(drawn), np.nanmax(drawn)])
     room = 0.04 * (high - low) + 0.01
     fig.update_xaxes(range=[low - room, high + room])  # strokes end inside
