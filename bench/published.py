@@ -2,7 +2,7 @@
 
     python bench/published.py [--quick | --full]
 
-The data are those of ../shared/data; what is not there is named and not run. Frames of bare
+The data stand beside the repository; what is not there is named and not run. Frames of bare
 matrices: the five storeys of DTU (measured, five stiffnesses by five frequencies), the four storeys
 of Georgia Tech (measured, two modes at three storeys), its concrete frame of 2302 DOFs (simulated,
 12 stiffness groups by six modes at 43 DOFs, from the nominal model to a truth drawn anew for each
@@ -267,7 +267,7 @@ def main() -> None:
     }
     for what, (data, run) in cases.items():
         if not data.exists():
-            report.not_run(what, f"no {data.name} in shared/data")
+            report.not_run(what, f"no {data.name} beside the repository")
             continue
         start = time.process_time()
         checks = run()

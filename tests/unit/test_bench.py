@@ -21,6 +21,7 @@ import derivatives
 import durability
 import elements
 import facility
+import global_optimum
 import identification_ambient
 import identification_hammer
 import identification_peers
@@ -33,6 +34,7 @@ import nastran_corpus
 import numpy as np
 import outcome
 import past_one_machine
+import published
 import pytest
 import records
 import results_files
@@ -254,6 +256,7 @@ SUMMARY: dict[str, Any] = {
     "parameters": [{"name": "slab", "updated": 2.2e10, "std": 1e9}],
 }
 SCORE = localisation.Score(3, 4, 1.0, 1.0, 0.2, {}, 1.0)
+REACHED = global_optimum.Case(1.0, 1.0, 9.0, unfit=False, seconds=1.0)
 RUN = updating.Run(1.0, 0.5, 1e-12, 1e-6, True)
 COUNTS = {f"{w}{h}": 50 for w in uncertainty.STATED for h in ("", " held")}
 PAIRED = correlation.Paired(np.full(100, 0.8), np.full(100, 0.7))
@@ -454,6 +457,13 @@ JUDGED: list[
         ],
     ),
     ("updating", updating.same_modes, (FREE[6:], FREE[6:]), [(1.01 * FREE[6:], FREE[6:])]),
+    ("published", published.recovered, ([1e-3, 2e-3],), [([1e-3, 0.05],), ([1e-3, np.nan],)]),
+    (
+        "global_optimum",
+        global_optimum.judged,
+        ([REACHED, REACHED],),
+        [([replace(REACHED, found=99.0), REACHED],), ([replace(REACHED, found=np.nan)],)],
+    ),
     ("updating", updating.verified, ([1e-5], [1e-3]), [([1e-2], [1e-3]), ([1e-5], [1.1])]),
     (
         "uncertainty",

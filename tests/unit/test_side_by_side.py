@@ -125,9 +125,9 @@ def test_an_interrupt_ends_all_workers_at_once(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "begun\n"
-        threading.Event().wait(3.0)  # into the work
+        threading.Event().wait(6.0)  # into the work
         process.send_signal(signal.SIGINT)
-        assert process.communicate(timeout=30)[0] == "left: 0\n"
+        assert process.communicate(timeout=60)[0] == "left: 0\n"
 
 
 def test_one_case_stays_in_this_process() -> None:

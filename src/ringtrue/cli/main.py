@@ -66,6 +66,7 @@ OUTPUTS = {
     "--write-choice",
     "--write-frfs",
     "--checkpoint",
+    "--members",
     "target",
 }
 
