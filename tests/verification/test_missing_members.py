@@ -114,29 +114,6 @@ def test_nothing_is_proposed_for_a_deck_that_lacks_nothing(tmp_path: Path) -> No
     assert all(m.worth <= 0 for m in found)
 
 
-def _plate(n: int = 9) -> str:
-    """A plate of 2 m x 1.5 m on springs at three of its corners; nodes 1 to n², row by row."""
-    text = "MAT1,1,2.1+11,,.3,7850.\nPSHELL,1,1,.02,1\nPBUSH,2,K,2.+5,2.+5,2.+5\n"
-    text += _grid([(2.0 * i / (n - 1), 1.5 * j / (n - 1), 0.0) for j in range(n) for i in range(n)])
-    for j in range(n - 1):
-        for i in range(n - 1):
-            a = 1 + j * n + i
-            text += f"CQUAD4,{a},1,{a},{a + 1},{a + n + 1},{a + n}\n"
-    corners = (1, n, n * n - n + 1)
-    return text + "".join(f"CBUSH,{800 + c},2,{c},,,,,0\n" for c in corners)
-
-
-@pytest.mark.parametrize("node", [81])
-def test_a_support_that_was_left_out_is_among_the_first_two(tmp_path: Path, node: int) -> None:
-    channels = [f"{1 + 9 * j + i}+Z" for j in range(0, 9, 2) for i in range(0, 9, 2)]
-    missing = f"CBUSH,{900 + node},2,{node},,,,,0\n"
-    _, found = _found(tmp_path, _plate(), missing, channels)
-    first = next(m for m in found[:2] if m.nodes == ((node, 0),))  # or after its like
-    assert first.form == "support"
-    assert first.components == "123"
-    assert first.stiffness == pytest.approx(2e5, rel=0.1)
-
-
 def _two_beams() -> str:
     """A beam of 3 m above another, 0.2 m apart, both clamped, joined by bushes at two places."""
     text = FRAME + "PBUSH,4,K,4.+5,4.+5,4.+5,2.5+4,2.5+4,2.5+4\n"
