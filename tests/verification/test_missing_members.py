@@ -114,6 +114,36 @@ def test_nothing_is_proposed_for_a_deck_that_lacks_nothing(tmp_path: Path) -> No
     assert all(m.worth <= 0 for m in found)
 
 
+SUPPORTS = (1, 5, 9, 37, 45, 73, 77, 81)  # corners and middles of the sides
+
+
+def _plate(supports: Sequence[int], n: int = 9) -> str:
+    """A plate of 2 m x 1.5 m on vertical springs; nodes 1 to n², row by row."""
+    text = "MAT1,1,2.1+11,,.3,7850.\nPSHELL,1,1,.02,1\nPBUSH,2,K,,,1.+6\nSPC1,1,126,1,THRU,81\n"
+    text += _grid([(2.0 * i / (n - 1), 1.5 * j / (n - 1), 0.0) for j in range(n) for i in range(n)])
+    for j in range(n - 1):
+        for i in range(n - 1):
+            a = 1 + j * n + i
+            text += f"CQUAD4,{a},1,{a},{a + 1},{a + n + 1},{a + n}\n"
+    return text + "".join(map(_support, supports))
+
+
+def _support(node: int) -> str:
+    return f"CBUSH,{800 + node},2,{node},,,,,0\n"
+
+
+@pytest.mark.parametrize("node", [1, 9, 37, 45, 73, 81])
+def test_a_support_that_was_left_out_is_first(tmp_path: Path, node: int) -> None:
+    channels = [f"{1 + 9 * j + i}+Z" for j in range(0, 9, 2) for i in range(0, 9, 2)]
+    lacking = _plate([k for k in SUPPORTS if k != node])
+    _, found = _found(tmp_path, lacking, _support(node), channels)
+    first = found[0]
+    assert first.form == "support"
+    assert first.nodes == ((node, 0),)
+    assert first.stiffness == pytest.approx(1e6, rel=0.1)
+    assert first.worth > 0
+
+
 def _two_beams() -> str:
     """A beam of 3 m above another, 0.2 m apart, both clamped, joined by bushes at two places."""
     text = FRAME + "PBUSH,4,K,4.+5,4.+5,4.+5,2.5+4,2.5+4,2.5+4\n"
