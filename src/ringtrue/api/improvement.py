@@ -45,7 +45,7 @@ from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
 from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
-from ringtrue.updating.problem import Configuration, Evaluated, Problem
+from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.target import Target, Weights
@@ -355,23 +355,18 @@ def update(
         if not tests or test is not None:
             raise InputError("update: of several configurations each TestedModel has its own test")
     scale = None if shape_std is None else np.asarray(shape_std, dtype=np.float64)
-
-    def over(free: ParameterSet) -> Problem:
-        """The problem with these free, the others as in the models."""
-        made = []
-        for k, one in enumerate(tests):
-            names = [n for n in free.names if n in (one.parameters or free.names)]
-            name = f"configuration {k + 1}"
-            mine = free.take(free.at(names))
-            made.append(_configuration(one, mine, leave_out, scale, u, name))
-        return Problem(tuple(made), free, loss=LOSSES[u.loss])
-
-    problem = over(every)
+    configurations = []
+    for k, one in enumerate(tests):
+        mine = every
+        if one.parameters:
+            mine = every.take(every.at(one.parameters))
+        configurations.append(
+            _configuration(one, mine, leave_out, scale, u, f"configuration {k + 1}")
+        )
+    problem = Problem(tuple(configurations), every, loss=LOSSES[u.loss])
     held = not_told_apart(problem)
-    free = [i for i, n in enumerate(every.names) if n not in held]
     if held:
-        problem = over(every.take(free))
-    interval = np.stack([every.factors(x) for x in every.bounds()], axis=1)
+        problem = held_to(problem, [n for n in every.names if n not in held])
     if len(tests) == 1:
         done = solved(problem, Minimisation(u, seed), progress)
         solution = done.solution
@@ -385,14 +380,14 @@ def update(
         error = float("nan")
         unfit = misfits(problem, problem.evaluate(solution.y))
     start = final.evaluate(np.zeros(final.size))
-    found = np.ones(len(every))
-    found[free] = solution.factors
-    interval[free] = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
-    factors = dict(zip(every.names, found.tolist(), strict=True))
+    interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
+    bounds = np.stack([every.factors(x) for x in every.bounds()], axis=1)
+    interval = np.where(np.isin(every.names, list(held))[:, None], bounds, interval)
+    factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
     made = tuple(_at_end(one.model, every, factors, one.parameters) for one in tests)
     return UpdatedModel(
         names=every.names,
-        factors=found,
+        factors=solution.factors,
         low=interval[:, 0],
         high=interval[:, 1],
         models=made,
