@@ -25,7 +25,7 @@ from ringtrue.errors import ConfigError, InputError
 from ringtrue.plots.correlation import labels
 from ringtrue.plots.diagram import auto_mac
 from ringtrue.plots.style import joined
-from ringtrue.report.build import Acceptance, Photo, build, figure_json
+from ringtrue.report.build import Acceptance, Photo, assemble, figure_json
 from ringtrue.report.parts import fixed, number, signs
 from ringtrue.study.config_sections import InstrumentSection, StudyInfo
 from ringtrue.study.results import IdentifyStage
@@ -55,13 +55,12 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
     (folder / "bay.png").write_bytes(PIXEL)
     photos = [Photo(folder / "bay.png", "The bay.")]
     text = "A test bay.\n\nIts model is to predict."
-    return build(
+    return assemble(
         stages,
-        folder / "report.html",
         info=StudyInfo(title="Spinning <bay>", system=text),
         photos=photos,
         checks=checks(stages),
-    )
+    ).write(folder / "report.html")
 
 
 def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
@@ -109,7 +108,11 @@ def test_leaves_out_what_was_not_run(
     absent: set[str],
 ) -> None:
     there = set(
-        ids(build({n: stages[n] for n in names}, tmp_path / "r.html", info=StudyInfo(title="part")))
+        ids(
+            assemble({n: stages[n] for n in names}, info=StudyInfo(title="part")).write(
+                tmp_path / "r.html"
+            )
+        )
     )
     assert present <= there
     assert not absent & there
@@ -128,7 +131,7 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     first = identify.records[0]
     many = tuple(replace(first, name=f"h{k:02}") for k in range(62))
     stage = replace(identify, ambient=replace(ambient, others=others), records=many)
-    page = build({"identify": stage}, tmp_path / "r.html", info=StudyInfo(title="mast"))
+    page = assemble({"identify": stage}, info=StudyInfo(title="mast")).write(tmp_path / "r.html")
     order = ids(page)
     assert order[:4] == ["summary", "identification", "shapes", "diagrams"]
     assert order[-1] == "signals"
@@ -165,7 +168,7 @@ def test_a_test_without_scatter_is_not_called_exact(
     parts = s.bands.parts.copy()
     parts[:, 1] = 0.0
     silent = {"uncertainty": replace(s, bands=replace(s.bands, parts=parts))}
-    page = build(silent, tmp_path / "r.html", info=StudyInfo(title="silent")).read_text()
+    page = assemble(silent, info=StudyInfo(title="silent")).write(tmp_path / "r.html").read_text()
     assert "is the discrepancy of the model" in page
     assert "times more exact" not in page
 
@@ -180,7 +183,7 @@ def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
     hammer = InstrumentSection(name="Hammer 5.5 kg", serial="123", channels=["F:1+Z"])
     sensor = InstrumentSection(name="Accelerometer", calibrated="2026-03-02, K 17")
     info = StudyInfo(title="named", names={"2": "first bending"}, instrument=[hammer, sensor])
-    page = build(stages, tmp_path / "r.html", info=info).read_text()
+    page = assemble(stages, info=info).write(tmp_path / "r.html").read_text()
     tables = re.findall(r"<table>.*?</table>", page, re.DOTALL)
     assert sum("first bending" in t for t in tables) >= 3  # hammer test, initial, final
     assert "Hz \u00b7 first bending" in page or "Hz \\u00b7 first bending" in page
@@ -188,7 +191,7 @@ def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
     assert "2026-03-02, K 17" in listed
     assert listed.count("not stated") == 1
     with pytest.raises(ConfigError, match=r"names: no test mode 99; there are \d+"):
-        build(stages, tmp_path / "r.html", info=StudyInfo(names={"99": "lost"}))
+        assemble(stages, info=StudyInfo(names={"99": "lost"})).write(tmp_path / "r.html")
     with pytest.raises(ValueError, match="no number of a test mode"):
         StudyInfo(names={"first": "bending"})
 
@@ -196,19 +199,17 @@ def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
 def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     with pytest.raises(InputError, match="no such file"):
-        build(
+        assemble(
             {"model": stages["model"]},
-            out,
             info=StudyInfo(title=""),
             photos=[Photo(tmp_path / "lost.png", "")],
-        )
+        ).write(out)
     with pytest.raises(ConfigError, match=r"allowed are .*\.png"):
-        build(
+        assemble(
             {"model": stages["model"]},
-            out,
             info=StudyInfo(title=""),
             photos=[Photo(tmp_path / "deck.bdf", "")],
-        )
+        ).write(out)
     assert not list(tmp_path.iterdir())
 
 
@@ -313,7 +314,9 @@ def test_any_name_of_a_region_leaves_every_figure(
     monkeypatch.setattr(
         fake_study, "CANDIDATES", (*HOSTILE, *fake_study.CANDIDATES[len(HOSTILE) :])
     )
-    path = build(fake_study.study(), tmp_path / "r.html", info=StudyInfo(title="<!--<script>"))
+    path = assemble(fake_study.study(), info=StudyInfo(title="<!--<script>")).write(
+        tmp_path / "r.html"
+    )
     with chromium.page(tmp_path / "profile") as opened:
         opened.call("Page.navigate", url=path.as_uri())
         assert opened.until("window.ringtrueDrawn === 0")
@@ -416,11 +419,11 @@ def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
     """Without an fmax the first modes end before anything is known of the test."""
     model, correlated = stages["model"], stages["correlate"]
     early = replace(model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2])
-    page = build(
-        {"model": early, "correlate": correlated},
-        tmp_path / "r.html",
-        info=StudyInfo(title="Short"),
-    ).read_text()
+    page = (
+        assemble({"model": early, "correlate": correlated}, info=StudyInfo(title="Short"))
+        .write(tmp_path / "r.html")
+        .read_text()
+    )
     f = correlated.fe_initial.frequencies
     assert len(f) > 2
     assert f">{f.size}, {number(f[0], 3)} to {number(f[-1], 4)}<" in page
@@ -435,10 +438,10 @@ def test_orthogonality_is_judged_only_where_the_mass_keeps_the_modes_of_the_mode
     measures = final.evidence.measures
     kinds = [replace(c, verdict=replace(c.verdict, passed=apart)) for c in measures.checks]
     evidence = replace(final.evidence, measures=replace(measures, checks=tuple(kinds)))
-    page = build(
-        {"final": replace(final, evidence=evidence)},
-        tmp_path / "r.html",
-        info=StudyInfo(title="Few channels"),
-    ).read_text()
+    page = (
+        assemble({"final": replace(final, evidence=evidence)}, info=StudyInfo(title="Few channels"))
+        .write(tmp_path / "r.html")
+        .read_text()
+    )
     assert ("no verdict" in page) != apart
     assert bool(re.search(r"pairs ≥ \d+ %", page)) == apart

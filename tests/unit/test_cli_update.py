@@ -93,7 +93,7 @@ def test_settings_lead_to_the_same_factors(capsys: Capture, folder: Path, settin
 def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
     capsys: Capture, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    well = direct._on_basis
+    well = direct._minimised
 
     def poor(problem: Problem, how: Minimisation, progress: Progress) -> Verified:
         """From the deck alone, as if it had ended there without any pair."""
@@ -107,7 +107,7 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
             done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,))
         )
 
-    monkeypatch.setattr(direct, "_on_basis", poor)
+    monkeypatch.setattr(direct, "_minimised", poor)
     status, out, err = call(capsys, folder, "--json", "-")
     assert status == 0, err
     factors = [p["factor"] for p in json.loads(out)["parameters"]]

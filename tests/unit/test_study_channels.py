@@ -33,7 +33,7 @@ from ringtrue.io.frfs import write_frfs
 from ringtrue.io.modes import write_modes
 from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.model.ports import ModesRequest
-from ringtrue.report.build import build
+from ringtrue.report.build import assemble
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.messages import run_messages
@@ -165,8 +165,10 @@ def test_the_study_finds_the_same_and_shows_the_nodes(folder: Path) -> None:
         ("1+X", "1+X", 1, [9]),
         ("4-X", "4+X", -1, [3]),
     ]
-    text = build(done.results, folder / "report.html", info=StudyInfo(title="column")).read_text(
-        encoding="utf-8"
+    text = (
+        assemble(done.results, info=StudyInfo(title="column"))
+        .write(folder / "report.html")
+        .read_text(encoding="utf-8")
     )
     assert "Where the sensors are read (8 channels)" in text
     assert "4-X is 4+X turned" in text
@@ -402,8 +404,10 @@ def test_a_study_tries_turned_axes_and_shows_them(folder: Path) -> None:
     (mending,) = summarise(done)["mendings"]
     assert mending["axes"] == {"Y": "X", "Z": "Y"}
     assert mending["text"] in run_messages(done.results)
-    text = build(done.results, folder / "report.html", info=StudyInfo(title="column")).read_text(
-        encoding="utf-8"
+    text = (
+        assemble(done.results, info=StudyInfo(title="column"))
+        .write(folder / "report.html")
+        .read_text(encoding="utf-8")
     )
     assert "if the sensors along Y read X, Z read Y" in text
 

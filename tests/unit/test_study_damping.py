@@ -14,7 +14,7 @@ import small_study
 from ringtrue.core.iterate import quiet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
-from ringtrue.report.build import build
+from ringtrue.report.build import assemble
 from ringtrue.study.config import parse_config
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun, run_study
@@ -84,9 +84,11 @@ def test_the_damped_deck_holds_the_loss_factors_and_is_else_the_delivered_one(
 
 
 def test_the_report_shows_it(done: StudyRun, tmp_path: Path) -> None:
-    page = build(
-        {"damping": done.results["damping"]}, tmp_path / "r.html", info=StudyInfo(title="Damping")
-    ).read_text()
+    page = (
+        assemble({"damping": done.results["damping"]}, info=StudyInfo(title="Damping"))
+        .write(tmp_path / "r.html")
+        .read_text()
+    )
     assert '<section id="damping">' in page
     assert "MAT1 10 GE" in page
     assert "left out" in page
@@ -138,5 +140,5 @@ def test_damping_by_region_that_makes_frfs_worse_is_refused() -> None:
 def test_refused_damping_is_shown_and_not_used(done: StudyRun, tmp_path: Path) -> None:
     refused = replace(done.results["damping"], why="the FRFs are worse", files=(), changes=())
     assert done.results["damping"].why == ""
-    page = build({"damping": refused}, tmp_path / "r.html", info=StudyInfo(title="damped"))
+    page = assemble({"damping": refused}, info=StudyInfo(title="damped")).write(tmp_path / "r.html")
     assert "Refused: the FRFs are worse." in page.read_text()

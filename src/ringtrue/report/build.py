@@ -42,7 +42,7 @@ from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
 from ringtrue.viewer.view import asset, script_json
 
-__all__ = ["Acceptance", "Photo", "build"]
+__all__ = ["Acceptance", "Photo", "assemble"]
 
 ReportFormat = Literal["html", "pdf", "docx"]
 
@@ -96,7 +96,7 @@ GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; t
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a report says; `build` shows it as a page, `ringtrue.report.word` as a document.
+    """What a report says, to be shown as a page, on paper or as a document of Word.
 
     Attributes
     ----------
@@ -109,8 +109,34 @@ class Report:
     sections: Sequence[Section]
 
     def page(self) -> str:
-        """The whole page, which needs nothing else."""
+        """The whole page, which needs nothing else.
+
+        Raises
+        ------
+        ConfigError, InputError
+            If a photograph cannot be read.
+        """
         return _render(self.data, self.sections)
+
+    def write(self, out: Path, form: ReportFormat = "html") -> Path:
+        """Write it to a file, which appears complete or not at all; returns `out`.
+
+        Raises
+        ------
+        SolverMissing
+            If there is no Chromium to print, or no python-docx.
+        SolverFailed
+            If Chromium did not draw it.
+        """
+        page = self.page()
+        with atomic_write(out) as part:
+            if form == "pdf":
+                print_page(page, part)
+            elif form == "docx":
+                write_word(self.data, self.sections, page, part)
+            else:
+                part.write_text(page, encoding="utf-8")
+        return out
 
 
 def assemble(
@@ -147,31 +173,6 @@ def assemble(
     of_test = data.model is None and data.identify is not None
     order = TEST_SECTIONS if of_test else SECTIONS
     return Report(data, [s for s in (make(data) for make in order) if s is not None])
-
-
-def build(
-    stages: Mapping[str, Any],
-    out: Path,
-    *,
-    info: StudyInfo,
-    acceptance: Acceptance | None = None,
-    photos: Sequence[Photo] = (),
-    checks: Sequence[AcceptanceCheck] = (),
-) -> Path:
-    """Write the report of a study as a page, which appears complete or not at all; returns `out`.
-
-    What it is made of: `assemble`.
-
-    Raises
-    ------
-    ConfigError, InputError
-        If a photograph cannot be read.
-    """
-    report = assemble(stages, info=info, acceptance=acceptance, photos=photos, checks=checks)
-    page = report.page()
-    with atomic_write(out) as part:
-        part.write_text(page, encoding="utf-8")
-    return out
 
 
 @dataclass(slots=True)
@@ -325,15 +326,7 @@ def write_report(
     *,
     form: ReportFormat = "html",
 ) -> Path:
-    """The report of a run or of a stored study.
-
-    Raises
-    ------
-    SolverMissing
-        If there is no Chromium to print, or no python-docx.
-    SolverFailed
-        If Chromium did not draw it.
-    """
+    """The report of a run or of a stored study; see `Report.write`."""
     config: StudyConfig = run.config
     captions = [*config.report.captions, *[""] * len(config.report.photos)]
     photos = [
@@ -347,11 +340,4 @@ def write_report(
         photos=photos,
         checks=verdict(config, stages) if checks is None else checks,
     )
-    with atomic_write(out) as part:
-        if form == "pdf":
-            print_page(report.page(), part)
-        elif form == "docx":
-            write_word(report.data, report.sections, report.page(), part)
-        else:
-            part.write_text(report.page(), encoding="utf-8")
-    return out
+    return report.write(out, form)

@@ -253,22 +253,16 @@ def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
     From further starts, too, where used modes that the model has are left without partner or a
     kind of residuals is not fitted; the end of lower J.
     """
-    model = problem.configurations[0].model
-    u = how.settings
-    if isinstance(model, FullModel):  # on modes that a solver finds anew at each point
-        # its runs are counted where they are started
-        how = replace(how, course=course_of_runs(u), steps=show, workers=1)
-        end = how.run(problem, show)
-        return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
-    done = _on_basis(problem, how, show)
-    more = further_starts(u)
-    if more is None or how.checkpoint:
+    done = _minimised(problem, how, show)
+    more = further_starts(how.settings)
+    by_runs = isinstance(problem.configurations[0].model, FullModel)
+    if more is None or how.checkpoint or by_runs:
         return done
     if not displaced(problem, done.solution.end) and not not_fitted(problem, done):
         return done
     show(0.5, "modes without partner or data that are not fitted: further starts")
     try:
-        other = _on_basis(problem, replace(how, settings=more), show)
+        other = _minimised(problem, replace(how, settings=more), show)
     except NumericalError:  # the end from the deck stands
         return done
     return min(done, other, key=lambda d: whole_cost(problem, d.solution.end))
@@ -314,20 +308,24 @@ def only_proven(
         free = np.flatnonzero(problem.link.any(axis=1)).tolist()
         names = [problem.parameters.names[i] for i in free]
         problem = held_to(as_stated(problem, done), [n for n in names if n != name])
-        model = problem.configurations[0].model
-        start = solution.y[rest]
-        if isinstance(model, FullModel):
-            anew = replace(how, course=course_of_runs(how.settings), steps=show, checkpoint=None)
-            end = anew.run(problem, show, start)
-            done = Verified(end.solution, end.problem, 0.0, model.ledger.runs)
-        else:
-            done = _on_basis(problem, replace(how, checkpoint=None), show, start)
+        again = replace(how, checkpoint=None)
+        done = _minimised(problem, again, show, start=solution.y[rest])
     return problem, done, tuple(dropped)
 
 
-def _on_basis(
+def _minimised(
     problem: Problem, how: Minimisation, show: Progress, start: Float | None = None
 ) -> Verified:
+    """The end on a basis verified by full solutions, or on modes that a solver finds anew at each
+    point.
+    """
+    model = problem.configurations[0].model
+    if isinstance(model, FullModel):
+        # its runs are counted where they are started
+        how = replace(how, course=course_of_runs(how.settings), steps=show, workers=1)
+        end = how.run(problem, show, start)
+        return Verified(end.solution, end.problem, 0.0, model.ledger.runs)
+
     def at(p: Problem, y: Float | None) -> tuple[Solution, Problem]:
         end = how.run(p, show, start=y)
         return end.solution, end.problem
@@ -449,8 +447,7 @@ def propose_parameters(
     )
     names = {c.name for c in keep}
     rows = np.arange(len(test.channels))
-    left = replace(aim, weights=found.left_over(aim.weights))
-    fitted = FittedModel.of(analysis.system, reduced, rows, found.x, left)
+    fitted = FittedModel.after(found, analysis.system, reduced, rows, aim)
     return DirectProposal(
         proposal=found,
         model=model,

@@ -14,17 +14,11 @@ from typing import Protocol
 
 import numpy as np
 from scipy import linalg
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Float
 from ringtrue.updating.problem import MODE_STRIDE, Evaluated, Problem
-from ringtrue.updating.residuals.modal import (
-    NO_MODE,
-    ModalMasses,
-    Quantity,
-    Term,
-    Weighted,
-)
+from ringtrue.updating.residuals.modal import NO_MODE, Weighted
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +108,18 @@ def misfits(
             squares = term.fit(point)
             used_up = float(np.trace(linalg.solve(normal, g[rows].T @ g[rows], assume_a="pos")))
             freedom = max(squares.size - used_up, 1.0)
-            limit = float(chi2.ppf(1 - limits.risk, freedom))
+            limit = float(chdtri(freedom, limits.risk))
             if float(squares.sum()) <= limit:
                 continue
-            name, labels = _called(term, named, at.mode[rows] - i * MODE_STRIDE)
+            modes = at.mode[rows]
+            each = dict.fromkeys(modes[modes != NO_MODE].tolist())
+            labels: Sequence[str] = [f"test mode {t % MODE_STRIDE + 1}" for t in each]
+            if named is not None:
+                labels = named.labels
+            elif not each:
+                labels = [f"datum {k + 1}" for k in range(modes.size)]
             found = Misfit(
-                kind=name,
+                kind=term.called if named is None else named.name,
                 configuration=c.name if len(problem.configurations) > 1 else "",
                 ratio=float(np.sqrt(squares.sum() / freedom)),
                 chi_square=float(squares.sum()),
@@ -131,23 +131,11 @@ def misfits(
     return tuple(out)
 
 
-def _called(term: Term, named: LabelledData | None, modes: np.ndarray) -> tuple[str, Sequence[str]]:
-    """The name of a kind and the labels of its data."""
-    if named is not None:
-        return named.name, named.labels
-    numbers = [f"test mode {t + 1}" for t in dict.fromkeys(modes.tolist()) if t != NO_MODE]
-    if isinstance(term, ModalMasses):
-        return "modal masses", numbers
-    if term.quantity is Quantity.OTHER:
-        return "data besides the modes", [f"datum {k + 1}" for k in range(modes.size)]
-    return ("frequencies" if term.quantity is Quantity.FREQUENCY else "shapes"), numbers
-
-
 def _standing_out(squares: Float, risk: float) -> list[int]:
     """Data of which the largest of so many would be as large by chance with the probability
     `risk`; the largest if there is none.
     """
     order = np.argsort(-squares, kind="stable")
-    limit = float(chi2.ppf((1 - risk) ** (1 / squares.size), 1))
+    limit = float(chdtri(1, 1 - (1 - risk) ** (1 / squares.size)))
     count = max(int((squares > limit).sum()), 1)
     return [int(k) for k in order[:count]]

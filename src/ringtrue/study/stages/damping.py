@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import wilcoxon
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Progress
@@ -412,6 +411,8 @@ def refusal(before: Float, after: Float, known: Float) -> str:
     str
         Empty where they are not worse (Wilcoxon 1945, signed ranks of the modes).
     """
+    from scipy.stats import wilcoxon  # slow to import, and few commands need it
+
     there = np.isfinite(before) & np.isfinite(after)
     one, two = before[there], after[there]
     explained = np.hypot(one, known[there] / np.sqrt(2))

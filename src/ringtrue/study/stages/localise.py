@@ -137,8 +137,7 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         basis = ", ".join([*tests, *data])
     p = model.parameters
     deck = session.remodelled
-    left = replace(aim, weights=proposal.left_over(aim.weights))
-    fitted = FittedModel.of(deck.analysis.system, model.model, model.rows, proposal.x, left)
+    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
     members = missing_members(deck.model, fitted)
     known = identifiability(end_data.slope * p.std())
     return LocaliseStage(

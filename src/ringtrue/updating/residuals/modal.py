@@ -88,12 +88,15 @@ class Term:
     Attributes
     ----------
     quantity : Quantity
+    called : str
+        In messages.
     whole : bool
         True: it reads all modes and channels of the model, not the test's alone.
     """
 
     __slots__ = ()
     quantity: ClassVar[Quantity] = Quantity.OTHER
+    called: ClassVar[str] = "data besides the modes"
     whole: ClassVar[bool] = False
 
     def __call__(self, at: Point) -> ResidualBlock:
@@ -272,6 +275,7 @@ class _FrequencyDeviations(Deviations):
 
     __slots__ = ()
     quantity = Quantity.FREQUENCY
+    called = "frequencies"
     std: float
 
     @property
@@ -346,6 +350,7 @@ class Shapes(Term):
     factor: float = 1.0
     scaling: Literal["fit", "largest"] = "fit"
     quantity = Quantity.SHAPE
+    called = "shapes"
 
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
@@ -420,6 +425,7 @@ class Mac(Deviations):
     std: float = 0.05
     form: Literal["difference", "ratio"] = "difference"
     quantity = Quantity.SHAPE
+    called = "shapes"
 
     @property
     def expected(self) -> float:
@@ -466,6 +472,7 @@ class ModalMasses(Deviations):
 
     std: float = 0.1
     kilograms: float = 1.0
+    called = "modal masses"
 
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""

@@ -27,6 +27,7 @@ from ringtrue.updating.selection.member_pairs import (
     PossibleMembers,
     possible_members,
 )
+from ringtrue.updating.selection.proposal import Proposal
 from ringtrue.updating.selection.selection_rules import falling, short_update
 from ringtrue.updating.selection.subset_search import DEFAULT_SEARCH
 from ringtrue.updating.target import Target
@@ -188,6 +189,14 @@ class FittedModel(FrozenArrays):
             x=x / prior,
             aim=aim,
         )
+
+    @classmethod
+    def after(
+        cls, proposal: Proposal, system: System, model: ReducedModel, rows: Int, aim: Target
+    ) -> FittedModel:
+        """Where a proposal leads; what it leaves is weighed by what it has left over."""
+        left = replace(aim, weights=proposal.left_over(aim.weights))
+        return cls.of(system, model, rows, proposal.x, left)
 
     def suspended(self, below: float) -> bool:
         """Whether six modes are below so many times the lowest used one of the test."""
