@@ -27,7 +27,7 @@ import numpy as np
 from outcome import Check, Report, arguments, at_most, rms_over_stated, share_at_least, sized
 
 import ringtrue as rt
-from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import AmbientResult
 from ringtrue.identification.common.stabilisation import least_deviations
@@ -282,14 +282,8 @@ class Outcome:
     missing: int
 
 
-def outcome(made: Made) -> Outcome:
-    """Identify a record and compare."""
-    begin = time.process_time()
-    if made.setups:
-        test = rt.identify_ambient_setups(made.setups)
-    else:
-        test = rt.identify_ambient(made.record)
-    seconds = time.process_time() - begin
+def paired(made: Made, test: rt.TestModes) -> tuple[Int, Int, Float]:
+    """Modes of the truth (p,) and of the test (p,) that are each other, and the MAC of all."""
     least, _ = least_deviations(made.frequency, made.damping, made.record.duration)
     reach = np.maximum(4 * least, 0.005 * made.frequency)
     if made.near:
@@ -304,6 +298,18 @@ def outcome(made: Made) -> Outcome:
         score[i] = np.inf
         score[:, j] = np.inf
     at, to = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return at, to, like
+
+
+def outcome(made: Made) -> Outcome:
+    """Identify a record and compare."""
+    begin = time.process_time()
+    if made.setups:
+        test = rt.identify_ambient_setups(made.setups)
+    else:
+        test = rt.identify_ambient(made.record)
+    seconds = time.process_time() - begin
+    at, to, like = paired(made, test)
     machines = test.result.machines if isinstance(test.result, AmbientResult) else ()
     speeds = np.array([m.frequency for m in machines])
     wrong = np.abs(speeds / made.speed - 1).min(initial=np.inf) if made.speed else 0.0

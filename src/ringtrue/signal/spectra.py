@@ -427,16 +427,18 @@ def _drifts(data: Any_, degree: int) -> Bool:
 
 
 def unit_factor(history: TimeHistory) -> float:
-    """The power of two that brings the typical standard deviation of the channels near 1; it
-    changes no digit.
+    """The power of two that brings the typical standard deviation of the channels near 1, so that
+    no product of single precision overflows; it changes no digit. 1 within 2**±20 of it.
     """
     levels = [x.std(dtype=np.float64) for x in history.data]  # one by one for the memory's sake
-    exponent = np.frexp(np.median(levels))[1]
-    return float(np.ldexp(1.0, -int(exponent)))
+    exponent = int(np.frexp(np.median(levels))[1])
+    return 1.0 if abs(exponent) <= 20 else float(np.ldexp(1.0, -exponent))
 
 
 def scaled(history: TimeHistory, factor: float) -> TimeHistory:
     """The record times one factor in all channels, which changes no shape."""
+    if factor == 1:
+        return history
     return replace(history, data=history.data * history.data.dtype.type(factor))
 
 
