@@ -1,4 +1,5 @@
 // The pointer over a view: turn, move, zoom, and find what lies under it in a picture of ids.
+import { ENDS, STROKES } from "./geometry.js";
 
 const REACH = 5; // px around the pointer in which something thin is found
 const NODE = 12; // px within which a node is meant

@@ -33,7 +33,7 @@
 // view.snapshot()          a promise of a PNG
 // view.destroy()
 import { Body, context } from "./gpu.js";
-import { OBLIQUE, boxOf, decode, edgesOf, fittingZoom, matrices, rgb } from "./geometry.js";
+import { ENDS, OBLIQUE, STROKES, boxOf, decode, edgesOf, fittingZoom, matrices, rgb } from "./geometry.js";
 import { Clock } from "./clock.js";
 import { Pointer } from "./pointer.js";
 
@@ -55,8 +55,6 @@ export const make = (tag, props = {}, ...inside) => {
   e.append(...inside);
   return e;
 };
-export const ENDS = 6; // of an arrow: foot, tip, four of its head
-export const STROKES = 5;
 export const views = new Set();
 
 // Draws a scene into an element of the page; see the head of this file.
