@@ -12,8 +12,11 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.style import QUALITATIVE
+from ringtrue.study.opened import PairedShapes
 from ringtrue.study.results import Scene
+from ringtrue.study.scene import make_scene, scene_modes
 from ringtrue.viewer.encoding import shape_arrays
 from ringtrue.viewer.scene import model_arrays, sensor_arrays, test_arrays
 from ringtrue.viewer.view import View
@@ -150,6 +153,25 @@ def model_modes(scene: Scene, shapes: ModeSet) -> View:
     """The mode shapes of a model in motion."""
     labels = _numbered(shapes)
     return modes(scene, None, [Shown("model", s, s, fe=(shapes, k)) for k, s in enumerate(labels)])
+
+
+def pair_modes_view(table: CorrelationTable, shapes: PairedShapes) -> View:
+    """The mode pairs of a correlation in motion, the test over the model."""
+    scene = make_scene(shapes.opened.model, {}, shapes.opened.length)
+    skin = scene_modes(shapes.modes, scene)
+    shown = [
+        Shown(
+            "pairs",
+            f"test {r.test} · FE {r.fe}: {r.test_hz:.4g} Hz",
+            f"test {r.test_hz:.4g} Hz, FE {r.fe_hz:.4g} Hz, Δf {r.deviation_percent:+.2f} %, "
+            f"MAC {r.mac_percent:.1f} %",
+            fe=(skin, r.fe - 1),
+            test=(shapes.test, r.test - 1),
+            seen=(shapes.fe, r.fe - 1),
+        )
+        for r in table.rows()
+    ]
+    return modes(scene, shapes.points, shown)
 
 
 def test_modes(test: TestModel, shapes: ModeSet) -> View:
