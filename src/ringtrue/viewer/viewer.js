@@ -33,7 +33,7 @@
 // view.snapshot()          a promise of a PNG
 // view.destroy()
 import { Body, context } from "./gpu.js";
-import { ENDS, OBLIQUE, STROKES, boxOf, decode, edgesOf, fittingZoom, matrices, rgb } from "./geometry.js";
+import { ENDS, OBLIQUE, STROKES, boxOf, decode, edgesOf, fittingZoom, matrices, rgb, thinned } from "./geometry.js";
 import { Clock } from "./clock.js";
 import { Pointer } from "./pointer.js";
 
@@ -45,6 +45,7 @@ const THEMES = {
 const TEST = "#d55e00";
 const LARGEST = 0.09; // deflection at amplitude 1, of half the diagonal
 const SLOW = 45; // ms of a frame in motion, beyond which it is drawn more coarsely
+const FEW = 8000; // nodes and edges of what is drawn in coarse motion
 const STILL = 160; // ms without motion after which it is drawn finely again
 const REST = {
   mode: null, test: true, model: true, sensor: true, still: false, edges: "feature", color: "group", field: null, colors: null, alpha: null,
@@ -341,28 +342,34 @@ class View {
     this.fresh = null; // of the picture of ids: with sensors or without
     if (!this.ctx || this.queued || this.gone) return;
     this.queued = true;
-    requestAnimationFrame((t) => {
+    requestAnimationFrame(() => {
       this.queued = false;
       if (this.gone) return;
-      if (moving) this.pace(t);
+      const begin = performance.now();
       this.paint({ coarse: moving ? this.coarse : 0 });
+      this.pace(performance.now() - begin, moving);
       clearTimeout(this.settling);
       if (moving && this.coarse) this.settling = setTimeout(() => this.clock.playing || this.draw(), STILL);
     });
   }
 
-  // Frames that come slowly are drawn more coarsely: 1 without smooth edges, 2 with half the pixels, too.
-  pace(t) {
-    const took = t - this.lastFrame;
-    this.lastFrame = t;
-    if (!(took < 2000)) return;
-    this.slow = took > SLOW ? (this.slow || 0) + 1 : 0;
-    if (this.slow > 2 && this.coarse < 2) { this.coarse++; this.slow = 0; }
+  // Frames that come slowly are drawn more coarsely in motion: 1 without smooth edges, 2 with fewer faces and edges, too.
+  pace(took, moving) {
+    const since = performance.now() - this.lastFrame;
+    this.lastFrame = moving ? performance.now() : undefined;
+    const each = since < 1000 ? Math.max(took, since) : took; // a graphics card draws on when a frame is handed over
+    this.slow = each > SLOW ? (this.slow || 0) + each / SLOW : 0;
+    if (this.slow < 4 || this.coarse > 1) return;
+    Object.assign(this, { coarse: this.slow > 20 ? 2 : this.coarse + 1, slow: 0 });
+    if (this.coarse > 1 && this.body && this.model.face_element.length > FEW) {
+      const { triangles, owner } = thinned(this.model, FEW);
+      this.body.strip("few faces", "mesh", triangles, owner);
+    }
   }
 
   // On screen as it moves; with a width still, at the largest deflection, for paper.
   paint({ width = 0, height = Math.min(this.stage.clientHeight, 420), coarse = 0 } = {}) {
-    const { gl, canvas, frame } = this.ctx, dots = width ? 2 : Math.min(devicePixelRatio || 1, 2), ratio = coarse > 1 ? dots / 2 : dots;
+    const { gl, canvas, frame } = this.ctx, ratio = width ? 2 : Math.min(devicePixelRatio || 1, coarse ? 1 : 2);
     const w = Math.round((width || this.stage.clientWidth) * ratio), h = Math.round((width ? height : this.stage.clientHeight) * ratio);
     if (!w || !h) return;
     const theme = THEMES[width ? "light" : this.state.theme];
@@ -374,7 +381,7 @@ class View {
     const phase = width ? 0 : this.clock.phase;
     this.drawn = this.scene(w, h, ratio, phase);
     this.fresh = null;
-    this.contents(this.drawn, theme);
+    this.contents(this.drawn, theme, coarse > 1);
     if (smooth) {
       gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth);
       gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
@@ -408,7 +415,7 @@ class View {
     };
   }
 
-  contents(scene, theme) {
+  contents(scene, theme, few = false) {
     const { state, body, wire } = this, { ink, beam } = theme, select = [...rgb(theme.select), 1];
     const modes = state.mode !== null || this.kept.model.size > 0;
     if (body && state.still) body.draw("edges", scene, { still: true, tint: [...ink, 0.28], wide: 1 });
@@ -416,9 +423,10 @@ class View {
       body.draw("edges", scene, { tint: [...ink, 0.28], wide: 1 });
       body.draw("lines", scene, { tint: [...ink, 0.2], wide: 1.2 });
     } else if (body && state.model) {
-      body.draw("faces", scene, { ...this.look, pass: 0 });
-      if (this.clear) body.draw("faces", scene, { ...this.look, pass: 1 });
-      body.draw("edges", scene, { tint: [...ink, 0.45], wide: 1, lift: 0.0012 });
+      const faces = few && body.strips.has("few faces") ? "few faces" : "faces", edges = body.strips.get("edges");
+      body.draw(faces, scene, { ...this.look, pass: 0 });
+      if (this.clear) body.draw(faces, scene, { ...this.look, pass: 1 });
+      if (!few || (edges && edges.count < FEW)) body.draw("edges", scene, { tint: [...ink, 0.45], wide: 1, lift: 0.0012 });
       const colored = this.look.shade > 1 || !body.strips.has("faces") ? this.look : {};
       body.draw("lines", scene, { ...colored, tint: modes && !colored.shade && body.strips.has("faces") ? [...beam, 1] : null, wide: 2.2, lift: 0.0014 });
       body.draw("points", scene, { ...colored, wide: this.clear ? 5 : 10, lift: 0.01, pass: this.clear ? 1 : 2 });
