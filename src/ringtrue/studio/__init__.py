@@ -1,0 +1,1 @@
+"""The studio: a study in the browser, on the machine of its user."""
