@@ -273,9 +273,9 @@ def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: P
     study = folder(tmp_path, toml)
     small_study.write_data(tmp_path / "data", truth=truth(0.75, 0.9, loaded=False))
     found = []
-    for more in ("", OWN):
+    for more, until in (("", "tune"), (OWN, "configured")):
         study.write_text(toml + more)
-        run = run_study(study)
+        run = run_study(study, until=until)
         tune = run.results["tune"]
         found.append(max(abs(tune.factors[n] / value - 1) for n, value in TRUTH.items()))
     assert found[0] > 0.1  # their ratio alone

@@ -43,6 +43,8 @@ def _measured(folder: Path, truth: str, rng: np.random.Generator) -> list[str]:
         "localise",
         str(folder / "frame.bdf"),
         str(folder / "modes.json"),
+        "--most",
+        "3",
         "--json",
         str(folder / "found.json"),
     ]

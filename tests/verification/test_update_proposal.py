@@ -195,7 +195,7 @@ def test_frame_names_the_wrong_regions() -> None:
     wrong = {21: 0.6, 30: 1.6}
     found = propose(
         single(twin.start().reduced, twin.measured(wrong, np.random.default_rng(0))),
-        SearchSettings(5),
+        SearchSettings(3),
     )
     elements = {c.name: set(c.elements) for c in twin.start().candidates}
     named = [elements[n] for m in found.members for n in m.named]
@@ -222,7 +222,12 @@ def test_command_line_proposes_and_refuses(
     deck.write_text(twin.deck())
     labels = twin.channels().labels()
     write_modes(test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, labels))
-    assert run(["localise", str(deck), str(test), "--most", "2", "--json", str(result)]) == 0
+    assert (
+        run(
+            ["localise", str(deck), str(test), "--most", "2", "--pool", "12", "--json", str(result)]
+        )
+        == 0
+    )
     first = json.loads(result.read_text())["proposed"][0]
     assert "MAT1 30 E" in [first["name"], *first["alike"], *first["rivals"]]
     assert first["factor"] == pytest.approx(1.6, rel=0.1)
