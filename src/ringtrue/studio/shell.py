@@ -1,0 +1,287 @@
+"""The frame around the screens: stages on the left, work in the middle, inspector on the right."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
+
+from nicegui import Client, app, ui
+from nicegui.events import KeyEventArguments
+
+from ringtrue.errors import RingtrueError
+from ringtrue.studio import theme
+from ringtrue.studio.screens import SCREENS, Screen
+from ringtrue.studio.session import StudioSession
+
+log = logging.getLogger(__name__)
+LOOK_S = 1.0  # between two looks at the files
+
+KEYS = {  # key of the keyboard -> what a screen can do
+    "ArrowRight": "next",
+    "n": "next",
+    "ArrowLeft": "previous",
+    "p": "previous",
+    "a": "accept",
+    "Enter": "accept",
+    "r": "reject",
+    "Delete": "reject",
+    " ": "play",
+}
+KEY_WORDS = (
+    "n or →: next; p or ←: previous; a or Enter: accept; r or Delete: reject; blank: play; "
+    "Ctrl-Z: undo; Ctrl-Y: redo"
+)
+STANDING = {  # of a stage: icon and colour
+    "done": ("check_circle", "positive"),
+    "stale": ("update", "warning"),
+    "missing": ("radio_button_unchecked", "grey"),
+    "problem": ("error", "negative"),
+    "running": ("pending", "primary"),
+}
+
+
+@dataclass(eq=False)
+class Frame:
+    """What a screen fills besides the middle of the page.
+
+    Attributes
+    ----------
+    inspector : element
+        The column on the right; cleared when the screen changes.
+    keys : dict
+        What `next`, `previous`, `accept`, `reject` and `play` do.
+    """
+
+    inspector: ui.column
+    keys: dict[str, Callable[[], object]] = field(default_factory=dict)
+
+
+_FRAMES: WeakKeyDictionary[Client, Frame] = WeakKeyDictionary()
+
+
+def frame() -> Frame:
+    """The frame of the page that is being built or clicked."""
+    return _FRAMES[ui.context.client]
+
+
+@contextmanager
+def inspector() -> Iterator[None]:
+    """Fill the inspector anew."""
+    column = frame().inspector
+    column.clear()
+    with column:
+        yield
+
+
+def heading(text: str) -> None:
+    """The head of a part of a screen."""
+    ui.label(text).classes("rt-head mt-2")
+
+
+def fact(name: str, value: str) -> None:
+    """A name and its value on a line."""
+    with ui.row().classes("w-full items-baseline justify-between no-wrap gap-3"):
+        ui.label(name).classes("text-sm opacity-70")
+        ui.label(value).classes("text-sm rt-value text-right")
+
+
+def diff_view(text: str) -> None:
+    """A unified diff, added and removed lines marked."""
+    with ui.column().classes("rt-mono rt-diff w-full gap-0"):
+        for line in text.splitlines():
+            kind = {"+": "rt-add", "-": "rt-del"}.get(line[:1], "")
+            head = line.startswith(("+++", "---", "@@"))
+            ui.label(line or " ").classes("opacity-60" if head else kind).classes("w-full")
+
+
+def copy_command(command: str) -> None:
+    """A line that does the same without the studio, to copy."""
+    with ui.row().classes("w-full items-center no-wrap gap-1"):
+        ui.label(command).classes("rt-mono ellipsis grow opacity-80").tooltip(command)
+        ui.button(icon="content_copy", on_click=lambda: _copy(command)).props(
+            "flat dense round size=sm"
+        ).tooltip("Copy as command")
+
+
+def _copy(text: str) -> None:
+    ui.clipboard.write(text)
+    ui.notify("copied", timeout=1000)
+
+
+def watch(session: StudioSession) -> None:
+    """See what changes outside, and say what goes wrong, as long as the program runs."""
+    app.on_exception(_say_exception)
+    app.timer(LOOK_S, session.look)
+
+
+def _say_exception(error: Exception) -> None:
+    """One clear message; what no one has foreseen is logged with its traceback."""
+    refused = isinstance(error, RingtrueError)
+    text = str(error)
+    if not refused:
+        log.error("a fault of ringtrue", exc_info=error)
+        text = f"This is a fault of ringtrue: {type(error).__name__}: {error}"
+    try:
+        ui.notify(
+            text,
+            type="warning" if refused else "negative",
+            multi_line=True,
+            timeout=8000,
+            close_button="Close",
+        )
+    except RuntimeError:  # no page is concerned
+        log.warning("%s", text)
+
+
+def page(session: StudioSession) -> None:
+    """The page of a session, with all its screens."""
+    theme.apply()
+    dark = ui.dark_mode(session.dark)
+    session.on_theme.subscribe(lambda: dark.set_value(session.dark))
+    session.on_documents.subscribe(lambda words: ui.notify(words, timeout=2500))
+    _header(session)
+    with (
+        ui.left_drawer(value=True, bordered=True)
+        .props("width=216 breakpoint=0")
+        .classes("rt-rail p-2 gap-1")
+    ):
+        rail = ui.column().classes("w-full gap-1")
+    with ui.right_drawer(value=True, bordered=True).props("width=320 breakpoint=0").classes("p-3"):
+        column = ui.column().classes("w-full gap-1")
+    frame_ = _FRAMES[ui.context.client] = Frame(column)
+    ui.keyboard(on_key=lambda e: _key(session, frame_, e), ignore=["input", "textarea", "select"])
+    _rail(session, rail)
+
+    def shown(screen: Screen) -> Callable[[], None]:
+        def build() -> None:
+            frame_.inspector.clear()
+            frame_.keys.clear()
+            screen.build(session)
+
+        return build
+
+    routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
+    ui.sub_pages(routes).classes("w-full")
+
+
+def _header(session: StudioSession) -> None:
+    with ui.header(bordered=True).classes("items-center py-0 px-3 gap-2 h-12 bg-primary"):
+        ui.label("ringtrue").classes("text-base font-semibold")
+        title = ui.label().classes("text-sm opacity-80 ellipsis")
+
+        def named() -> None:
+            config = session.config
+            title.text = config.study.title if config is not None else str(session.path.parent)
+
+        named()
+        session.on_documents.subscribe(named)
+        ui.space()
+        bar = "flat round dense color=white"
+        ui.button(icon="undo", on_click=session.undo).props(bar).tooltip("Undo, Ctrl-Z").mark(
+            "undo"
+        )
+        ui.button(icon="redo", on_click=session.redo).props(bar).tooltip("Redo, Ctrl-Y").mark(
+            "redo"
+        )
+        ui.button(icon="history", on_click=lambda: _history(session)).props(bar).tooltip(
+            "What was changed"
+        ).mark("history")
+        ui.button(icon="dark_mode", on_click=lambda: session.set_dark(not session.dark)).props(
+            bar
+        ).tooltip("Dark or light").mark("theme")
+        ui.button(icon="keyboard").props(bar).tooltip(KEY_WORDS)
+
+
+def _rail(session: StudioSession, rail: ui.column) -> None:
+    """Screens with the state of their stages, and the run."""
+
+    @ui.refreshable
+    def entries() -> None:
+        for screen in SCREENS:
+            with (
+                ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
+                .classes("w-full rounded-borders")
+                .props("dense clickable")
+                .mark(f"screen-{screen.name}")
+            ):
+                with ui.item_section().props("avatar").classes("min-w-0 pr-2"):
+                    ui.icon(screen.icon).classes("text-lg")
+                with ui.item_section():
+                    ui.item_label(screen.title)
+                with ui.item_section().props("side"), ui.row().classes("gap-0 no-wrap"):
+                    for state in session.stages:
+                        if state.name in screen.stages:
+                            _standing(session, state.name)
+        if session.problem:
+            ui.label(session.problem).classes("text-negative text-xs q-mt-sm").mark("problem")
+
+    @ui.refreshable
+    def run() -> None:
+        job = session.work.job
+        heading("Run")
+        if job is not None and job.running:
+            ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
+            ui.label(job.lines[-1] if job.lines else "starting").classes("text-xs")
+            ui.button("Stop", icon="stop", on_click=session.work.stop).props(
+                "dense flat no-caps"
+            ).set_enabled(job.state == "running")
+            return
+        if job is not None:
+            ui.label(job.error or job.state).classes(
+                "text-xs " + ("text-negative" if job.error else "opacity-70")
+            ).mark("run-state")
+        ui.button("Run the study", icon="play_arrow", on_click=lambda: session.run_stages()).props(
+            "dense flat no-caps"
+        ).mark("run").set_enabled(session.config is not None)
+        copy_command(session.work.command())
+
+    with rail:
+        entries()
+        ui.separator()
+        run()
+    for event in (session.on_results, session.on_documents):
+        event.subscribe(entries.refresh, expect_args=False)
+        event.subscribe(run.refresh, expect_args=False)
+    session.on_work.subscribe(run.refresh)
+
+
+def _standing(session: StudioSession, name: str) -> None:
+    state = next(s for s in session.stages if s.name == name)
+    standing = "problem" if state.problem else state.standing
+    icon, color = STANDING[standing]
+    words = state.problem or f"{state.title}: {state.standing}"
+    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+
+
+def _history(session: StudioSession) -> None:
+    """What was changed, newest first, as diffs."""
+    documents = session.documents
+    with ui.dialog() as dialog, ui.card().classes("w-[720px] max-w-full"):
+        ui.label("What was changed").classes("text-lg")
+        if not documents.steps:
+            ui.label("Nothing yet.")
+        for i, step in reversed(list(enumerate(documents.steps))[-40:]):
+            undone = i >= documents.done
+            with ui.expansion(step.words + (" (undone)" if undone else "")).classes(
+                "w-full" + (" opacity-60" if undone else "")
+            ):
+                diff_view(step.diff())
+    dialog.open()
+
+
+def _key(session: StudioSession, frame_: Frame, event: KeyEventArguments) -> None:
+    if not event.action.keydown:
+        return
+    name = str(event.key)
+    if event.modifiers.ctrl or event.modifiers.meta:
+        if name.lower() == "z":
+            session.undo()
+        elif name.lower() == "y":
+            session.redo()
+        return
+    does = frame_.keys.get(KEYS.get(name, ""))
+    if does is not None:
+        does()
