@@ -24,6 +24,7 @@ from ringtrue.study.run import StageState, stage_states
 
 log = logging.getLogger(__name__)
 CHOICE = "choice.toml"  # where a study names none
+NEVER = (-1, -1)  # time and size of a store that was not looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,8 @@ class StudioSession:
         self.on_theme = Event[[]]()
         self.work = Work(study, self.on_work.emit)
         self._deck: tuple[tuple[Any, ...], Opened] | None = None
-        self._stored: tuple[int, int] = (0, 0)
+        self._stored = NEVER
+        self._read_store = NEVER
         self._trial: tuple[str, TrialModel] | None = None
         self._read()
 
@@ -161,6 +163,7 @@ class StudioSession:
     def _announce(self, step: Step | None, words: str) -> None:
         if step is not None:
             self._read()
+            self._stored = NEVER  # what is stored may not follow from the texts any more
             self.on_documents.emit(words)
 
     def _read(self) -> None:
@@ -204,39 +207,40 @@ class StudioSession:
 
     async def refresh(self) -> None:
         """Read what is stored, and how it stands."""
-        self._stored = self._store_stamp()
+        before = self._read_store
+        self._stored = stamp = self._store_stamp()
         try:
-            found = await run.io_bound(self._results)
-            if found is None:  # the program ends
-                return
-            self.study, self.stages = found
+            found = await run.io_bound(self._results, stamp == before)
         except RingtrueError as e:
             self.stages = ()
             self.problem = self.problem or str(e)
+        else:
+            if found is None:  # the program ends
+                return
+            self.study, self.stages = found
+            self._read_store = stamp
         self.on_results.emit()
 
-    def _results(self) -> tuple[Study | None, tuple[StageState, ...]]:
-        study = self.study
+    def _results(self, known: bool) -> tuple[Study | None, tuple[StageState, ...]]:
+        """The stored study, which may be known, and how its stages stand."""
         store = self.path.with_name("study.h5")
-        if not store.exists():
-            study = None
-        elif study is None or self._stored != (0, 0):
-            study = rt.open_study(store)
+        study = self.study
+        if not known:
+            study = rt.open_study(store) if store.exists() else None
         if self.config is None:
             return study, ()
-        stamp = self._deck_stamp()
-        known = self._deck[1] if self._deck is not None and self._deck[0] == stamp else None
-        states, session = stage_states(self.path, deck=known)
+        deck = None
+        if self._deck is not None and self._deck[0] == self._deck_stamp(self._deck[1]):
+            deck = self._deck[1]
+        states, session = stage_states(self.path, deck=deck)
         if self.config.model is not None and "initial" in session.__dict__:
-            self._deck = (stamp, session.initial)
+            self._deck = (self._deck_stamp(session.initial), session.initial)
         return study, states
 
-    def _deck_stamp(self) -> tuple[Any, ...]:
-        """What the deck follows from: its settings, and its files as they stand."""
-        assert self.config is not None
-        files = self._deck[1].model.files if self._deck is not None else ()
-        stamps = [(f, *_stamp(Path(f))) for f in files]
-        return (str(self.config.model), *stamps)
+    def _deck_stamp(self, deck: Opened) -> tuple[Any, ...]:
+        """What a deck follows from: its settings, and its files as they stand."""
+        stamps = [(f, *_stamp(Path(f))) for f in deck.model.files]
+        return (str(self.config.model if self.config else None), *stamps)
 
     def _store_stamp(self) -> tuple[int, int]:
         return _stamp(self.path.with_name("study.h5"))

@@ -6,9 +6,10 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 from weakref import WeakKeyDictionary
 
-from nicegui import Client, app, ui
+from nicegui import Client, Event, app, ui
 from nicegui.events import KeyEventArguments
 
 from ringtrue.errors import RingtrueError
@@ -57,6 +58,21 @@ class Frame:
 
     inspector: ui.column
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
+    _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
+
+    def follow(self, callback: Callable[..., object], *events: Event[Any]) -> None:
+        """Call a function when one of some events happens, as long as the screen is shown."""
+        for event in events:
+            event.subscribe(callback)
+            self._followed.append((event, callback))
+
+    def reset(self) -> None:
+        """Empty, for another screen."""
+        for event, callback in self._followed:
+            event.unsubscribe(callback)
+        self._followed.clear()
+        self.inspector.clear()
+        self.keys.clear()
 
 
 _FRAMES: WeakKeyDictionary[Client, Frame] = WeakKeyDictionary()
@@ -88,6 +104,43 @@ def fact(name: str, value: str) -> None:
         ui.label(value).classes("text-sm rt-value text-right")
 
 
+def nothing_yet(session: StudioSession, text: str, until: str) -> None:
+    """What a screen shows in place of results that are not stored, with what makes them."""
+    with ui.column().classes("w-full items-center q-pa-xl gap-2"):
+        ui.icon("hourglass_empty").classes("text-4xl opacity-40")
+        ui.label(text)
+        run_button(session, until)
+
+
+def run_button(session: StudioSession, until: str, text: str = "") -> None:
+    """Run the study up to a stage, and the command that does."""
+    with ui.row().classes("items-center no-wrap gap-1"):
+        ui.button(
+            text or f"Run up to {until}",
+            icon="play_arrow",
+            on_click=lambda: session.run_stages(until),
+        ).props("dense no-caps no-wrap unelevated").mark(f"run-{until}")
+        copy_command(session.work.command(until))
+
+
+def ask_reason(title: str, done: Callable[[str], object]) -> None:
+    """A dialog for a written reason, which is not given without one."""
+    with ui.dialog() as dialog, ui.card().classes("w-96"):
+        ui.label(title).classes("text-base")
+        reason = ui.input("Reason").classes("w-full").props("autofocus").mark("reason")
+
+        def accept() -> None:
+            if (reason.value or "").strip():
+                dialog.close()
+                done(reason.value)
+
+        reason.on("keydown.enter", accept)
+        with ui.row().classes("w-full justify-end"):
+            ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
+            ui.button("Write", on_click=accept).props("no-caps unelevated").mark("write")
+    dialog.open()
+
+
 def diff_view(text: str) -> None:
     """A unified diff, added and removed lines marked."""
     with ui.column().classes("rt-mono rt-diff w-full gap-0"):
@@ -98,17 +151,15 @@ def diff_view(text: str) -> None:
 
 
 def copy_command(command: str) -> None:
-    """A line that does the same without the studio, to copy."""
-    with ui.row().classes("w-full items-center no-wrap gap-1"):
-        ui.label(command).classes("rt-mono ellipsis grow opacity-80").tooltip(command)
-        ui.button(icon="content_copy", on_click=lambda: _copy(command)).props(
-            "flat dense round size=sm"
-        ).tooltip("Copy as command")
+    """Copy the command that does the same without the studio."""
+    ui.button(icon="content_copy", on_click=lambda: _copy(command)).props(
+        "flat dense round size=sm"
+    ).tooltip(f"Copy as command: {command}").mark("copy-command")
 
 
 def _copy(text: str) -> None:
     ui.clipboard.write(text)
-    ui.notify("copied", timeout=1000)
+    ui.notify(f"copied: {text}", timeout=2000)
 
 
 def watch(session: StudioSession) -> None:
@@ -157,8 +208,7 @@ def page(session: StudioSession) -> None:
 
     def shown(screen: Screen) -> Callable[[], None]:
         def build() -> None:
-            frame_.inspector.clear()
-            frame_.keys.clear()
+            frame_.reset()
             screen.build(session)
 
         return build
@@ -233,10 +283,13 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
             ui.label(job.error or job.state).classes(
                 "text-xs " + ("text-negative" if job.error else "opacity-70")
             ).mark("run-state")
-        ui.button("Run the study", icon="play_arrow", on_click=lambda: session.run_stages()).props(
-            "dense flat no-caps"
-        ).mark("run").set_enabled(session.config is not None)
-        copy_command(session.work.command())
+        with ui.row().classes("items-center no-wrap gap-1"):
+            ui.button(
+                "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
+            ).props("dense flat no-caps no-wrap").mark("run").set_enabled(
+                session.config is not None
+            )
+            copy_command(session.work.command())
 
     with rail:
         entries()

@@ -28,9 +28,12 @@ body { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-se
 .rt-head { font-size: 11px; letter-spacing: .06em; text-transform: uppercase; opacity: .65 }
 .rt-value { font-variant-numeric: tabular-nums }
 .q-table td, .q-table th { font-variant-numeric: tabular-nums }
+.q-table--dense .q-table td, .q-table--dense .q-table th { padding: 2px 8px }
+.modebar-btn .icon { height: 1em !important; width: 1em !important }
 .body--light .rt-rail { background: #f4f6f8 }
 .body--dark .rt-rail { background: #12161b }
 .body--dark { background: #161b21 }
+.body--dark .text-primary { color: #7db3e0 !important }
 .body--light .rt-add { background: #e3f4e6 } .body--light .rt-del { background: #fbe6e2 }
 .body--dark .rt-add { background: #17361f } .body--dark .rt-del { background: #45211b }
 """
