@@ -103,6 +103,7 @@ class _CorrelationScreen:
         keys["previous"] = partial(self._step, -1)
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
+        keys["play"] = self._toggle
         events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
         frame().follow(self._update, *events)
 
@@ -190,6 +191,10 @@ class _CorrelationScreen:
                 on_change=lambda e: self._arrange(e.value),
             ).props("dense no-caps unelevated size=sm").mark("arrangement")
             self.views()
+
+    def _toggle(self) -> None:
+        for view in self.shown:
+            view.toggle()
 
     def _arrange(self, arrangement: str) -> None:
         self.arrangement = arrangement

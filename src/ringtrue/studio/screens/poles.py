@@ -155,6 +155,7 @@ class _PolesScreen:
         keys["previous"] = partial(self._step, -1)
         keys["accept"] = self._confirm
         keys["reject"] = self._ask_reject
+        keys["play"] = self.view.toggle
         events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
         frame().follow(self._update, *events)
 
