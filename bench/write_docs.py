@@ -71,6 +71,7 @@ RUNS = {  # name of the results: script and its options
     "kernels": "bench/kernels.py",
     "durability": "bench/durability.py",
     "fuzz": "scripts/fuzz",
+    "studio": "bench/studio.py",
 }
 BENCH = Path(__file__).resolve().parent
 RESULTS = BENCH / "results"
