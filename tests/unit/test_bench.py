@@ -41,6 +41,7 @@ import results_files
 import studio
 import uncertainty
 import updating
+import viewer
 import write_docs
 from outcome import (
     Check,
@@ -90,6 +91,7 @@ RECORD = ambient_families.Outcome(
     missing=0,
 )
 STATED = np.linspace(0.0, 1.0, 500)
+PICTURE = viewer.Drawn(20.0, 0.5, 300.0, np.arange(40), np.arange(40), 12)
 FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
 
 
@@ -559,6 +561,16 @@ JUDGED: list[
         durability.survived,
         (ALIKE,),
         [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")],
+    ),
+    (
+        "viewer",
+        viewer.checks,
+        (PICTURE, 12),
+        [
+            (replace(PICTURE, picked=PICTURE.picked + 1), 12),
+            (PICTURE, 24),
+            (replace(PICTURE, frames=0.0), 12),
+        ],
     ),
     (
         "durability",
