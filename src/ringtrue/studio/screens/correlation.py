@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,8 +11,6 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from ringtrue.core.digits import number
-from ringtrue.correlation.measures import CompleteCorrelation
-from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.correlation import labels, orthogonality, table_matrix
 from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
@@ -28,6 +26,10 @@ from ringtrue.studio.shell import (
     table,
 )
 from ringtrue.study.results import CompareStage, CorrelateStage, Evidence, FinalStage
+
+if TYPE_CHECKING:
+    from ringtrue.correlation.measures import CompleteCorrelation
+    from ringtrue.correlation.table import CorrelationTable
 
 BOTH_TESTS = "ambient and hammer"
 DECISIONS = ("lock", "forbid")
