@@ -63,7 +63,7 @@ export default {
       if (this.gone) return;
       known.state = { ...known.state, ...change };
       if (Object.keys(change).length) view.show(change);
-      if (known.playing !== this.playing && known.playing !== undefined | this.playing) {
+      if (known.playing !== this.playing && (known.playing !== undefined || this.playing)) {
         if (this.playing) view.play();
         else view.pause();
       }
