@@ -72,6 +72,7 @@ RUNS = {  # name of the results: script and its options
     "durability": "bench/durability.py",
     "viewer": "bench/viewer.py",
     "fuzz": "scripts/fuzz",
+    "studio": "bench/studio.py",
 }
 BENCH = Path(__file__).resolve().parent
 RESULTS = BENCH / "results"

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     )
     from ringtrue.api.reduction import reduce_model
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
+    from ringtrue.api.trial import trial_model
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
     from ringtrue.errors import (
@@ -76,6 +77,7 @@ _PLACES = {  # module -> public names in it
     "api.reduction": "reduce_model",
     "reduction.part": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
+    "api.trial": "trial_model",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
     "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",
@@ -134,6 +136,7 @@ __all__ = [
     "run_study",
     "solve_modes",
     "static",
+    "trial_model",
     "tune_suspension",
     "update",
     "write_deck",

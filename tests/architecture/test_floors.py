@@ -6,7 +6,10 @@ import ast
 import re
 from pathlib import Path
 
+import measures
 import pytest
+
+import ringtrue
 
 SRC = Path(__file__).parents[2] / "src" / "ringtrue"
 FLOORS = [
@@ -29,6 +32,7 @@ SIDEWAYS = {
     ("planning", "virtual"),
     ("decks", "io"),
     ("plots", "viewer"),
+    ("cli", "studio"),  # its command opens it
 }
 THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "core": {"distributed"},  # work of every floor runs side by side
@@ -43,10 +47,14 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "viewer": {"anywidget", "traitlets"},
     "report": {"docx", "jinja2", "plotly"},
     "cli": {"typer", "rich", "click"},
-    "studio": {"nicegui", "starlette"},
     "demos": {"h5py"},
+    "studio": {"nicegui", "plotly", "starlette", "tomlkit"},
 }
+SHALLOW = {"api", "core", "demos", "errors", "io", "plots", "report", "study", "viewer"}
 STDLIB_OK = set(__import__("sys").stdlib_module_names) | {"numpy", "scipy", "ringtrue"}
+
+
+PUBLIC = set(ringtrue.__all__)
 
 
 def floor(package: str) -> int:
@@ -80,7 +88,7 @@ def test_imports_point_down(path: Path) -> None:
     for name in imports(path):
         parts = name.split(".")
         if parts[0] == "ringtrue":
-            if len(parts) == 1 or parts[1] in ("__version__", here):
+            if len(parts) == 1 or parts[1] in ("__version__", here, *PUBLIC):
                 continue
             there = parts[1]
             ok = floor(there) < floor(here) or (here, there) in SIDEWAYS
@@ -88,6 +96,21 @@ def test_imports_point_down(path: Path) -> None:
         else:
             ok = parts[0] in STDLIB_OK or parts[0] in THIRD_PARTY.get(here, set())
             assert ok, f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for p in FILES if package_of(p) == "studio"],
+    ids=lambda p: str(p.relative_to(SRC)),
+)
+def test_the_studio_is_thin(path: Path) -> None:
+    """Pages and events: what it shows comes from the public API or the stored study; types of
+    results may be named.
+    """
+    module = next(m for m in measures.modules() if m.path == path)
+    below = {name.split(".")[1] for name in module.imports if name.startswith("ringtrue.")}
+    deep = below - SHALLOW - {"studio", "__version__"} - PUBLIC
+    assert not deep, f"{path.relative_to(SRC)} imports {deep}"
 
 
 def test_one_door_leads_upward() -> None:

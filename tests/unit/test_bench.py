@@ -38,6 +38,7 @@ import published
 import pytest
 import records
 import results_files
+import studio
 import uncertainty
 import updating
 import viewer
@@ -579,6 +580,12 @@ JUDGED: list[
             (replace(FLIPS, **{n: v}),)
             for n, v in (("wrong", 1), ("ended", 1), ("alike", 19), ("named", -9))
         ],
+    ),
+    (
+        "studio",
+        studio.states_itself,
+        (1e-5, 8e-6, 1e-3),
+        [(1e-4, 8e-6, 1e-3), (1e-5, 8e-6, 0.1), (np.nan, 8e-6, 1e-3)],
     ),
 ]
 

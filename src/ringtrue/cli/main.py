@@ -32,6 +32,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "run": ("study", "run"),
         "report": ("study", "report"),
         "inspect": ("inspect", "inspect"),
+        "studio": ("studio", "studio"),
     },
     "Models": {
         "check": ("model", "check"),

@@ -11,7 +11,7 @@ from typing import Any
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.io.files import atomic_write, existing
-from ringtrue.io.foreign.parsers import read_json, read_toml
+from ringtrue.io.foreign.parsers import read_json, read_toml, toml_value
 from ringtrue.io.recognition import Format, format_of
 
 _KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
@@ -22,6 +22,7 @@ _HEAD = """\
 # [[reject]] frequency (Hz), reason, record
 # [[merge]]  frequencies (Hz) that are one mode, reason, record
 """
+NEW_CHOICE = _HEAD + "automatic = true\n"  # the text of a choice that changes nothing
 
 
 def read_choice(path: str | Path) -> Choice:
@@ -35,11 +36,17 @@ def read_choice(path: str | Path) -> Choice:
         If it is no TOML or JSON, or an entry has a key or value that is not allowed.
     """
     path = existing(path)
-    read = read_json if format_of(path) is Format.JSON else read_toml
-    table = read(path, ConfigError)
+    if format_of(path) is not Format.JSON:
+        return _choice(read_toml(path, ConfigError), str(path))
+    table = read_json(path, ConfigError)
     if not isinstance(table, dict):
         raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject` or `merge`")
     return _choice(table, str(path))
+
+
+def parse_choice(text: str, path: str | Path) -> Choice:
+    """A choice from a TOML text; `path` names it in errors, as `read_choice` has them."""
+    return _choice(toml_value(text, path, ConfigError), str(path))
 
 
 def _choice(table: Mapping[str, Any], source: str) -> Choice:

@@ -191,15 +191,22 @@ def labels(frequencies: Float) -> list[str]:
     ]  # no -0.00
 
 
-def table_matrix(table: CorrelationTable) -> go.Figure:
+def table_matrix(table: CorrelationTable, *, subspace: bool = False) -> go.Figure:
     """The MAC matrix of a correlation, its pairs outlined, from the first column compared to just
-    above the test.
+    above the test; pairs with their subspace MAC where that is asked for.
     """
+    values = table.mac
+    if subspace:
+        values = values.copy()
+        values[table.pairing.a, table.pairing.b] = table.pairing.mac
     a, b = (f"{name} mode, Hz" for name in table.names)
     first, last = _columns(table)
     names = labels(table.all_fe_hz)[first:last]
     fig = matrix(
-        table.mac[:, first:last], MatrixSide(labels(table.all_test_hz), a), MatrixSide(names, b)
+        values[:, first:last],
+        MatrixSide(labels(table.all_test_hz), a),
+        MatrixSide(names, b),
+        name="subspace MAC of pairs" if subspace else "MAC",
     )
     pairs = zip(table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True)
     fig.update_layout(shapes=[_outline(i, j) for i, j in pairs])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
@@ -85,7 +85,7 @@ class Shown:
     )
 
 
-def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
+def at_nodes(scene: Scene, modes: ModeSet, k: int) -> Float:
     """(node, 3) displacements of mode `k`; zero where the mode has no such degree of freedom."""
     dofs = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
     node = np.repeat(scene.node, 3)
@@ -126,15 +126,21 @@ def _phased(shown: Shown) -> Any_:
     return shape / peak if peak else shape
 
 
+def at_test_points(test: TestModel, shown: Shown) -> Complex:
+    """(point, 3) displacements of the test shape of what is shown, on the model's shape."""
+    assert shown.test is not None
+    return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
+
+
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
     out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
     if scene is not None and shown.fe is not None:
-        out["fe"] = shape_arrays(_at_scene(scene, *shown.fe))
+        out["fe"] = shape_arrays(at_nodes(scene, *shown.fe))
     elif test is not None and shown.seen is not None:
         seen, j = shown.seen
         out["wire"] = shape_arrays(np.real(_at_points(test, seen, seen.shapes[:, j])))
     if test is not None and shown.test is not None:
-        points = _at_points(test, shown.test[0], _phased(shown).astype(np.complex128))
+        points = at_test_points(test, shown)
         out["test"] = shape_arrays(points.real, points.imag)
     return out
 

@@ -17,7 +17,7 @@ from functools import lru_cache
 from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.io.files import absence, one_run, reads, writes
 from ringtrue.model.edit import apply_factors, resolve_target
 from ringtrue.study.config import StudyConfig, parse_config, read_config
+from ringtrue.study.opened import Opened
 from ringtrue.study.results import Provenance
 from ringtrue.study.session import Session
 from ringtrue.study.stages import STAGES, Stage
@@ -102,6 +103,71 @@ def _plain(section: Any) -> Any:
     if isinstance(section, list):
         return [_plain(s) for s in section]
     return section.model_dump() if hasattr(section, "model_dump") else section
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """How a stage of a study stands.
+
+    Attributes
+    ----------
+    name, title : str
+    standing : {"done", "stale", "missing"}
+        Its stored result follows from what the study says now, or does not, or there is none.
+    seconds : float
+        That the stored result took; NaN where there is none.
+    problem : str
+        Why the stage cannot run, in words; empty where nothing keeps it.
+    """
+
+    name: str
+    title: str
+    standing: Literal["done", "stale", "missing"]
+    seconds: float
+    problem: str = ""
+
+
+def stage_states(
+    study: Path, out: Path | None = None, deck: Opened | None = None
+) -> tuple[tuple[StageState, ...], Session]:
+    """How each stage of a study that applies stands, without running any, and what was opened.
+
+    Parameters
+    ----------
+    study : Path
+    out : Path, optional
+        As in `run_study`.
+    deck : Opened, optional
+        The initial deck where it was read already.
+
+    Raises
+    ------
+    ConfigError
+        On a study file that is wrong.
+    """
+    config = read_config(study)
+    folder = out or study.parent
+    session = Session(config, study.parent, folder, Store(folder / "study.h5"))
+    if deck is not None:
+        session.__dict__["initial"] = deck  # as the cached property would keep it
+    spent = session.store.timings()
+    states = []
+    for stage in (s for s in STAGES if s.applies(session)):
+        standing: Literal["done", "stale", "missing"]
+        standing = "stale" if stage.name in spent else "missing"
+        problem = ""
+        try:
+            files = stage.files(session)
+            inputs = {_seen_from(session.base, p): _digest(p) for p in files}
+            key = stage_key(stage, session, session.keys, inputs)
+            session.keys[stage.name] = key
+            if stage.name in spent and session.store.key(stage.name) == key:
+                standing = "done"
+        except (InputError, OSError) as e:
+            problem = str(e)
+        seconds = spent.get(stage.name, float("nan"))
+        states.append(StageState(stage.name, stage.title, standing, seconds, problem))
+    return tuple(states), session
 
 
 def _position(name: str) -> int:

@@ -1,0 +1,366 @@
+"""The frame around the screens: stages on the left, work in the middle, inspector on the right."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from nicegui import Client, Event, app, ui
+from nicegui.events import KeyEventArguments
+
+from ringtrue.errors import RingtrueError
+from ringtrue.studio import theme
+from ringtrue.studio.screens import BEGIN, SCREENS, Screen
+from ringtrue.studio.session import StudioSession
+
+log = logging.getLogger(__name__)
+LOOK_S = 1.0  # between two looks at the files
+
+KEYS = {  # key of the keyboard -> what a screen can do
+    "ArrowRight": "next",
+    "n": "next",
+    "ArrowLeft": "previous",
+    "p": "previous",
+    "a": "accept",
+    "Enter": "accept",
+    "r": "reject",
+    "Delete": "reject",
+    " ": "play",
+}
+KEY_WORDS = (
+    "n or →: next; p or ←: previous; a or Enter: accept; r or Delete: reject; blank: play; "
+    "Ctrl-Z: undo; Ctrl-Y: redo"
+)
+STANDING = {  # of a stage: icon and colour
+    "done": ("check_circle", "positive"),
+    "stale": ("update", "warning"),
+    "missing": ("radio_button_unchecked", "grey"),
+    "problem": ("error", "negative"),
+    "running": ("pending", "primary"),
+}
+
+
+@dataclass(eq=False)
+class Frame:
+    """What a screen fills besides the middle of the page.
+
+    Attributes
+    ----------
+    inspector : element
+        The column on the right; cleared when the screen changes.
+    pages : element
+        What holds the screen; None while the first one is built.
+    keys : dict
+        What `next`, `previous`, `accept`, `reject` and `play` do.
+    """
+
+    inspector: ui.column
+    pages: ui.sub_pages | None = None
+    keys: dict[str, Callable[[], object]] = field(default_factory=dict)
+    _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
+
+    def follow(self, callback: Callable[..., object], *events: Event[Any]) -> None:
+        """Call a function when one of some events happens, as long as the screen is shown."""
+        for event in events:
+            event.subscribe(callback)
+            self._followed.append((event, callback))
+
+    def rebuild(self) -> None:
+        """Build the screen anew."""
+        if self.pages is not None:
+            self.pages.refresh()
+
+    def reset(self) -> None:
+        """Empty, for another screen."""
+        for event, callback in self._followed:
+            event.unsubscribe(callback)
+        self._followed.clear()
+        self.inspector.clear()
+        self.keys.clear()
+
+
+_FRAMES: WeakKeyDictionary[Client, Frame] = WeakKeyDictionary()
+
+
+def frame() -> Frame:
+    """The frame of the page that is being built or clicked."""
+    return _FRAMES[ui.context.client]
+
+
+@contextmanager
+def inspector() -> Iterator[None]:
+    """Fill the inspector anew."""
+    column = frame().inspector
+    column.clear()
+    with column:
+        yield
+
+
+def heading(text: str) -> None:
+    """The head of a part of a screen."""
+    ui.label(text).classes("rt-head mt-2")
+
+
+def fact(name: str, value: str) -> None:
+    """A name and its value on a line."""
+    with ui.row().classes("w-full items-baseline justify-between no-wrap gap-3"):
+        ui.label(name).classes("text-sm opacity-70")
+        ui.label(value).classes("text-sm rt-value text-right")
+
+
+def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
+    """A table; `names` has the label of each column, a row needs an `id`."""
+    columns = [
+        {"name": key, "label": label, "field": key, "align": "left"} for key, label in names.items()
+    ]
+    return (
+        ui.table(rows=rows, columns=columns, row_key="id")
+        .props("dense flat hide-bottom :rows-per-page-options=[0]")
+        .classes("w-full")
+    )
+
+
+def nothing_yet(session: StudioSession, text: str, until: str) -> None:
+    """What a screen shows in place of results that are not stored, with what makes them."""
+    with ui.column().classes("w-full items-center q-pa-xl gap-2"):
+        ui.icon("hourglass_empty").classes("text-4xl opacity-40")
+        ui.label(text)
+        run_button(session, until)
+
+
+def run_button(session: StudioSession, until: str, text: str = "") -> None:
+    """Run the study up to a stage, and the command that does."""
+    with ui.row().classes("items-center no-wrap gap-1"):
+        ui.button(
+            text or f"Run up to {until}",
+            icon="play_arrow",
+            on_click=lambda: session.run_stages(until),
+        ).props("dense no-caps no-wrap unelevated").mark(f"run-{until}")
+        copy_command(session.work.command(until))
+
+
+def ask_reason(title: str, done: Callable[[str], object]) -> None:
+    """A dialog for a written reason, which is not given without one."""
+    with ui.dialog() as dialog, ui.card().classes("w-96"):
+        ui.label(title).classes("text-base")
+        reason = ui.input("Reason").classes("w-full").props("autofocus").mark("reason")
+
+        def accept() -> None:
+            if (reason.value or "").strip():
+                dialog.close()
+                done(reason.value)
+
+        reason.on("keydown.enter", accept)
+        with ui.row().classes("w-full justify-end"):
+            ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
+            ui.button("Write", on_click=accept).props("no-caps unelevated").mark("write")
+    dialog.open()
+
+
+def diff_view(text: str) -> None:
+    """A unified diff, added and removed lines marked."""
+    with ui.column().classes("rt-mono rt-diff w-full gap-0"):
+        for line in text.splitlines():
+            kind = {"+": "rt-add", "-": "rt-del"}.get(line[:1], "")
+            head = line.startswith(("+++", "---", "@@"))
+            ui.label(line or " ").classes("opacity-60" if head else kind).classes("w-full")
+
+
+def copy_command(command: str) -> None:
+    """Copy the command that does the same without the studio."""
+    ui.button(icon="content_copy", on_click=lambda: _copy(command)).props(
+        "flat dense round size=sm"
+    ).tooltip(f"Copy as command: {command}").mark("copy-command")
+
+
+def _copy(text: str) -> None:
+    ui.clipboard.write(text)
+    ui.notify(f"copied: {text}", timeout=2000)
+
+
+def watch(session: StudioSession) -> None:
+    """See what changes outside, and say what goes wrong, as long as the program runs."""
+    app.on_exception(_say_exception)
+    app.timer(LOOK_S, session.look)
+
+
+def _say_exception(error: Exception) -> None:
+    """One clear message; what no one has foreseen is logged with its traceback."""
+    refused = isinstance(error, RingtrueError)
+    text = str(error)
+    if not refused:
+        log.error("a fault of ringtrue", exc_info=error)
+        text = f"This is a fault of ringtrue: {type(error).__name__}: {error}"
+    try:
+        ui.notify(
+            text,
+            type="warning" if refused else "negative",
+            multi_line=True,
+            timeout=8000,
+            actions=[{"label": "Close", "color": "white"}],
+        )
+    except RuntimeError:  # no page is concerned
+        log.warning("%s", text)
+
+
+def page(session: StudioSession) -> None:
+    """The page of a session, with all its screens."""
+    theme.apply()
+    dark = ui.dark_mode(session.dark)
+    session.on_theme.subscribe(lambda: dark.set_value(session.dark))
+    session.on_documents.subscribe(lambda words: ui.notify(words, timeout=2500))
+    _header(session)
+    with (
+        ui.left_drawer(value=True, bordered=True)
+        .props("width=216 breakpoint=0")
+        .classes("rt-rail p-2 gap-1")
+    ):
+        rail = ui.column().classes("w-full gap-1")
+    with ui.right_drawer(value=True, bordered=True).props("width=320 breakpoint=0").classes("p-3"):
+        column = ui.column().classes("w-full gap-1")
+    frame_ = _FRAMES[ui.context.client] = Frame(column)
+    ui.keyboard(on_key=lambda e: _key(session, frame_, e), ignore=["input", "textarea", "select"])
+    _rail(session, rail)
+
+    def shown(screen: Screen) -> Callable[[], object]:
+        def build() -> object:
+            frame_.reset()
+            if session.config is not None:
+                return screen.build(session)
+            frame_.follow(frame_.rebuild, session.on_documents)
+            if session.problem:
+                ui.label(session.problem).classes("p-6 whitespace-pre-wrap").mark("problem")
+                return None
+            return BEGIN.build(session)
+
+        return build
+
+    routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
+    frame_.pages = ui.sub_pages(routes).classes("w-full")
+
+
+def _header(session: StudioSession) -> None:
+    with ui.header(bordered=True).classes("items-center py-0 px-3 gap-2 h-12 bg-primary"):
+        ui.label("ringtrue").classes("text-base font-semibold")
+        title = ui.label().classes("text-sm opacity-80 ellipsis")
+
+        def named() -> None:
+            config = session.config
+            title.text = config.study.title if config is not None else str(session.path.parent)
+
+        named()
+        session.on_documents.subscribe(named)
+        ui.space()
+        bar = "flat round dense color=white"
+        ui.button(icon="undo", on_click=session.undo).props(bar).tooltip("Undo, Ctrl-Z").mark(
+            "undo"
+        )
+        ui.button(icon="redo", on_click=session.redo).props(bar).tooltip("Redo, Ctrl-Y").mark(
+            "redo"
+        )
+        ui.button(icon="history", on_click=lambda: _history(session)).props(bar).tooltip(
+            "What was changed"
+        ).mark("history")
+        ui.button(icon="dark_mode", on_click=lambda: session.set_dark(not session.dark)).props(
+            bar
+        ).tooltip("Dark or light").mark("theme")
+        ui.button(icon="keyboard").props(bar).tooltip(KEY_WORDS)
+
+
+def _rail(session: StudioSession, rail: ui.column) -> None:
+    """Screens with the state of their stages, and the run."""
+
+    @ui.refreshable
+    def entries() -> None:
+        for screen in SCREENS:
+            with (
+                ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
+                .classes("w-full rounded-borders")
+                .props("dense clickable")
+                .mark(f"screen-{screen.name}")
+            ):
+                with ui.item_section().props("avatar").classes("min-w-0 pr-2"):
+                    ui.icon(screen.icon).classes("text-lg")
+                with ui.item_section():
+                    ui.item_label(screen.title)
+                with ui.item_section().props("side"), ui.row().classes("gap-0 no-wrap"):
+                    for state in session.stages:
+                        if state.name in screen.stages:
+                            _standing(session, state.name)
+        if session.problem:
+            ui.label(session.problem).classes("text-negative text-xs q-mt-sm").mark("problem")
+
+    @ui.refreshable
+    def run() -> None:
+        job = session.work.job
+        heading("Run")
+        if job is not None and job.running:
+            ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
+            ui.label(job.lines[-1] if job.lines else "starting").classes("text-xs")
+            ui.button("Stop", icon="stop", on_click=session.work.stop).props(
+                "dense flat no-caps"
+            ).set_enabled(job.state == "running")
+            return
+        if job is not None:
+            ui.label(job.error or job.state).classes(
+                "text-xs " + ("text-negative" if job.error else "opacity-70")
+            ).mark("run-state")
+        with ui.row().classes("items-center no-wrap gap-1"):
+            ui.button(
+                "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
+            ).props("dense flat no-caps no-wrap").mark("run").set_enabled(
+                session.config is not None
+            )
+            copy_command(session.work.command())
+
+    with rail:
+        entries()
+        ui.separator()
+        run()
+    for event in (session.on_results, session.on_documents):
+        event.subscribe(entries.refresh, expect_args=False)
+        event.subscribe(run.refresh, expect_args=False)
+    session.on_work.subscribe(run.refresh)
+
+
+def _standing(session: StudioSession, name: str) -> None:
+    state = next(s for s in session.stages if s.name == name)
+    standing = "problem" if state.problem else state.standing
+    icon, color = STANDING[standing]
+    words = state.problem or f"{state.title}: {state.standing}"
+    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+
+
+def _history(session: StudioSession) -> None:
+    """What was changed, newest first, as diffs."""
+    documents = session.documents
+    with ui.dialog() as dialog, ui.card().classes("w-[720px] max-w-full"):
+        ui.label("What was changed").classes("text-lg")
+        if not documents.steps:
+            ui.label("Nothing yet.")
+        for i, step in reversed(list(enumerate(documents.steps))[-40:]):
+            undone = i >= documents.done
+            with ui.expansion(step.words + (" (undone)" if undone else "")).classes(
+                "w-full" + (" opacity-60" if undone else "")
+            ):
+                diff_view(step.diff())
+    dialog.open()
+
+
+def _key(session: StudioSession, frame_: Frame, event: KeyEventArguments) -> None:
+    if not event.action.keydown:
+        return
+    name = str(event.key)
+    if event.modifiers.ctrl or event.modifiers.meta:
+        if name.lower() == "z":
+            session.undo()
+        elif name.lower() == "y":
+            session.redo()
+        return
+    does = frame_.keys.get(KEYS.get(name, ""))
+    if does is not None:
+        does()

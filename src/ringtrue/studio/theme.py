@@ -1,0 +1,86 @@
+"""Colours of the studio, light and dark, and figures in them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import plotly.graph_objects as go
+from nicegui import ui
+
+from ringtrue.plots.style import GRID, INK, MUTED, SEQUENTIAL
+
+PRIMARY = "#24527a"
+DARK_PAPER, DARK_INK, DARK_GRID, DARK_MUTED = "#161b21", "#dfe5eb", "#313a44", "#9aa7b4"
+# light colours of figures that would vanish on a dark page
+ON_DARK = {INK: DARK_INK, MUTED: DARK_MUTED, GRID: DARK_GRID, "#24527a": "#6fa8d8"}
+DARK_SEQUENTIAL = (
+    (0.0, DARK_PAPER),
+    (0.25, "#1d3a4d"),
+    (0.5, "#2b6484"),
+    (0.75, "#5fa6c8"),
+    (1.0, "#d5eefa"),
+)
+CSS = """
+body { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-serif }
+.nicegui-content { padding: 0 }
+.rt-mono { font-family: ui-monospace, 'SF Mono', Menlo, Consolas, monospace; font-size: 12px }
+.rt-diff { white-space: pre; overflow-x: auto; line-height: 1.45 }
+.rt-head { font-size: 11px; letter-spacing: .06em; text-transform: uppercase; opacity: .65 }
+.rt-value { font-variant-numeric: tabular-nums }
+.q-table td, .q-table th { font-variant-numeric: tabular-nums }
+.q-table--dense .q-table td, .q-table--dense .q-table th { padding: 2px 8px }
+.modebar-btn .icon { height: 1em !important; width: 1em !important }
+.body--light .rt-rail { background: #f4f6f8 }
+.body--dark .rt-rail { background: #12161b }
+.body--dark { background: #161b21 }
+.body--dark .text-primary { --q-primary: #7db3e0 }
+.body--light .rt-add { background: #e3f4e6 } .body--light .rt-del { background: #fbe6e2 }
+.body--dark .rt-add { background: #17361f } .body--dark .rt-del { background: #45211b }
+"""
+
+
+def apply() -> None:
+    """The look of a page."""
+    ui.colors(
+        primary=PRIMARY, secondary="#0b7a75", accent="#d55e00", dark="#1b2129", dark_page=DARK_PAPER
+    )
+    ui.add_css(CSS)
+
+
+def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any]:
+    """A figure for the page, in its theme; what holds it decides its size.
+
+    Parameters
+    ----------
+    figure : plotly figure
+    dark : bool
+    tools : bool
+        With the buttons to zoom and move.
+    """
+    spec: dict[str, Any] = figure.to_plotly_json()
+    layout = spec["layout"]
+    layout["height"] = None
+    layout["uirevision"] = "kept"  # zoom and hidden traces stay when the figure changes
+    layout["paper_bgcolor"] = layout["plot_bgcolor"] = "rgba(0,0,0,0)"
+    layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": DARK_MUTED if dark else MUTED}
+    if dark:
+        spec = _recoloured(spec)
+        spec["layout"]["hoverlabel"] = {"bgcolor": "#232b34", "font": {"color": DARK_INK}}
+    spec["config"] = {"displaylogo": False, "responsive": True}
+    spec["config"] |= {"scrollZoom": True} if tools else {"displayModeBar": False}
+    return spec
+
+
+def _recoloured(value: Any) -> Any:
+    """Every colour that would vanish by its counterpart."""
+    if isinstance(value, dict):
+        return {k: _recoloured(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        if len(value) == len(SEQUENTIAL) and tuple(map(tuple, _pairs(value))) == SEQUENTIAL:
+            return [list(stop) for stop in DARK_SEQUENTIAL]
+        return [_recoloured(v) for v in value]
+    return ON_DARK.get(value, value) if isinstance(value, str) else value
+
+
+def _pairs(value: Any) -> list[Any]:
+    return [v for v in value if isinstance(v, list | tuple)]

@@ -1,0 +1,118 @@
+"""Long work: stages of the study in a process of its own, with progress, stop and resume."""
+
+from __future__ import annotations
+
+import asyncio
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from signal import SIGINT
+
+from ringtrue.studio.worker import DONE, STOPPED
+
+MOST_LINES = 400  # of progress that are kept
+
+
+@dataclass(slots=True)
+class Job:
+    """A run of some stages.
+
+    Attributes
+    ----------
+    until, first : str
+        The last stage, and the one from which all is run anew; empty: none is named.
+    fraction : float
+        Done, 0 to 1.
+    lines : list of str
+        Of its progress.
+    state : {"running", "stopping", "done", "stopped", "failed"}
+    error : str
+        Why it failed.
+    """
+
+    until: str
+    first: str
+    fraction: float = 0.0
+    lines: list[str] = field(default_factory=list)
+    state: str = "running"
+    error: str = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether its process is there."""
+        return self.state in ("running", "stopping")
+
+
+class Work:
+    """The one run of a study at a time.
+
+    Parameters
+    ----------
+    study : Path
+    changed : callable
+        Called after each line of progress and at the end.
+    """
+
+    def __init__(self, study: Path, changed: Callable[[], None]) -> None:
+        self.study = study
+        self.job: Job | None = None
+        self._changed = changed
+        self._process: asyncio.subprocess.Process | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether a run is under way."""
+        return self.job is not None and self.job.running
+
+    def command(self, until: str = "", first: str = "") -> str:
+        """The command that does the same without the studio."""
+        words = ["ringtrue", "run", str(self.study)]
+        words += ["--from", first] if first else []
+        words += ["--until", until] if until else []
+        return shlex.join(words)
+
+    async def run(self, until: str = "", first: str = "") -> Job:
+        """Run the study up to a stage and wait for its end; what is up to date is not run again."""
+        if self.job is not None and self.job.running:
+            return self.job
+        self.job = job = Job(until, first)
+        pipe = asyncio.subprocess.PIPE
+        self._process = process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "ringtrue.studio.worker",
+            str(self.study),  # as it was named: results hold paths as they are seen from here
+            until,
+            first,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
+            start_new_session=True,  # Ctrl-C in the terminal of the studio is not meant for it
+        )
+        assert process.stdout is not None
+        assert process.stderr is not None
+        said = asyncio.create_task(process.stderr.read())
+        async for line in process.stdout:
+            fraction, _, text = line.decode(errors="replace").rstrip().partition("\t")
+            job.fraction = float(fraction)
+            job.lines = [*job.lines, text][-MOST_LINES:]
+            self._changed()
+        error = (await said).decode(errors="replace").strip()
+        status = await process.wait()
+        job.state = {DONE: "done", STOPPED: "stopped"}.get(status, "failed")
+        job.error = error if job.state == "failed" else ""
+        self._changed()
+        return job
+
+    def stop(self) -> None:
+        """Ask the run to end; what is finished is stored."""
+        if self._process is not None and self.job is not None and self.job.state == "running":
+            self.job.state = "stopping"
+            if sys.platform == "win32":
+                assert self._process.stdin is not None
+                self._process.stdin.close()
+            else:
+                self._process.send_signal(SIGINT)
+            self._changed()
