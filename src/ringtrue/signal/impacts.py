@@ -305,7 +305,7 @@ def decided(
         for hit in hits:
             if not mine or hit.record not in record_names(mine[0].source):
                 continue
-            k = min(range(len(mine)), key=lambda k, t=hit.time: abs(mine[k].time - t))
+            k = int(np.argmin([abs(r.time - hit.time) for r in mine]))
             if abs(mine[k].time - hit.time) > SAME_HIT_S:
                 there = " ".join(f"{r.time:.2f}" for r in mine[:20])
                 raise ConfigError(

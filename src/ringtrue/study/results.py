@@ -30,7 +30,7 @@ from ringtrue.planning.exciters import LEAST_REACH
 from ringtrue.planning.plan_files import Setups
 from ringtrue.planning.virtual_test import VirtualTest
 from ringtrue.shapes import worst_off_diagonal
-from ringtrue.signal.impacts import ImpactReport
+from ringtrue.signal.impacts import ImpactReport as ImpactReport
 from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
