@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.correlation.frf import FrfComparison
+from ringtrue.plots.diagram import WIDE
 from ringtrue.plots.signals import PHASE
 from ringtrue.plots.style import (
     FINAL,
@@ -154,16 +155,27 @@ def frac_map(found: FrfComparison, selected: tuple[str, str] | None = None) -> g
     return fig
 
 
-def fitted(freqs: Sequence[Float], measured: Sequence[Float], fit: Sequence[Float]) -> go.Figure:
-    """Measured levels and what the modes explain, dB, a curve a band."""
-    fig = figure(260, xaxis=axis("Frequency, Hz"), yaxis=axis("Level, dB", nticks=6))
+def fitted(
+    freqs: Sequence[Float],
+    measured: Sequence[Float],
+    fit: Sequence[Float],
+    *,
+    span: tuple[float, float],
+) -> go.Figure:
+    """Measured levels and what the modes explain, dB, a curve a band, over the axis of the diagram
+    with this span, Hz.
+    """
+    wide = span[0] > 0 and span[1] / span[0] > WIDE
+    across = axis("Frequency, Hz", range=[np.log10(f) if wide else f for f in span])
+    across |= {"type": "log", "dtick": "D2", "tickformat": "~g"} if wide else {}
+    fig = figure(260, xaxis=across, yaxis=axis("Level, dB", nticks=6))
     for name, look, levels in (
         ("measured", LOOKS["test"], measured),
-        ("modes as they are chosen", {"color": FIT, "width": 1.6}, fit),
+        ("modes as they are chosen", {"color": FIT, "width": 1.6, "dash": "dash"}, fit),
     ):
         for k, (x, y) in enumerate(zip(freqs, levels, strict=True)):
             fig.add_scatter(x=f32(x), y=f32(y), mode="lines", line=look, name=name)
             fig.data[-1].update(legendgroup=name, showlegend=k == 0)
             fig.data[-1].hovertemplate = "%{x:.5g} Hz: %{y:.1f} dB<extra>" + name + "</extra>"
-    fig.update_layout(margin={"t": 26, "l": 60, "r": 60, "b": 40})
+    fig.update_layout(margin={"t": 26, "l": 56, "r": 60, "b": 40})
     return fig

@@ -7,6 +7,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextvars import Context
 from pathlib import Path
 
 from nicegui import app, ui
@@ -56,7 +57,9 @@ def serve(
     if browser:
         app.on_startup(lambda: threading.Thread(target=webbrowser.open, args=(address,)).start())
     app.on_shutdown(session.work.stop)
-    ui.run(
+    # not a run that reads and then writes: the studio edits what it has read
+    Context().run(
+        ui.run,
         lambda: page(session),
         host=HOST,
         port=port,

@@ -28,8 +28,9 @@ from ringtrue.correlation.sensor_mounting import Readings
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
-from ringtrue.study.opened import ROUNDING, Opened, make_scene
+from ringtrue.study.opened import ROUNDING, Opened
 from ringtrue.study.results import Seat
+from ringtrue.study.scene import make_scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,6 +318,24 @@ def _motions(sheet: Path | SensorSheet, channels: Sequence[str]) -> TestModel:
             f"channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
         )
     return found.model
+
+
+def node_points(opened: Opened, channels: Sequence[str]) -> TestModel:
+    """Channels that are translations of nodes (`101+Z`) as points with a direction each."""
+    dofs = DofSet.parse(channels)
+    along = np.abs(dofs.direction)
+    kept = np.flatnonzero((along >= 1) & (along <= 3))
+    node = dofs.node[kept]
+    points = np.unique(node)
+    grid = opened.model["GRID"]
+    return TestModel(
+        points=points,
+        xyz=positions(opened.model)[grid.find(points)] * opened.length,
+        channels=tuple(channels[k] for k in kept.tolist()),
+        at=node,
+        axes=np.eye(3)[along[kept] - 1] * np.sign(dofs.direction[kept])[:, None],
+        lines=np.zeros((0, 2), dtype=np.int64),
+    )
 
 
 def mesh_points(opened: Opened) -> TestModel:

@@ -69,6 +69,14 @@ class FrfFit:
         return fit_poles(self.frfs, self.lines, poles)
 
 
+def single(measured: FrfSet, fitted: FrfSet, output: str, input_: str) -> FittedData:
+    """One FRF by its channels."""
+    i = [c.id for c in measured.outputs].index(output)
+    j = [c.id for c in measured.inputs].index(input_)
+    a, b = (np.abs(x.data[:, i, j]) ** 2 for x in (measured, fitted))
+    return FittedData(measured.freqs, _decibels(a), _decibels(b))
+
+
 def summed(measured: FrfSet, fitted: FrfSet) -> FittedData:
     """All FRFs as the root of the sum of their squares."""
     a, b = (np.linalg.norm(x.data.reshape(x.freqs.size, -1), axis=1) for x in (measured, fitted))

@@ -1,21 +1,19 @@
-"""A 3D view: the data that the viewer draws, as a page of its own or in a notebook."""
+"""A 3D view: what the viewer draws, as a page of its own or in a notebook."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import cache
 from html import escape
-from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ringtrue.errors import UnsupportedError
 from ringtrue.io.files import atomic_write
+from ringtrue.viewer.assets import asset, script_json, viewer_script
+from ringtrue.viewer.encoding import to_json
 
 HEIGHT = 480  # of the drawing on a page of its own, pixels
-# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON
-# has all of them in its strings alone, where their escapes are the same text.
-_ESCAPES = str.maketrans({"<": "\\u003c", "\u2028": "\\u2028", "\u2029": "\\u2029"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +25,7 @@ class View:
     Attributes
     ----------
     payload : dict
-        What `viewer.js` draws, ready for JSON.
+        What `figure` of figure.js draws: text, numbers and arrays.
     """
 
     payload: dict[str, Any]
@@ -45,35 +43,41 @@ class View:
             part.write_text(self._page(), encoding="utf-8")
         return target
 
+    def widget(self) -> Any:
+        """The view as a widget of a notebook: `state` changes what is shown, `picked` has what was
+        clicked on.
+
+        Raises
+        ------
+        UnsupportedError
+            If anywidget is not installed.
+        """
+        if find_spec("anywidget") is None:
+            raise UnsupportedError("a widget needs anywidget: pip install 'ringtrue[notebook]'")
+        from ringtrue.viewer.widget import ViewerWidget  # anywidget is an extra
+
+        return ViewerWidget(self.payload, HEIGHT)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, Any]:
+        """The widget where anywidget is installed, without the page, which holds the same again."""
+        if find_spec("anywidget") is None:
+            return {}
+        bundle, _ = self.widget()._repr_mimebundle_(include=include, exclude=exclude)
+        return {**bundle, "text/html": "<i>3D view: run this cell to see it.</i>"}
+
     def _repr_html_(self) -> str:
         # 130: of the bar above and the legend below it, pixels
         frame = f'width="100%" height="{HEIGHT + 130}" style="border:0"'
         return f'<iframe srcdoc="{escape(self._page())}" {frame}></iframe>'
 
     def _page(self) -> str:
-        data = json.dumps(self.payload, separators=(",", ":"), allow_nan=False)
         parts = {
             "@HEIGHT@": str(HEIGHT),
             "@STYLE@": asset("viewer.css"),
-            "@SCRIPT@": asset("viewer.js"),
-            "@DATA@": script_json(data),
+            "@SCRIPT@": viewer_script(),
+            "@DATA@": script_json(to_json(self.payload)),
         }
         page = asset("view.html")
         for place, text in parts.items():
             page = page.replace(place, text)
         return page
-
-
-def script_json(text: str) -> str:
-    r"""The same JSON without what HTML reads.
-
-    >>> script_json('["<!--", "</script>"]')
-    '["\\u003c!--", "\\u003c/script>"]'
-    """
-    return text.translate(_ESCAPES)
-
-
-@cache
-def asset(name: str) -> str:
-    """The text of a file of the viewer."""
-    return (files("ringtrue.viewer") / name).read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import ModelModes, followed, frf_evidence
 from ringtrue.study.model_frfs import damping_of, initial_modes, measured_frfs, model_frfs
-from ringtrue.study.opened import Opened, scene_modes
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import elastic_table, rigid_table
 from ringtrue.study.results import (
     ComparedFrfs,
@@ -24,6 +24,7 @@ from ringtrue.study.results import (
     FinalStage,
     IdentifyStage,
 )
+from ringtrue.study.scene import scene_modes
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
 
