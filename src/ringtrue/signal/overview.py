@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays
-from ringtrue.signal.spectra import segments_spectrum, window
+from ringtrue.signal.spectra import one_sided, segments_spectrum, window
 
 Spans = Sequence[tuple[int, int]]  # first sample and end of parts of a record
 Read = Callable[[Spans], Iterator[Any_]]  # of which each is (channel, sample)
@@ -117,8 +117,7 @@ def spectra(
         total = total + np.where(np.isfinite(power).all(), power, 0.0)
         used += int(np.isfinite(power).all())
     freqs = _lines(length, rate)
-    density = total * (2.0 / (rate * length * used) if used else np.nan)
-    density[:, 0] /= 2.0
+    density = total * (one_sided(rate, length, used) if used else np.nan)
     return freqs, density, used
 
 
@@ -151,7 +150,7 @@ def spectrogram(
     spans = _segments(start, last, length, count)
     win = window("hann", length)
     power = np.stack([_power(data[:1], win)[0] for data in read(spans)], axis=1)
-    density = power * (2.0 / (rate * length))
+    density = power * one_sided(rate, length, 1)[:, None]
     floor = np.nanmax(density, initial=0.0) * 1e-14 + np.finfo(np.float64).tiny
     return Spectrogram(
         np.array([first for first, _ in spans]),
