@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,16 @@ RECORD = "hammer-303pX"
 def figure(user: User, marker: str) -> dict[str, Any]:
     """What a plot shows."""
     (plot,) = user.find(marker=marker).elements
-    shown: dict[str, Any] = plot.figure
-    return shown
+    shown: dict[str, Any] = dict(plot.figure)
+    traces = [{k: plain(v) for k, v in trace.items()} for trace in shown.get("data", ())]
+    return shown | {"data": traces}
+
+
+def plain(value: Any) -> Any:
+    """An array as it was before plotly packed it."""
+    if not (isinstance(value, dict) and "bdata" in value):
+        return value
+    return np.frombuffer(base64.b64decode(value["bdata"]), dtype=value["dtype"])
 
 
 async def shows(user: User, marker: str, what: Callable[[dict[str, Any]], bool]) -> None:

@@ -90,6 +90,8 @@ class _FrfsScreen:
         config = session.config
         if hammer is not None and hammer.diagrams:
             fitted = await run.io_bound(_fit, hammer, self.test)
+            if self.plot.is_deleted:
+                return
             if fitted is not None:
                 self.sets[FIT] = fitted
                 self._update()
@@ -102,7 +104,7 @@ class _FrfsScreen:
                 self.problem = str(e)
                 self._update()
                 return
-            if found is None:
+            if found is None or self.plot.is_deleted:
                 return
             self.sets[STATES[name]] = found
             self.compared[name] = compared(self.stage, config, found)

@@ -101,6 +101,8 @@ class Impacts:
         if seen is None:
             return
         freqs, coherence = await self._coherence(ids)
+        if self.plot.is_deleted:
+            return
         figure = figures.hit(
             seen, shown, freqs=freqs, coherence=coherence, stored=self._stored(shown)
         )

@@ -88,11 +88,13 @@ class _SignalsScreen:
         try:
             view = await self.records.view(self.record)
         except (RingtrueError, OSError) as e:
+            if self.root.is_deleted:
+                return
             self.view = None
             self.problem = str(e)
             self.body.refresh()
             return
-        if view is None:
+        if view is None or self.root.is_deleted:  # the program or the page has ended
             return
         fresh = self.view is None or view.name != self.view.name
         self.view = view
@@ -242,7 +244,7 @@ class _SignalsScreen:
         start, stop = self.span
         seen = await run.io_bound(view.envelope, ids, start, stop)
         notes = await self.records.notes(self.record, view)
-        if turn != self._wanted or seen is None:
+        if turn != self._wanted or seen is None or self.root.is_deleted:
             return
         levels = {n.subject: float(n.values["value"]) for n in notes if n.code == "channel clipped"}
         figure = figures.signals(
@@ -260,7 +262,7 @@ class _SignalsScreen:
         self.seen = await run.io_bound(view.spectra, ids, start, stop, resolution)
         one = next((c for c in self._shown if c.quantity not in FORCES), self._shown[0])
         level = await run.io_bound(view.spectrogram, one.id, start, stop)
-        if turn != self._wanted or level is None:
+        if turn != self._wanted or level is None or self.root.is_deleted:
             return
         self._marked_spectra()
         figure = figures.spectrogram(one, level, rate=view.rate)
@@ -317,6 +319,8 @@ class _SignalsScreen:
         notes = await self.records.notes(self.record, view)
         stored = self.records.summary(self.record)
         found = self.records.identified(self.record)
+        if self.root.is_deleted:
+            return
         with inspector():
             heading(self.record)
             fact("Length", _length(view.duration))

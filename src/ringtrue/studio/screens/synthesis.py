@@ -93,7 +93,7 @@ class Synthesis:
         except RingtrueError as e:
             self.note.text = str(e)
             return
-        if parts is None or turn != self._turn:
+        if parts is None or turn != self._turn or self.plot.is_deleted:
             return
         self.note.text = ""
         of = "the measured FRFs" if hammer else "the sum of the spectra"
