@@ -48,14 +48,16 @@ ENDDATA
 """
 
 
-def visit(session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
-    """Open the page of a session as a user who then does something."""
+def visit(
+    session: StudioSession, scenario: Callable[[User], Awaitable[None]], address: str = "/"
+) -> None:
+    """Open a page of a session as a user who then does something."""
 
     async def run() -> None:
         async with user_simulation(root=lambda: page(session)) as user:
             watch(session)
             await session.refresh()
-            await user.open("/")
+            await user.open(address)
             await scenario(user)
 
     asyncio.run(run())

@@ -10,7 +10,7 @@ import pytest
 import small_study
 from test_cli import Capture, call, frf, parsed, record, refused
 
-from ringtrue.core.choice import Choice, Merge, Pick, Reject
+from ringtrue.core.choice import Choice, Hit, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common.manual_selection import as_choice, match
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
@@ -28,6 +28,7 @@ EVERYTHING = Choice(
     (Reject(4.0, "crane", "tower"),),
     (Merge((5.0, 5.1), "one mode"),),
     automatic=False,
+    hits=(Hit("impacts", 3.25, False, "the cable was touched"), Hit("impacts #2", 0.1, True, "?")),
 )
 
 
@@ -35,10 +36,11 @@ EVERYTHING = Choice(
 def test_what_is_written_is_read(tmp_path: Path, name: str) -> None:
     write_choice(tmp_path / name, EVERYTHING)
     back = read_choice(tmp_path / name)
-    assert (back.picks, back.rejects, back.merges) == (
+    assert (back.picks, back.rejects, back.merges, back.hits) == (
         EVERYTHING.picks,
         EVERYTHING.rejects,
         EVERYTHING.merges,
+        EVERYTHING.hits,
     )
     assert not back.automatic
     assert back.source == str(tmp_path / name)
@@ -53,6 +55,7 @@ def test_entries_of_a_record() -> None:
     assert (len(other.picks), len(other.rejects)) == (1, 0)
     assert EVERYTHING.records == ("tower",)
     assert Choice((Pick(2.0, record="tower"),)).of("bridge") is None
+    assert Choice(hits=EVERYTHING.hits).of("impacts") is None  # its modes are automatic
 
 
 @pytest.mark.parametrize(
@@ -71,6 +74,10 @@ def test_entries_of_a_record() -> None:
         ("[[merge]]\nfrequencies = [2]", "two frequencies or more"),
         ("[[merge]]\nfrequencies = 2", "must be a list of numbers"),
         ("pick = 3", "pick must be a list"),
+        ("[[hit]]\nrecord = 'a'\ntime = 2.0\nkeep = 1", "keep is 1; it must be true or false"),
+        ("[[hit]]\nrecord = 'a'\ntime = 2.0\nkeep = true", "hit 1: reason missing"),
+        ("[[hit]]\nrecord = ''\ntime = 2.0\nkeep = true\nreason = 'x'", "name of its record"),
+        ("[[hit]]\nrecord = 'a'\ntime = -2.0\nkeep = true\nreason = 'x'", "must be 0 or more"),
         ("automatic = 'yes'", "it must be true or false"),
         ("[[pick", "not TOML"),
     ],

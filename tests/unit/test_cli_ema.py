@@ -79,6 +79,23 @@ def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys:
     assert "double hit" in found["blows"][2]["reasons"][0]
 
 
+def test_hits_by_hand_are_replayed(tmp_path: Path, capsys: Capture) -> None:
+    write_history(tmp_path / "b.h5", record(1, RESPONSES))
+    entry = "[[hit]]\nrecord = '{}'\ntime = 10.0\nkeep = false\nreason = 'cable'\n"
+    (tmp_path / "c.toml").write_text(entry.format("b"))
+    words = (tmp_path / "b.h5", "--fmax", 80, "--choice")
+    found = ema(capsys, *words, tmp_path / "c.toml", "--write-choice", tmp_path / "d.toml")
+    assert [b["used"] for b in found["blows"]] == [True, False, True, True, True, True]
+    again = ema(capsys, *words, tmp_path / "d.toml")
+    assert [m["frequency_hz"] for m in again["modes"]] == [
+        m["frequency_hz"] for m in found["modes"]
+    ]
+    assert [b["used"] for b in again["blows"]] == [b["used"] for b in found["blows"]]
+    (tmp_path / "c.toml").write_text(entry.format("a"))
+    assert run(["ema", *map(str, words), str(tmp_path / "c.toml")]) == 2
+    assert "no entry for the record 'b'" in capsys.readouterr().err
+
+
 def test_a_wiring_table_names_the_channels_of_moved_sensors(
     tmp_path: Path, capsys: Capture
 ) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ringtrue.core.channels import input_id
+from ringtrue.core.choice import Hit
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.frfs import read_frfs, write_frfs
@@ -78,6 +79,35 @@ def test_finds_hits_and_tells_why_some_are_left_out() -> None:
     assert [r.accepted for r in reports] == [True, True, False, True, True, True]
     assert "double hit" in reports[2].reasons[0]
     assert reports[0].input == "2+Z" == input_id("F:2+Z") == input_id("2+Z")
+
+
+def test_hits_are_kept_and_left_out_by_hand() -> None:
+    r = record(1, [0, 1, 2], rebound=2)
+    auto, _ = estimate_frf(r)
+    hits = (
+        Hit("r1", 1.0, False, "cable"),
+        Hit("r1", 19.02, True, "soft"),
+        Hit("other", 0.5, True, "x"),
+    )
+    frfs, reports = estimate_frf(r, HammerSettings(hits=hits))
+    assert [x.accepted for x in reports] == [False, True, True, True, True, True]
+    assert reports[0].reasons == ("left out by hand: cable",)
+    assert reports[2].reasons[-1] == "kept by hand: soft"
+    assert "double hit" in reports[2].reasons[0]
+    assert frfs.averages.tolist() == auto.averages.tolist() == [5.0]
+    assert not np.allclose(frfs.data, auto.data, rtol=1e-9, atol=0.0)
+    # the record without its first hit by other means
+    later = replace(r, data=r.data[:, int(5 * RATE) :])
+    both = HammerSettings(block=8.0, hits=(Hit("r1", 1.0, False, "cable"),))
+    alone = HammerSettings(block=8.0)
+    np.testing.assert_allclose(
+        estimate_frf(r, both)[0].data, estimate_frf(later, alone)[0].data, rtol=1e-2, atol=1e-4
+    )
+    with pytest.raises(ConfigError, match=r"hit of r1 at 2 s: there is none within .*1\.00 10\.00"):
+        estimate_frf(r, HammerSettings(hits=(Hit("r1", 2.0, False, "cable"),)))
+    (path,) = (replace(r, source="a/b.c/r1.x.csv #2"),)
+    named = HammerSettings(hits=(Hit("r1.x #2", 1.0, False, "cable"),))
+    assert not estimate_frf(path, named)[1][0].accepted
 
 
 def across(history: TimeHistory, count: int) -> TimeHistory:

@@ -37,11 +37,7 @@ def opened(ran: Path, tmp_path: Path) -> StudioSession:
 def on(screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
     """Open a screen as a user who then does something."""
 
-    async def there(user: User) -> None:
-        await user.open(f"/{screen}")
-        await scenario(user)
-
-    visit(session, there)
+    visit(session, scenario, f"/{screen}")
 
 
 def test_a_click_picks_a_pole_and_another_lets_it_go(ran: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import small_study
 from record_files import write_history
 
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.errors import DataError
+from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_record
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.identify import IdentifyStage
@@ -109,6 +109,23 @@ def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
     assert found.records[0].duration == pytest.approx(
         small_study.HITS * small_study.BLOCK / small_study.RATE
     )
+
+
+def test_a_hit_is_left_out_by_hand(tmp_path: Path) -> None:
+    study = small_study.write_study(tmp_path, STUDY + 'choice = "choice.toml"\n', ambient=False)
+    name = "hammer-303pX"
+    entry = f'[[hit]]\nrecord = "{name}"\ntime = 20.27\nkeep = false\nreason = "two taps"\n'
+    (tmp_path / "choice.toml").write_text(entry)
+    found = identified(study)
+    assert [h.accepted for h in found.hits if h.source == name] == [True, False, True]
+    assert [r.hits for r in found.records] == [(2, 3), (3, 3)]
+    assert found.frfs.averages.tolist() == [2.0, 3.0]
+    assert "left out by hand: two taps" in found.rejected_hits[0]
+    assert found.hammer is not None
+    assert "confirmed by hand" not in found.hammer.reasons[0]
+    (tmp_path / "choice.toml").write_text(entry.replace("pX", "pZ"))
+    with pytest.raises(ConfigError, match="hammer-303pZ': no such record with a hammer"):
+        identified(study)
 
 
 def test_records_of_a_few_seconds_are_shown(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs
 from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import PlanSection, PredictSection
+from ringtrue.study.model_frfs import final_modes, initial_modes, measured_frfs, model_frfs
 from ringtrue.study.results import PlanStage, PredictStage, UpdateStage
 from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as predict_stage
@@ -137,6 +138,22 @@ class Study:
         done: UpdateStage = self.stage("update")
         best = done.best
         return ParameterTable(tuple(best.parameters), best.factor, best.std)
+
+    def model_frfs(self, of: Stage = "final") -> FrfSet:
+        """The FRFs of the initial or the final deck at the channels and lines of those measured.
+
+        Raises
+        ------
+        DataError
+            If the study has no FRFs on its sheet, or was not run as far.
+        """
+        self.stage("correlate")
+        own = self.run.session.own
+        measured = measured_frfs(own)
+        if measured is None:
+            raise DataError(f"{self.folder}: the study has no FRFs at the channels of its sheet")
+        modes = initial_modes(own) if of == "initial" else final_modes(own, self.stage("final"))
+        return model_frfs(own, modes, measured)
 
     @property
     def deck_diff(self) -> str:

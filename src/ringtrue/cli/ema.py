@@ -25,8 +25,10 @@ from ringtrue.cli.identify import (
     write_pages,
 )
 from ringtrue.cli.show import Json, file_to, progress
+from ringtrue.core.choice import Choice, Hit
 from ringtrue.errors import ConfigError, about
 from ringtrue.identification.frf.pipeline import HammerResult
+from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.setup_tables import WiredFile, read_setup_table
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
@@ -104,7 +106,7 @@ def ema(
     if not files:
         raise ConfigError("a file is missing; several setups are given by --setups table.csv")
     check_each_once(files)
-    by_hand = choice_of(choice, files[0])
+    by_hand, hits = _by_hand(choice, files)
     sheet = read_sensors(sensors) if sensors else None
     reading = ForceRecordFormat(
         wiring=wiring,
@@ -114,17 +116,28 @@ def ema(
         rate=rate,
         sheet=sheet,
     )
-    settings = HammerSettings(keep_to=fmax)
+    settings = HammerSettings(keep_to=fmax, hits=hits)
     with progress("modes from FRFs") as show, about(files[0]):
         measured = estimate_frfs(files, reading=reading, settings=settings, progress=show)
         if frfs_to:
             write_frfs(frfs_to, measured.frfs)
         found = identify_frfs(measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show)
-    write_pages(files[0], found, choice_to, diagram, sheet)
+    write_pages(files[0], found, choice_to, diagram, sheet, hits)
     rejected = found.result.rejected if isinstance(found.result, HammerResult) else ()
     none = ("no mode of this band has a confidence above the limit", *rejected[-5:])
     title = " ".join(map(str, files))
     return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none, why=why)
+
+
+def _by_hand(path: Path | None, files: Sequence[Path]) -> tuple[Choice | None, tuple[Hit, ...]]:
+    """The choice of modes for the first of the files, and of hits of all of them."""
+    if path is None:
+        return None, ()
+    whole = read_choice(path)
+    names = {f.stem for f in files}
+    hits = tuple(h for h in whole.hits if h.record.partition(" #")[0] in names)
+    modes = None if hits and whole.of(files[0].stem) is None else choice_of(path, files[0])
+    return modes, hits
 
 
 def _hits_json(hits: Sequence[ImpactReport]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from ringtrue.api.measurements import (
     references_of,
 )
 from ringtrue.cli.show import Json, file_to, progress, tell, write_json
-from ringtrue.core.choice import Choice
+from ringtrue.core.choice import Choice, Hit
 from ringtrue.core.digits import with_error
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import summary
@@ -136,10 +136,14 @@ def write_pages(
     choice_to: Path | None,
     diagram_to: Path | None,
     sheet: SensorSheet | None = None,
+    hits: tuple[Hit, ...] = (),
 ) -> None:
-    """Write the choice and the diagram that were asked for; shapes move on the sheet."""
+    """Write the choice and the diagram that were asked for; shapes move on the sheet, `hits` were
+    decided by hand.
+    """
     if choice_to:
-        write_choice(choice_to, as_choice(found.modes, found.reasons, record=record.stem))
+        modes = as_choice(found.modes, found.reasons, record=record.stem)
+        write_choice(choice_to, replace(modes, hits=hits))
     if diagram_to:
         with atomic_write(diagram_to) as part:
             page = picker_page(str(record), found.diagram, sheet.model if sheet else None)

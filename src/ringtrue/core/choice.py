@@ -1,5 +1,5 @@
-"""A choice of modes by hand: what is picked on a stabilisation diagram, what is rejected, what is
-one mode.
+"""A choice by hand: what is picked on a stabilisation diagram, what is rejected, what is one mode;
+which hits of a hammer count.
 """
 
 from __future__ import annotations
@@ -68,6 +68,35 @@ class Merge:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """A hit of a hammer that is kept or left out, whatever the checks say of it, and why.
+
+    Attributes
+    ----------
+    record : str
+        Name of the record, the file without its ending; `name #2` is its second acquisition.
+    time : float, s
+        Of the peak of the force in the record.
+    keep : bool
+    reason : str
+    """
+
+    record: str
+    time: float
+    keep: bool
+    reason: str
+
+    def __post_init__(self) -> None:
+        where = f"hit of {self.record or 'no record'} at {self.time:g} s"
+        if not self.record.strip():
+            raise ConfigError(f"{where}: needs the name of its record")
+        if not 0 <= self.time < float("inf"):
+            raise ConfigError(f"{where}: the time must be 0 or more")
+        if not self.reason.strip():
+            raise ConfigError(f"{where}: needs a reason")
+
+
 def _positive(what: str, f: float) -> None:
     if not 0 < f < float("inf"):
         raise ConfigError(f"{what}: frequency {f} Hz must be positive")
@@ -75,7 +104,7 @@ def _positive(what: str, f: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What a person decided on the modes of one record or several.
+    """What a person decided on the modes and hits of one record or several.
 
     Attributes
     ----------
@@ -87,6 +116,7 @@ class Choice:
         reported.
     source : str
         Where the choice is stored.
+    hits : tuple of Hit
     """
 
     picks: tuple[Pick, ...] = ()
@@ -94,20 +124,24 @@ class Choice:
     merges: tuple[Merge, ...] = ()
     automatic: bool = True
     source: str = ""
+    hits: tuple[Hit, ...] = ()
 
     def of(self, record: str) -> Choice | None:
-        """The part that concerns a record; None if none does: its automatic result then stands."""
+        """The part that concerns the modes of a record; None if none does: they are automatic
+        then.
+        """
         mine = (record, "")
         part = replace(
             self,
             picks=tuple(p for p in self.picks if p.record in mine),
             rejects=tuple(r for r in self.rejects if r.record in mine),
             merges=tuple(m for m in self.merges if m.record in mine),
+            hits=(),
         )
         return part if part.picks or part.rejects or part.merges else None
 
     @property
     def records(self) -> tuple[str, ...]:
-        """The records that are named."""
+        """The records whose modes are named."""
         every: tuple[Pick | Reject | Merge, ...] = (*self.picks, *self.rejects, *self.merges)
         return tuple(dict.fromkeys(x.record for x in every if x.record))

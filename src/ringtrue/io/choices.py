@@ -1,4 +1,4 @@
-"""Choices of modes by hand as .toml or .json, to be edited and replayed."""
+"""Choices of modes and hits by hand as .toml or .json, to be edited and replayed."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
-from ringtrue.core.choice import Choice, Merge, Pick, Reject
+from ringtrue.core.choice import Choice, Hit, Merge, Pick, Reject
 from ringtrue.errors import ConfigError, about, did_you_mean
 from ringtrue.io.files import atomic_write, existing
 from ringtrue.io.foreign.parsers import read_json, read_toml, toml_value
 from ringtrue.io.recognition import Format, format_of
 
-_KINDS = {"pick": Pick, "reject": Reject, "merge": Merge}
+_KINDS = {"pick": Pick, "reject": Reject, "merge": Merge, "hit": Hit}
 _HEAD = """\
 # A choice of modes. automatic = false: only what is picked here is reported; delete a [[pick]] to leave its mode out.
 # automatic = true: the automatic modes stay, and the entries change them.
 # [[pick]]   frequency (Hz), order (model order of the pole, if it is no automatic mode), record, note
 # [[reject]] frequency (Hz), reason, record
 # [[merge]]  frequencies (Hz) that are one mode, reason, record
+# [[hit]]    record, time (s) of a hit of a hammer, keep (true or false), reason
 """
 NEW_CHOICE = _HEAD + "automatic = true\n"  # the text of a choice that changes nothing
 
@@ -40,7 +41,7 @@ def read_choice(path: str | Path) -> Choice:
         return _choice(read_toml(path, ConfigError), str(path))
     table = read_json(path, ConfigError)
     if not isinstance(table, dict):
-        raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject` or `merge`")
+        raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject`, `merge` or `hit`")
     return _choice(table, str(path))
 
 
@@ -64,7 +65,9 @@ def _choice(table: Mapping[str, Any], source: str) -> Choice:
             raise ConfigError(f"{source}: {name} must be a list of tables")
         entries = (_entry(name, row, f"{source}: {name} {i}") for i, row in enumerate(rows, 1))
         parts[name] = tuple(entries)
-    return Choice(parts["pick"], parts["reject"], parts["merge"], automatic, source)
+    return Choice(
+        parts["pick"], parts["reject"], parts["merge"], automatic, source, hits=parts["hit"]
+    )
 
 
 # of the values of an entry; others are texts
@@ -72,6 +75,8 @@ _WANTED = {
     "frequency": ((int, float), "a number, Hz"),
     "frequencies": ((int, float), "a list of numbers, Hz"),
     "order": ((int,), "a whole number"),
+    "time": ((int, float), "a number, s"),
+    "keep": ((bool,), "true or false"),
 }
 
 
@@ -106,6 +111,7 @@ def write_choice(path: str | Path, choice: Choice) -> None:
         "pick": [_row(p) for p in choice.picks],
         "reject": [_row(r) for r in choice.rejects],
         "merge": [_row(m) for m in choice.merges],
+        "hit": [asdict(h) for h in choice.hits],
     }
     ending = path.suffix.lower()
     if ending == ".json":

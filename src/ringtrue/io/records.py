@@ -230,6 +230,24 @@ def record_blocks(path: str | Path, samples: int) -> Iterator[TimeHistory]:
             yield stored_samples(group, info, at, slice(start, start + samples))
 
 
+def record_parts(
+    path: str | Path, channels: Sequence[str], spans: Iterable[tuple[int, int]]
+) -> Iterator[TimeHistory]:
+    """Parts of a record in ringtrue's layout, first sample and end each, SI; it is opened once.
+
+    Raises
+    ------
+    DataError
+        If the layout is another one, or there is no such channel.
+    """
+    with open_hdf5(path) as file:
+        group = record_group(file, path)
+        info = stored_info(group, path)
+        at = channel_positions(info, channels, path)
+        for start, stop in spans:
+            yield stored_samples(group, info, at, slice(start, stop))
+
+
 def _read(
     path: Path,
     rate: float | None,

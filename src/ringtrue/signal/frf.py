@@ -35,6 +35,7 @@ from ringtrue.signal.impacts import (
     ImpactReport,
     block_length,
     check_impacts,
+    decided,
     find_impacts,
     force_channel,
     impacts_of,
@@ -347,6 +348,7 @@ def estimate_columns(
             f"{records[0].source}: {length} samples between the hits; give HammerSettings.block"
         )
     cuts, reports = _checked(cuts, length, settings, full_scale)
+    reports = decided(reports, settings.hits)
     good = [c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)]
     _check_used(cuts, reports)
     decay = max(_decay(c, g, length, settings) for c, g in zip(cuts, good, strict=True))

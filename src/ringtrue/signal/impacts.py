@@ -7,13 +7,15 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Literal
 
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.channels import FORCES, input_id
+from ringtrue.core.choice import Hit
 from ringtrue.core.signals import Impacts, TimeHistory, pad_rows
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.channel_checks import clipping_levels, mostly_overloaded, overloaded
@@ -57,6 +59,8 @@ class HammerSettings:
     keep_to : float, Hz, optional
         Lines are kept up to here though the force be noise there; all are up to where it stands out
         of its noise.
+    hits : tuple of Hit
+        Hits of these and other records that are kept or left out by hand.
     """
 
     force: str = ""
@@ -70,6 +74,7 @@ class HammerSettings:
     estimator: Estimator = "H1"
     fmax: float | None = None
     keep_to: float | None = None
+    hits: tuple[Hit, ...] = ()
 
     def __post_init__(self) -> None:
         if self.estimator not in ("H1", "H2", "Hv"):
@@ -272,6 +277,46 @@ def check_impacts(
             )
         )
     return tuple(reports)
+
+
+SAME_HIT_S = 0.05  # so near a time in a choice must be to the hit that it means
+
+
+def record_names(source: str) -> tuple[str, str]:
+    """What a choice may call a record: its source, and that without folder and ending."""
+    path, _, number = source.partition(" #")
+    stem = PurePath(path).stem
+    return source, f"{stem} #{number}" if number else stem
+
+
+def decided(
+    reports: Sequence[Sequence[ImpactReport]], hits: Sequence[Hit]
+) -> list[tuple[ImpactReport, ...]]:
+    """The reports of each record after a choice by hand; entries on other records change nothing.
+
+    Raises
+    ------
+    ConfigError
+        If an entry means no hit.
+    """
+    out = []
+    for mine in reports:
+        changed = list(mine)
+        for hit in hits:
+            if not mine or hit.record not in record_names(mine[0].source):
+                continue
+            k = int(np.argmin([abs(r.time - hit.time) for r in mine]))
+            if abs(mine[k].time - hit.time) > SAME_HIT_S:
+                there = " ".join(f"{r.time:.2f}" for r in mine[:20])
+                raise ConfigError(
+                    f"hit of {hit.record} at {hit.time:g} s: there is none within {SAME_HIT_S} s; "
+                    f"there are {there} s"
+                )
+            said = f"{'kept' if hit.keep else 'left out'} by hand: {hit.reason}"
+            reasons = (*mine[k].reasons, said)
+            changed[k] = replace(mine[k], accepted=hit.keep, reasons=reasons)
+        out.append(tuple(changed))
+    return out
 
 
 def _begun(rise: Float) -> tuple[str, ...]:

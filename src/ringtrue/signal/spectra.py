@@ -95,7 +95,7 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
             segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0)
         )
         total += y @ y.conj().transpose(0, 2, 1)
-    total *= _density(history.rate, win.size, starts.size)[:, None, None]
+    total *= one_sided(history.rate, win.size, starts.size)[:, None, None]
     freqs = rfftfreq(win.size, 1 / history.rate)
     return Csd(total, freqs, history.channels, int(starts.size))
 
@@ -115,7 +115,7 @@ def psd(history: TimeHistory, settings: Welch) -> tuple[Float, Float]:
     for i in range(0, starts.size, batch):
         y = segments_spectrum(data, starts[i : i + batch], win)
         total += (y.real**2 + y.imag**2).sum(axis=0)
-    total *= _density(history.rate, win.size, starts.size)
+    total *= one_sided(history.rate, win.size, starts.size)
     return rfftfreq(win.size, 1 / history.rate), total
 
 
@@ -133,7 +133,7 @@ def _welch_segments(history: TimeHistory, settings: Welch) -> tuple[Float, Int]:
     return window(settings.window, length), starts
 
 
-def _density(rate: float, length: int, count: int) -> Float:
+def one_sided(rate: float, length: int, count: int) -> Float:
     """What makes sums over `count` segments one-sided densities, (freq,)."""
     scale = np.full(length // 2 + 1, 2.0 / (rate * length * count))
     scale[0] /= 2.0

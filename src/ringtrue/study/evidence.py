@@ -221,18 +221,26 @@ def on_sheet(found: IdentifyStage, low: float, high: float) -> FrfSet | None:
     return frfs.part(line, out, into)
 
 
+def frf_band(found: IdentifyStage, config: StudyConfig) -> tuple[float, float] | None:
+    """Where FRFs are compared: the band of the identified modes, Hz; None without modes."""
+    if found.hammer is None or not len(found.hammer):
+        return None
+    f = found.hammer.modes.frequencies
+    low = config.identify.hammer_fmin or 0.9 * float(f.min())
+    high = config.identify.hammer_fmax or 1.1 * float(f.max())
+    return low, high
+
+
 def frf_evidence(
     found: IdentifyStage, measured: FrfSet, initial: FrfSet, final: FrfSet, config: StudyConfig
 ) -> FrfEvidence | None:
     """The FRFs in the band of the identified modes, by channel, by line, and line against line;
     None for few lines.
     """
-    if found.hammer is None or not len(found.hammer):
+    band = frf_band(found, config)
+    if band is None:
         return None
-    f = found.hammer.modes.frequencies
-    low = config.identify.hammer_fmin or 0.9 * f.min()
-    high = config.identify.hammer_fmax or 1.1 * f.max()
-    line = np.flatnonzero((measured.freqs >= low) & (measured.freqs <= high))
+    line = np.flatnonzero((measured.freqs >= band[0]) & (measured.freqs <= band[1]))
     if line.size < 2:
         return None
     every = np.arange(len(measured.outputs)), np.arange(len(measured.inputs))

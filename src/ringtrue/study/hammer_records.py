@@ -19,7 +19,13 @@ from ringtrue.io.setup_tables import WiredFile
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import clipping, explain_clipping
 from ringtrue.signal.frf import estimate_columns, shaker_frfs
-from ringtrue.signal.impacts import Estimator, HammerSettings, ImpactReport, force_channel
+from ringtrue.signal.impacts import (
+    Estimator,
+    HammerSettings,
+    ImpactReport,
+    force_channel,
+    record_names,
+)
 from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
 from ringtrue.signal.spectra import Welch
 
@@ -335,6 +341,12 @@ def _estimated(
             left_out = f"response {' '.join(lost)}: overload in most blows, left out"
             notes = (left_out, *notes)
         return Forced(columns, hits, notes)
+    mine = {name for r in records for name in record_names(r.source)}
+    if wrong := [h for h in settings.hits if h.record in mine]:
+        raise ConfigError(
+            f"hit of {wrong[0].record} at {wrong[0].time:g} s: its force runs all the time, there "
+            "are no hits to choose"
+        )
     parts = tuple(_shaken(records, resolution, settings.estimator))
     step = float(np.median(np.diff(parts[0].freqs)))
     averages = parts[0].averages[0]

@@ -30,6 +30,7 @@ from ringtrue.planning.exciters import LEAST_REACH
 from ringtrue.planning.plan_files import Setups
 from ringtrue.planning.virtual_test import VirtualTest
 from ringtrue.shapes import worst_off_diagonal
+from ringtrue.signal.impacts import ImpactReport as ImpactReport
 from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
@@ -417,6 +418,8 @@ class IdentifyStage:
         On channels of given FRFs, and on those that are not used.
     synthesis_error : (out, in) float64, relative
     rejected_hits : tuple of str
+    hits : tuple of ImpactReport
+        Of all records with a hammer; `source` is the name of the record.
     """
 
     test: TestModel
@@ -431,6 +434,7 @@ class IdentifyStage:
     channel_notes: tuple[Note, ...] = ()
     synthesis_error: Float = field(default_factory=lambda: np.zeros((0, 0)))
     rejected_hits: tuple[str, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
 
     @property
     def cmif(self) -> Float:

@@ -234,6 +234,49 @@ def hand_poles(
     return HandPoles(keep, more, (*kept, *texts), tuple(notes))
 
 
+def current_poles(
+    modes: ModeSet, sets: Sequence[PoleSet], choice: Choice | None, *, decay: float = 0.0
+) -> Complex:
+    """Poles (m,), rad/s, of the automatic modes after a choice, before it is replayed: what is
+    picked has the pole of its diagram.
+
+    Parameters
+    ----------
+    modes : ModeSet
+        The automatic ones.
+    sets : sequence of PoleSet
+        Those of the diagrams.
+    choice : Choice, optional
+    decay : float, 1/s
+        Exponential window still in `sets`.
+
+    Raises
+    ------
+    DataError
+        If a pick means no pole.
+    """
+    zeta = np.nan_to_num(modes.damping, nan=0.01)
+    size = 2 * np.pi * modes.frequencies
+    own: Complex = size * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
+    if choice is None:
+        return own
+    keep = np.full(own.size, choice.automatic)
+    plain = [p for p in choice.picks if not p.order]
+    at = match(np.array([p.frequency for p in plain]), modes.frequencies)
+    keep[at[at >= 0]] = True
+    picked = [p for p, k in zip(plain, at.tolist(), strict=True) if k < 0]
+    picked += [p for p in choice.picks if p.order]
+    new = np.array([_pole(p, sets, decay, choice.source)[0] for p in picked], dtype=np.complex128)
+    for pole in new:  # a pick replaces the automatic mode there
+        keep &= np.abs(own - pole) >= 0.5 * np.abs(pole.real)
+    both = np.concatenate([own, new])
+    keep = np.concatenate([keep, np.ones(new.size, dtype=np.bool_)])
+    reject_and_merge(
+        choice, np.abs(both) / (2 * np.pi), np.abs(both), keep=keep, said=[""] * both.size
+    )
+    return np.asarray(both[keep])
+
+
 def _pole(
     pick: Pick, sets: Sequence[PoleSet], decay: float, source: str
 ) -> tuple[complex, Complex]:

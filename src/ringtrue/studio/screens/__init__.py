@@ -37,7 +37,9 @@ class Screen:
 
 
 SCREENS = (
+    Screen("signals", "Signals and impacts", "graphic_eq", ("identify",)),
     Screen("poles", "Poles", "scatter_plot", ("identify",)),
+    Screen("frfs", "FRFs", "show_chart"),
     Screen("correlation", "Correlation", "grid_on", ("compare", "correlate")),
     Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final")),
     Screen("verdict", "Verdict and report", "fact_check", ("uncertainty", "damping", "predict")),

@@ -15,6 +15,7 @@ from ringtrue.io.choices import parse_choice
 from ringtrue.plots.diagram import POLES, identification_figure
 from ringtrue.studio import edits, theme
 from ringtrue.studio.identified import evidence, nearest_pole, pole_shape, sources
+from ringtrue.studio.screens.synthesis import Synthesis
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
@@ -77,9 +78,11 @@ class _PolesScreen:
         session = self.session
         with ui.column().classes("w-full gap-1 p-2"):
             self._bar()
-            self.plot = ui.plotly(self._figure()).classes("w-full").style("height:56vh")
+            self.plot = ui.plotly(self._figure()).classes("w-full").style("height:50vh")
             self.plot.on("plotly_click", self._clicked, ["points"]).mark("diagram")
             self.plot.on("plotly_hover", self._hovered, ["points"], throttle=0.1)
+            self.synthesis = Synthesis(session, lambda: (self.record, self.found, self.choice))
+            self.synthesis.build()
             with ui.row().classes("w-full no-wrap gap-4 items-start"):
                 self.automatic()
                 self.own()

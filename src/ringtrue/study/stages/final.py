@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress
-from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
-from ringtrue.correlation.pairing import Pairing
 from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
-from ringtrue.study.evidence import ModelModes, followed, frf_evidence, on_sheet, synthesised
+from ringtrue.study.evidence import ModelModes, followed, frf_evidence
+from ringtrue.study.model_frfs import damping_of, initial_modes, measured_frfs, model_frfs
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import elastic_table, rigid_table
 from ringtrue.study.results import (
@@ -25,13 +23,10 @@ from ringtrue.study.results import (
     DeliveredConfiguration,
     FinalStage,
     IdentifyStage,
-    ReferenceModes,
 )
 from ringtrue.study.scene import scene_modes
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
-
-ASSUMED_DAMPING = 0.01  # where no test mode with a ratio is paired
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,28 +76,6 @@ def change_text(model: Model, change: FieldChange) -> str:
     return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {new:.6g}"
 
 
-def damping_of(
-    modes: ModeSet, elastic: Pairing, rigid: Pairing, reference: ReferenceModes
-) -> tuple[Float, tuple[str, ...]]:
-    """Damping of each FE mode: its test partner's, or interpolated over frequency."""
-    zeta = np.full(len(modes), np.nan)
-    source = ["interpolated"] * len(modes)
-    for pairing, test, what in (
-        (rigid, reference.rigid, "ambient"),
-        (elastic, reference.elastic, "test"),
-    ):
-        for a, b in zip(pairing.a.tolist(), pairing.b.tolist(), strict=True):
-            zeta[b] = test.damping[a]
-            source[b] = f"{what} mode {a + 1}"
-    known = np.isfinite(zeta)
-    if not known.any():
-        assumed = f"assumed {100 * ASSUMED_DAMPING:g} %"
-        return np.full(len(modes), ASSUMED_DAMPING), (assumed,) * len(modes)
-    f = modes.frequencies
-    zeta[~known] = np.interp(f[~known], f[known], zeta[known])
-    return zeta, tuple(source)
-
-
 def deliver_final(session: Session, progress: Progress) -> FinalStage:
     """Deliver the deck of the study and compare it with its test."""
     c = session.own
@@ -145,21 +118,10 @@ def deliver_final(session: Session, progress: Progress) -> FinalStage:
 
 def _frfs(c: StudyConfiguration, final: ModelModes) -> tuple[FrfSet, FrfSet, FrfSet] | None:
     """Measured FRFs, those of the initial and of the final model; None without measured ones."""
-    session = c.session
-    reference = c.reference
-    low = min(1.0, 0.5 * float(reference.elastic.frequencies[0]))
-    measured = on_sheet(session.get("identify"), low, session.fmax)
+    measured = measured_frfs(c)
     if measured is None:
         return None
-    before = session.get("correlate")
-    zeta, _ = damping_of(
-        before.fe_initial, before.initial.pairing, before.rigid_initial.pairing, reference
-    )
-    initial = ModelModes(session.initial, before.fe_initial, zeta)
-    one, two = (
-        synthesised(m, c.observed(m.opened), measured, session.unit, session.fmax)
-        for m in (initial, final)
-    )
+    one, two = (model_frfs(c, m, measured) for m in (initial_modes(c), final))
     return measured, one, two
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.choice import Choice
+from ringtrue.core.choice import Choice, Hit
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import Uncertainty
 from ringtrue.core.notes import Note
@@ -41,7 +41,7 @@ from ringtrue.planning.exciters import ambient_std
 from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
-from ringtrue.signal.impacts import HammerSettings
+from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.signal.spectra import (
     Geophone,
     Welch,
@@ -348,6 +348,13 @@ def _by_hand(session: Session, records: Sequence[Logged]) -> Choice:
     for record in choice.records:
         if record not in known:
             raise ConfigError(f"{choice.source}: no record {record!r}{did_you_mean(record, known)}")
+    hammered = [r.name for r in records if r.kind != "ambient"]
+    for hit in choice.hits:
+        if hit.record.partition(" #")[0] not in hammered:
+            raise ConfigError(
+                f"{choice.source}: hit of {hit.record!r}: no such record with a hammer"
+                f"{did_you_mean(hit.record, hammered)}"
+            )
     return choice
 
 
@@ -370,14 +377,13 @@ class FrfsOfRecords:
         Of all setups.
     setups : tuple of FrfSet
     records : tuple of RecordSummary
-    rejected : tuple of str
-        Hits that do not count.
+    hits : tuple of ImpactReport
     """
 
     frfs: FrfSet
     setups: tuple[FrfSet, ...]
-    records: tuple[RecordSummary, ...]
-    rejected: tuple[str, ...]
+    records: tuple[RecordSummary, ...] = ()
+    hits: tuple[ImpactReport, ...] = ()
 
 
 def frfs_of_records(
@@ -386,14 +392,15 @@ def frfs_of_records(
     unused: Sequence[str],
     fmax: float | None,
     progress: Progress,
+    by_hand: tuple[Hit, ...] = (),
 ) -> FrfsOfRecords:
-    """The FRFs of all records of a hammer or shaker test."""
-    read = [_acquisitions(r, sheet, unused) for r in records]
+    """The FRFs of all records of a hammer or shaker test; `by_hand` are hits of a choice."""
+    read = [acquisitions(r, sheet, unused) for r in records]
     ranges: dict[str, float] = {}
     for r in records:
         ranges |= full_scale(r.path)
     runs = [run for mine, _ in read for run in mine]
-    wanted = replace(_block(records[0], runs[0].rate), keep_to=fmax)
+    wanted = replace(block_settings(records[0], runs[0].rate), keep_to=fmax, hits=by_hand)
     found = forced_frfs(runs, wanted, full_scale=ranges, progress=progress)
     shown = []
     for record, (mine, notes) in zip(records, read, strict=True):
@@ -411,10 +418,10 @@ def frfs_of_records(
         )
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
     frfs, _ = exchange_by_reciprocity(join_frfs(columns))
-    return FrfsOfRecords(frfs, join_by_setup(columns), tuple(shown), rejected_hits(found.hits))
+    return FrfsOfRecords(frfs, join_by_setup(columns), tuple(shown), found.hits)
 
 
-def _acquisitions(
+def acquisitions(
     record: Logged, sheet: SensorSheet, unused: Sequence[str]
 ) -> tuple[tuple[TimeHistory, ...], tuple[str, ...]]:
     """The acquisitions of a hammer record, and notes."""
@@ -435,7 +442,7 @@ def _acquisitions(
     return tuple(runs), found.notes
 
 
-def _block(record: Logged, rate: float) -> HammerSettings:
+def block_settings(record: Logged, rate: float) -> HammerSettings:
     """The block of an impact that the log states; else as long as the time between impacts or the
     acquisition lasts.
     """
@@ -502,9 +509,9 @@ def _identified(
     given, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
     if forced:
         early = part(progress, 0.5, 0.7)
-        made = frfs_of_records(forced, sheet, unused, settings.hammer_fmax, early)
+        made = frfs_of_records(forced, sheet, unused, settings.hammer_fmax, early, choice.hits)
     elif given is not None:
-        made = FrfsOfRecords(given, (), (), ())
+        made = FrfsOfRecords(given, ())
     else:
         return replace(stage, source="FRFs")
     frfs = made.frfs
@@ -528,7 +535,8 @@ def _identified(
         frf_notes=(*notes, *result.notes) if test.frfs else (),
         channel_notes=result.channel_notes if test.frfs else (),
         synthesis_error=result.synthesis_error,
-        rejected_hits=made.rejected,
+        rejected_hits=rejected_hits(made.hits),
+        hits=made.hits,
     )
 
 

@@ -1,0 +1,223 @@
+"""Records as a screen looks at them: read where they are looked at, whatever their length."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.notes import Note
+from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.errors import DataError
+from ringtrue.io.recognition import Format, format_of
+from ringtrue.io.records import read_record, read_runs, record_info, record_parts
+from ringtrue.io.sheets import SensorSheet
+from ringtrue.signal.channel_checks import check_channels
+from ringtrue.signal.overview import (
+    Envelope,
+    Spans,
+    Spectrogram,
+    envelope,
+    extremes,
+    spectra,
+    spectrogram,
+)
+from ringtrue.study.hammer_records import renamed
+from ringtrue.study.log import Logged
+
+IN_MEMORY = 64_000_000  # bytes; a larger table of others is kept in a file of its own
+CHECKED = 256_000_000  # bytes of a record that is checked as a whole
+
+
+@dataclass(frozen=True, eq=False)
+class RecordView:
+    """A record of any length.
+
+    Attributes
+    ----------
+    name : str
+    channels : tuple of Channel
+        As the sensor sheet names them.
+    rate : float, Hz
+    samples : int
+    starts : tuple of int
+        First sample of each acquisition, which follow each other.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    rate: float
+    samples: int
+    starts: tuple[int, ...]
+    _rows: Callable[[Sequence[int], Spans], Iterator[Any_]]
+    _factor: Float
+    _known: dict[str, Envelope] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.samples / self.rate
+
+    @property
+    def bytes(self) -> int:
+        """Size of all samples in single precision."""
+        return 4 * self.samples * len(self.channels)
+
+    def read(self, ids: Sequence[str], start: int, stop: int) -> Any_:
+        """Samples `start` to `stop` of some channels, (channel, sample) float, SI.
+
+        Raises
+        ------
+        DataError
+            If there is no such channel, or the file is damaged.
+        """
+        (data,) = self.parts(ids, [(start, stop)])
+        return data
+
+    def parts(self, ids: Sequence[str], spans: Spans) -> Iterator[Any_]:
+        """As `read`, several parts one after the other."""
+        here = {c.id: k for k, c in enumerate(self.channels)}
+        if lost := [i for i in ids if i not in here]:
+            raise DataError(f"{self.name}: no channel {lost[0]}")
+        at = [here[i] for i in ids]
+        factor = self._factor[at]
+        for data in self._rows(at, spans):
+            yield data if (factor == 1).all() else data * factor[:, None].astype(data.dtype)
+
+    def envelope(self, ids: Sequence[str], start: int, stop: int, bins: int = 1000) -> Envelope:
+        """Samples `start` to `stop` at the size of a screen, as `signal.overview.envelope`."""
+
+        def whole() -> Envelope:
+            parts = [self._extremes(i) for i in ids]
+            low, high, lost = (
+                np.concatenate([getattr(p, name) for p in parts])
+                for name in ("low", "high", "lost")
+            )
+            return Envelope(parts[0].first, low, high, lost)
+
+        return envelope(partial(self.parts, ids), start, stop, bins=bins, whole=whole)
+
+    def _extremes(self, channel: str) -> Envelope:
+        """The envelope of a whole channel, read once."""
+        if channel not in self._known:
+            self._known[channel] = extremes(partial(self.parts, [channel]), self.samples)
+        return self._known[channel]
+
+    def spectra(
+        self, ids: Sequence[str], start: int, stop: int, resolution: float
+    ) -> tuple[Float, Float, int]:
+        """Frequencies (f,), Hz, densities (channel, f), unit²/Hz, and the segments averaged."""
+        read = partial(self.parts, ids)
+        return spectra(read, start, stop, rate=self.rate, resolution=resolution)
+
+    def spectrogram(self, channel: str, start: int, stop: int) -> Spectrogram:
+        """Spectra of one channel along its time."""
+        read = partial(self.parts, [channel])
+        return spectrogram(read, start, stop, rate=self.rate)
+
+    def checked(self) -> tuple[Note, ...] | None:
+        """What `signal.channel_checks.check_channels` finds; None of a record over 256 MB."""
+        if self.bytes > CHECKED:
+            return None
+        data = self.read([c.id for c in self.channels], 0, self.samples)
+        return check_channels(TimeHistory(data, self.rate, self.channels, self.name))
+
+
+def open_view(record: Logged | Path, sheet: SensorSheet | None = None) -> RecordView:
+    """A record of a log, or a file by itself, with the names and units of its sensor sheet.
+
+    Of ringtrue's own layout no sample is read; files of others are read whole, and kept outside of
+    memory where they are large.
+
+    Raises
+    ------
+    DataError
+        As `io.records.read_record` does.
+    """
+    logged = record if isinstance(record, Logged) else None
+    path = logged.path if logged else Path(str(record))
+    rate = logged.rate_hz if logged else None
+    try:
+        own = record_info(path) if format_of(path) is Format.HDF5 else None
+    except DataError:  # HDF5 of others
+        own = None
+    if own is not None:
+        ids = [c.id for c in own.channels]
+        channels = tuple(c.channel() for c in own.channels)
+        starts, samples, found = (0,), own.samples, own.rate
+        rows = partial(_stored_rows, path, ids)
+    else:
+        runs = _runs(path, rate, forced=logged is not None and logged.kind != "ambient")
+        channels, found = runs[0].channels, runs[0].rate
+        ends = np.cumsum([r.data.shape[1] for r in runs]).tolist()
+        starts, samples = (0, *ends[:-1]), ends[-1]
+        rows = partial(_kept_rows, _kept(runs))
+    names = logged.channels if logged else ()
+    at, channels, factor = _named(channels, found, names, sheet, path)
+    return RecordView(
+        name=logged.name if logged else path.stem,
+        channels=channels,
+        rate=found,
+        samples=samples,
+        starts=starts,
+        _rows=lambda wanted, spans: rows(at[wanted].tolist(), spans),
+        _factor=factor,
+    )
+
+
+def _runs(path: Path, rate: float | None, *, forced: bool) -> tuple[TimeHistory, ...]:
+    """The acquisitions of a file of others, as the study reads them."""
+    if forced:
+        return read_runs(path, rate)
+    return (read_record(path, rate, check=False, gaps=True),)
+
+
+def _named(
+    channels: Sequence[Channel],
+    rate: float,
+    names: Sequence[str],
+    sheet: SensorSheet | None,
+    path: Path,
+) -> tuple[Int, tuple[Channel, ...], Float]:
+    """Rows of the file that are channels, the channels as log and sheet name them, and the factors
+    that make their samples SI.
+    """
+    rows = np.repeat(np.arange(len(channels), dtype=np.float64)[:, None], 2, axis=1)
+    given = renamed(TimeHistory(rows, rate, tuple(channels), str(path)), names, path)
+    ones = replace(given, data=np.ones_like(given.data))
+    scaled = sheet.scaled(ones)[0] if sheet is not None else ones
+    at = given.data[:, 0].astype(np.int64)
+    return at, scaled.channels, np.asarray(scaled.data[:, 0], dtype=np.float64)
+
+
+def _stored_rows(path: Path, ids: Sequence[str], at: Sequence[int], spans: Spans) -> Iterator[Any_]:
+    """Rows of a record in ringtrue's layout."""
+    for part in record_parts(path, [ids[k] for k in at], spans):
+        yield part.data
+
+
+def _kept(runs: Sequence[TimeHistory]) -> Any_:
+    """Samples of all acquisitions in a row; in a file without a name where they are many."""
+    size = sum(r.data.nbytes for r in runs)
+    if size <= IN_MEMORY:
+        return np.hstack([r.data for r in runs])
+    shape = len(runs[0].channels), sum(r.data.shape[1] for r in runs)
+    with tempfile.TemporaryFile() as file:
+        kept = np.memmap(file, dtype=runs[0].data.dtype, mode="w+", shape=shape)
+    at = 0
+    for r in runs:
+        kept[:, at : at + r.data.shape[1]] = r.data
+        at += r.data.shape[1]
+    return kept
+
+
+def _kept_rows(kept: Any_, at: Sequence[int], spans: Spans) -> Iterator[Any_]:
+    """Rows of samples that were read before."""
+    for start, stop in spans:
+        data = np.asarray(kept[list(at), start:stop])
+        yield data if data.dtype.kind == "f" else data.astype(np.float64)
