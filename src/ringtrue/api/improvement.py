@@ -14,8 +14,9 @@ from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
@@ -35,7 +36,9 @@ from ringtrue.study.direct import (
     propose_parameters,
     solved,
 )
+from ringtrue.study.form import form_of
 from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
+from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
 from ringtrue.study.results import Seat
@@ -47,6 +50,7 @@ from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
 from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
@@ -104,6 +108,9 @@ class Localisation(Displayed):
     members : tuple of MissingMember
         Braces, joints and supports that the deck may lack, ranked by what one stiffness explains of
         what the proposal leaves; each is judged by itself.
+    form : FormFindings
+        What the deviations follow: missing shear flexibility, soft supports, a factor in common,
+        one mode alone, joints that dissipate; its `notes` name what stands out.
     notes : tuple of str
     seats : tuple of Seat
         Where each sensor reads the model.
@@ -117,6 +124,7 @@ class Localisation(Displayed):
     worth: Float
     proposal: ParameterSet
     members: tuple[MissingMember, ...]
+    form: FormFindings
     notes: tuple[str, ...]
     seats: tuple[Seat, ...]
     found: DirectProposal
@@ -171,24 +179,13 @@ def localise(
     True
     """
     opened = open_model(model)
-    modes = modes_at(test)
-    sheet = read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
-    notes: tuple[str, ...] = ()
-    places: tuple[Seat, ...] = ()
-    if not modes.channels:
-        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
-        bridge = opened.observation(borrowed.points, np.inf)
-        notes = borrowed.notes
-        modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
-    else:
-        bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
-        places = seats(bridge, sheet.model) if sheet is not None else ()
-        notes = seat_words(places)
+    at = _at_channels(opened, test, sensors, tolerance)
+    form = _form(opened, at)
     settings = CandidateSettings(units=model.units)
     found = propose_parameters(
         opened,
-        realise_modes(modes),
-        bridge=bridge,
+        realise_modes(at.modes),
+        bridge=at.bridge,
         settings=settings,
         limits=(pool, most),
         progress=part(progress, 0.1, 1.0),
@@ -202,10 +199,70 @@ def localise(
         worth=np.array([m.worth for m in members]),
         proposal=ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
         members=found.members,
-        notes=notes,
-        seats=places,
+        form=form,
+        notes=at.notes,
+        seats=at.seats,
         found=found,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """Test modes and where their channels are on a model; without shapes, those of the model."""
+
+    modes: ModeSet
+    std: Uncertainty | None
+    bridge: Observation
+    notes: tuple[str, ...]
+    seats: tuple[Seat, ...] = ()
+
+
+def _at_channels(
+    opened: Opened,
+    test: ModeSet | TestModes,
+    sensors: SensorSheet | str | Path | None,
+    tolerance: float | None,
+) -> _Placed:
+    """The test on the model; where it has no channels, frequencies alone are paired."""
+    modes = modes_at(test)
+    std = test.uncertainty if isinstance(test, TestModes) else None
+    if not modes.channels:
+        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
+        bridge = opened.observation(borrowed.points, np.inf)
+        kept = measured_part(borrowed.modes)[0]
+        std = None if std is None else std.take(kept)
+        return _Placed(borrowed.modes.take(kept), std, bridge, borrowed.notes)
+    sheet = read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
+    bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
+    places = seats(bridge, sheet.model) if sheet is not None else ()
+    return _Placed(modes, std, bridge, seat_words(places), places)
+
+
+def form_errors(
+    model: Model,
+    test: ModeSet | TestModes,
+    *,
+    sensors: SensorSheet | str | Path | None = None,
+    tolerance: float | None = None,
+) -> FormFindings:
+    """`Localisation.form` by itself: arguments as of `localise`."""
+    opened = open_model(model)
+    return _form(opened, _at_channels(opened, test, sensors, tolerance))
+
+
+def _form(opened: Opened, at: _Placed) -> FormFindings:
+    """Patterns of form of a test on a model."""
+    modes = realise_modes(at.modes)
+    elastic = modes.frequencies > 0
+    aim = Target(
+        frequencies=modes.frequencies,
+        shapes=np.asarray(modes.shapes.real, dtype=np.float64),
+        std=np.zeros(len(modes)),
+        used=elastic,
+        weights=Weights(shape=0.0) if modes.frequency_only else Weights(),
+        frequency_only=modes.frequency_only,
+    )
+    return form_of(opened, modes, at.std, aim, at.bridge.matrix)
 
 
 def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
