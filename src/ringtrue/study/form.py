@@ -74,7 +74,8 @@ def form_of(
         test=at,
         fe=fe,
         change=np.log((2 * np.pi * f) ** 2 / modes.values[fe]),
-        std=2 * frequency[at] / f,
+        # structural damping raises λ by 2ζ², viscous does not
+        std=np.hypot(2 * frequency[at] / f, 2 * np.nan_to_num(test.damping[at]) ** 2),
     )
     patterns = FormFindings(modes=at.size)
     if may_stand_out(found):

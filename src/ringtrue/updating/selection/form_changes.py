@@ -163,10 +163,11 @@ class DeckModes(FrozenArrays):
 def form_changes(deck: DeckModes) -> tuple[FormChange, ...]:
     """All causes that the deck has a place for; of a large deck those that need no solution."""
     m = mesh(deck.model)
-    energies = tuple(_by_energy(deck, m))
+    energies, stiffness = _by_energy(deck, m)
     if deck.vectors.shape[0] > CHANGES.largest:
         return energies
-    return (*_shear(deck), *_support_springs(deck, m), *_grounded(deck, m), *energies)
+    property_ = _property(deck, m, stiffness)
+    return (*_shear(deck), *_support_springs(deck, m), *_grounded(deck, m), *property_, *energies)
 
 
 def _linear(pattern: Pattern, cause: str, fields: tuple[str, ...], slope: Float) -> FormChange:
@@ -178,8 +179,10 @@ def _linear(pattern: Pattern, cause: str, fields: tuple[str, ...], slope: Float)
 # Energies
 
 
-def _by_energy(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
-    """Common factors on moduli and densities, and factors on single properties."""
+def _by_energy(deck: DeckModes, m: Mesh) -> tuple[tuple[FormChange, ...], dict[str, Float]]:
+    """Common factors on moduli and densities, and factors on single properties; the shares of
+    strain energy of these, (n,) each.
+    """
     shapes = deck.vectors[:, deck.at]
     lam = deck.values[deck.at]
     full = _with_ground(deck.system, shapes)
@@ -204,16 +207,50 @@ def _by_energy(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
     materials = tuple(
         f"{c} {i} E" for c in ("MAT1",) if c in deck.model for i in deck.model[c].ids.tolist()
     )
-    yield _linear("common", "modulus", materials, modulus)
+    out = [_linear("common", "modulus", materials, modulus)]
     densities = tuple(f.replace(" E", " RHO") for f in materials)
-    yield _linear("common", "density", densities, density)
+    out.append(_linear("common", "density", densities, density))
     for name in strain:
         for what, slope in (("stiffness", strain[name]), ("mass", -kinetic[name])):
             largest = np.abs(slope).max(initial=0.0)
             if largest <= CHANGES.reaction:
                 continue
             local = largest**2 > CHANGES.local * float(slope @ slope)
-            yield _linear("single" if local else "property", f"{what} of {name}", (), slope)
+            out.append(_linear("single" if local else "property", f"{what} of {name}", (), slope))
+    return tuple(out), strain
+
+
+def _property(deck: DeckModes, m: Mesh, strain: dict[str, Float]) -> Iterator[FormChange]:
+    """The stiffness of the property whose shares of strain energy explain most: by its modes, as
+    large changes are not linear.
+    """
+    lam = (2 * np.pi * deck.measured.frequencies) ** 2
+    wanted = np.log(lam / deck.values[deck.at])
+    some = {n: s for n, s in strain.items() if s @ s > CHANGES.reaction}
+    if not some:
+        return
+    best = max(some, key=lambda n: float((wanted @ some[n]) ** 2 / (some[n] @ some[n])))
+    if float(some[best].max()) ** 2 > CHANGES.local * float(some[best] @ some[best]):
+        return
+    own = Sum(m.size)
+    for card, rows, part in pieces(m):
+        for name, mine in _owners(deck.model, card, rows):
+            if name == best:
+                own.add(part.dofs[mine], part.stiffness[mine])
+    made = _scaled(deck, reduced(deck.system.transform, own.total()))
+    change = _followed(deck, made, CHANGES.springs)
+    order = np.sort(np.append(CHANGES.springs, 0.0))
+    yield FormChange("property", f"stiffness of {best}", (), order, change)
+
+
+def _scaled(deck: DeckModes, part: sparse.csr_array) -> Callable[[float], System]:
+    """A deck with ln(factor) s on a part of its stiffness."""
+
+    def made(s: float) -> System:
+        stiffness = sparse.csr_array(deck.system.stiffness + (np.exp(s) - 1) * part)
+        return replace(deck.system, stiffness=stiffness)
+
+    return made
 
 
 def _owners(model: Model, card: str, rows: Int) -> Iterator[tuple[str, Bool]]:
@@ -402,15 +439,9 @@ def _grounded(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
                 fields[name] = None
     if not fields:
         return
-    more = reduced(deck.system.transform, springs.total())
-
-    def made(s: float) -> System:
-        stiffness = sparse.csr_array(deck.system.stiffness + (np.exp(s) - 1) * more)
-        return replace(deck.system, stiffness=stiffness)
-
-    amounts = CHANGES.springs
-    change = _followed(deck, made, amounts)
-    order = np.sort(np.append(amounts, 0.0))
+    made = _scaled(deck, reduced(deck.system.transform, springs.total()))
+    change = _followed(deck, made, CHANGES.springs)
+    order = np.sort(np.append(CHANGES.springs, 0.0))
     yield FormChange("supports", "springs to the ground", tuple(fields), order, change)
 
 
