@@ -341,7 +341,7 @@ def main() -> None:
     """Run and state."""
     options = arguments(__doc__).parse_args()
     report = Report(options)
-    seeds = range(FIRST, FIRST + sized(options, 2, 20, 50))
+    seeds = range(FIRST, FIRST + sized(options, 1, 8, 20))
     for structure in STRUCTURES:
         every = confusion(structure, seeds)
         print(table(every), flush=True)

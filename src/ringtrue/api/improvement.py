@@ -11,7 +11,7 @@ import numpy as np
 
 from ringtrue.api.measurements import TestModes, modes_at
 from ringtrue.api.models import open_model
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
 from ringtrue.core.modes import ModeSet, Uncertainty
@@ -37,6 +37,7 @@ from ringtrue.study.direct import (
     solved,
 )
 from ringtrue.study.form import form_of
+from ringtrue.study.form_causes import UpdatedDeck
 from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed, seat_words, seats
@@ -48,10 +49,12 @@ from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
 from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
+from ringtrue.updating.form_uncertainty import FormPosterior, form_posterior
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.missing_members import MissingMember
+from ringtrue.updating.solver import Solution
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
 
@@ -290,6 +293,38 @@ class TestedModel:
     parameters: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeBands:
+    """Where an updated model expects the frequencies of a test.
+
+    Attributes
+    ----------
+    test, predicted : (m,) float64, Hz
+        NaN in `predicted` where a test mode has no partner.
+    low, high : (m,) float64, Hz
+        90 % band of the measured frequency, with the errors of parameters, test and form.
+    used : (m,) bool
+        Whether the updating has seen it; a band of such a mode is narrow.
+    """
+
+    test: Float
+    predicted: Float
+    low: Float
+    high: Float
+    used: Bool
+
+    @classmethod
+    def of(cls, problem: Problem, at: Evaluated, ratio: Float) -> ModeBands:
+        """From intervals (m, 2) of the measured frequency over the model's."""
+        aim = problem.configurations[0].target
+        here = at.points[0]
+        predicted = np.full(aim.frequencies.size, np.nan)
+        test, fe = here.every.T
+        predicted[test] = here.now.frequencies[fe]
+        low, high = predicted * ratio.T
+        return cls(aim.frequencies, predicted, low, high, aim.used)
+
+
 @dataclass(frozen=True, eq=False)
 class UpdatedModel(Displayed):
     """An updated model.
@@ -301,7 +336,8 @@ class UpdatedModel(Displayed):
         Updated over initial value; 1 where held. All of them, whether the test proves them or not:
         see `low` and `high`.
     low, high : (p,) float64
-        Bounds of the 90 % interval of each factor; those of the parameter where held.
+        Bounds of the 90 % interval of each factor; those of the parameter where held. With one
+        model and stated errors of its frequencies, errors of form count, too.
     models : tuple of Model or MatrixModel
         With the factors applied, of all configurations.
     before, after : CorrelationTable
@@ -317,6 +353,10 @@ class UpdatedModel(Displayed):
         the model is wrong.
     held : dict of str to tuple of str
         Parameters that the data cannot distinguish from others, with those that stand for them.
+    flags : dict of str to str
+        Parameters that may take up an error of the model's form, with what they would be without.
+    bands : ModeBands, optional
+        Of the frequencies, left out ones too; where the errors of one test are stated.
     """
 
     names: tuple[str, ...]
@@ -331,6 +371,8 @@ class UpdatedModel(Displayed):
     basis_error: float
     misfits: tuple[Misfit, ...] = ()
     held: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    flags: Mapping[str, str] = field(default_factory=dict)
+    bands: ModeBands | None = None
 
     @property
     def model(self) -> Model | MatrixModel:
@@ -438,6 +480,15 @@ def update(
         unfit = misfits(problem, problem.evaluate(solution.y))
     start = final.evaluate(np.zeros(final.size))
     interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
+    flags: Mapping[str, str] = {}
+    bands = None
+    one = tests[0]
+    stated = (final.configurations[0].target.std > 0).all()
+    if len(tests) == 1 and isinstance(one.model, Model) and stated:
+        form = _with_form_errors(one, final, solution)
+        interval = form.interval(0.9)
+        flags = {n: why for n, why in form.flags().items() if n not in held}
+        bands = ModeBands.of(final, solution.end, form.band(0.9))
     bounds = np.stack([every.factors(x) for x in every.bounds()], axis=1)
     interval = np.where(np.isin(every.names, list(held))[:, None], bounds, interval)
     factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
@@ -455,7 +506,21 @@ def update(
         basis_error=error,
         misfits=unfit,
         held=held,
+        flags=flags,
+        bands=bands,
     )
+
+
+def _with_form_errors(one: TestedModel, problem: Problem, solution: Solution) -> FormPosterior:
+    """What errors of form leave open of the parameters of one model."""
+    assert isinstance(one.model, Model)
+    own = problem.configurations[0].model.parameters
+    factors = own.factors(solution.x[problem.parameters.at(own.names)])
+    opened = open_model(at_factors(one.model, own, factors))
+    channels = modes_at(one.test).channels
+    sheet = _place(one.sensors)
+    deck = UpdatedDeck(opened, problem, solution.end, lambda o: placed(o, channels, sheet))
+    return form_posterior(problem, solution.end, deck.effects(), deck.field())
 
 
 def _configuration(

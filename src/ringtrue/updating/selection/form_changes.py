@@ -310,7 +310,7 @@ def _shear(deck: DeckModes) -> Iterator[FormChange]:
             continue
 
         def made(s: float, those: Sequence[str] = those) -> System:
-            return assemble(_softer(deck.model, those, s))
+            return assemble(softer(deck.model, those, s))
 
         amounts = CHANGES.shear
         if made(amounts[-1]).stiffness.shape != deck.system.stiffness.shape:
@@ -324,8 +324,14 @@ def _shear(deck: DeckModes) -> Iterator[FormChange]:
         yield FormChange("shear", cause, fields, np.array([0.0, *amounts]), change)
 
 
-def _softer(model: Model, cards: Sequence[str], s: float) -> Model:
-    """With s times the shear flexibility of a rectangular section more."""
+def softer(model: Model, cards: Sequence[str], s: float) -> Model:
+    """A model with s times the shear flexibility of a rectangular section more.
+
+    Parameters
+    ----------
+    cards : sequence of str
+        Some of PBAR, PBEAM and PSHELL.
+    """
     tables = dict(model.tables)
     for card in cards:
         t = tables[card]
