@@ -520,13 +520,13 @@ def counts(structure: str, family: str, kind: str, seeds: range) -> Counter[str]
     at = (FORMS.index(kind), list(FAMILIES[family]).index(structure))
     for seed in seeds:
         c = case(build(), kind, np.random.default_rng([seed, *at]))
-        flagged = np.isin(c.found.names, [*c.found.flags, *c.found.held])
+        flagged = np.isin(c.found.names, [*c.found.form.flags, *c.found.held])
         held = (c.found.low <= c.true) & (c.true <= c.found.high)
         out["parameters"] += held.size
         out["flagged"] += int(flagged.sum())
         out["held"] += int((held & ~flagged).sum())
         out["all held"] += int(held.sum())
-        bands = c.found.bands
+        bands = c.found.form.bands
         assert bands is not None
         seen = c.left_out[np.isfinite(bands.predicted[c.left_out])]
         f = c.frequencies[seen]
@@ -567,7 +567,7 @@ def main() -> None:
     options = parser.parse_args()
     report = Report(options)
     first = FIRST[options.family]
-    seeds = range(first, first + sized(options, 1, 14, 40))
+    seeds = range(first, first + sized(options, 1, 5, 14))
     total = {kind: Counter[str]() for kind in FORMS}
     for structure in FAMILIES[options.family]:
         for kind in FORMS:

@@ -325,6 +325,21 @@ class ModeBands:
         return cls(aim.frequencies, predicted, low, high, aim.used)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FormErrors:
+    """What errors of the model's form leave open.
+
+    Attributes
+    ----------
+    flags : dict of str to str
+        Parameters that may take them up, with what each would be without.
+    bands : ModeBands, optional
+    """
+
+    flags: Mapping[str, str] = field(default_factory=dict)
+    bands: ModeBands | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class UpdatedModel(Displayed):
     """An updated model.
@@ -353,10 +368,9 @@ class UpdatedModel(Displayed):
         the model is wrong.
     held : dict of str to tuple of str
         Parameters that the data cannot distinguish from others, with those that stand for them.
-    flags : dict of str to str
-        Parameters that may take up an error of the model's form, with what they would be without.
-    bands : ModeBands, optional
-        Of the frequencies, left out ones too; where the errors of one test are stated.
+    form : FormErrors
+        Parameters that may take up errors of the model's form, and bands of the frequencies, left
+        out ones too: with one model and stated errors of its frequencies.
     """
 
     names: tuple[str, ...]
@@ -371,8 +385,7 @@ class UpdatedModel(Displayed):
     basis_error: float
     misfits: tuple[Misfit, ...] = ()
     held: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    flags: Mapping[str, str] = field(default_factory=dict)
-    bands: ModeBands | None = None
+    form: FormErrors = field(default_factory=lambda: FormErrors())
 
     @property
     def model(self) -> Model | MatrixModel:
@@ -480,15 +493,13 @@ def update(
         unfit = misfits(problem, problem.evaluate(solution.y))
     start = final.evaluate(np.zeros(final.size))
     interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
-    flags: Mapping[str, str] = {}
-    bands = None
-    one = tests[0]
+    form = FormErrors()
     stated = (final.configurations[0].target.std > 0).all()
-    if len(tests) == 1 and isinstance(one.model, Model) and stated:
-        form = _with_form_errors(one, final, solution)
-        interval = form.interval(0.9)
-        flags = {n: why for n, why in form.flags().items() if n not in held}
-        bands = ModeBands.of(final, solution.end, form.band(0.9))
+    if len(tests) == 1 and isinstance(tests[0].model, Model) and stated:
+        found = _with_form_errors(tests[0], final, solution)
+        interval = found.interval(0.9)
+        flags = {n: why for n, why in found.flags().items() if n not in held}
+        form = FormErrors(flags, ModeBands.of(final, solution.end, found.band(0.9)))
     bounds = np.stack([every.factors(x) for x in every.bounds()], axis=1)
     interval = np.where(np.isin(every.names, list(held))[:, None], bounds, interval)
     factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
@@ -506,8 +517,7 @@ def update(
         basis_error=error,
         misfits=unfit,
         held=held,
-        flags=flags,
-        bands=bands,
+        form=form,
     )
 
 
@@ -519,8 +529,9 @@ def _with_form_errors(one: TestedModel, problem: Problem, solution: Solution) ->
     opened = open_model(at_factors(one.model, own, factors))
     channels = modes_at(one.test).channels
     sheet = _place(one.sensors)
-    deck = UpdatedDeck(opened, problem, solution.end, lambda o: placed(o, channels, sheet))
-    return form_posterior(problem, solution.end, deck.effects(), deck.field())
+    end = problem.evaluate(solution.y)  # by the weights that were found
+    deck = UpdatedDeck(opened, problem, end, lambda o: placed(o, channels, sheet))
+    return form_posterior(problem, end, deck.effects(), deck.field())
 
 
 def _configuration(

@@ -13,9 +13,9 @@ from ringtrue.reduction.parametric import modes_of
 from ringtrue.study.direct import mode_count
 from ringtrue.study.opened import Opened
 from ringtrue.updating.selection.form import (
-    Deviations,
     FormFindings,
     LossFactors,
+    ModeDeviations,
     form_patterns,
     may_stand_out,
     with_damping,
@@ -70,7 +70,7 @@ def form_of(
     )
     unknown = np.zeros(len(test))
     frequency = unknown if std is None else np.nan_to_num(std.frequency)
-    found = Deviations(
+    found = ModeDeviations(
         test=at,
         fe=fe,
         change=np.log((2 * np.pi * f) ** 2 / modes.values[fe]),

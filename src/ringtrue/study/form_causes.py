@@ -26,12 +26,30 @@ from ringtrue.updating.problem import Evaluated, Problem
 from ringtrue.updating.selection.form_changes import softer
 from ringtrue.updating.uncertainty import energy_shares
 
-RICHARDSON = 4 / 3  # error of a mesh over what refining it once changes (Richardson 1911)
-REACH = 0.2  # relative distance of a frequency at which a mode is less likely the same
-MORE = 6  # modes of a changed deck beyond those of the deck
-LARGEST = 50_000  # free degrees of freedom up to which changed decks are solved
-STILL = 1e-9  # change of a datum, in its standard deviations, that is rounding
 
+@dataclass(frozen=True, slots=True)
+class ChangedDecks:
+    """How changed decks are solved and compared.
+
+    Attributes
+    ----------
+    largest : int
+        Free degrees of freedom up to which that is done.
+    more : int
+        Modes beyond those of the deck.
+    reach : float
+        Relative distance of a frequency at which a mode is less likely the same.
+    still : float
+        Change of a datum, in its standard deviations, that is rounding.
+    """
+
+    largest: int = 50_000
+    more: int = 6
+    reach: float = 0.2
+    still: float = 1e-9
+
+
+DECKS = ChangedDecks()
 Bridge = Callable[[Opened], Observation]
 
 
@@ -73,7 +91,7 @@ class UpdatedDeck:
 
     def effects(self) -> tuple[CauseEffect, ...]:
         """Of each cause that the deck has a place for; none of a large deck."""
-        if self.opened.analysis.system.stiffness.shape[0] > LARGEST:
+        if self.opened.analysis.system.stiffness.shape[0] > DECKS.largest:
             return ()
         start = self._seen(self.opened)
         value = self._value(start)
@@ -87,14 +105,14 @@ class UpdatedDeck:
             except RingtrueError:  # a changed deck that has no modes is no cause
                 continue
             residual = value - self._value(now)
-            if float(np.abs(residual).max(initial=0.0)) > STILL:
+            if float(np.abs(residual).max(initial=0.0)) > DECKS.still:
                 out.append(CauseEffect(cause, residual, self._modes(start, now), std))
         return tuple(out)
 
     def field(self) -> Float:
         """Covariance of errors of form of the partners of the test modes, (m, m)."""
         now = self.at.points[0].now
-        found = self.opened.analysis.eigen(ModesRequest(now.frequencies.size + MORE))
+        found = self.opened.analysis.eigen(ModesRequest(now.frequencies.size + DECKS.more))
         test, fe = self.at.points[0].every.T
         of = np.abs(found.frequencies[:, None] - now.frequencies[fe]).argmin(axis=0)
         system = self.opened.analysis.system
@@ -108,11 +126,11 @@ class UpdatedDeck:
         """The modes of a changed deck in the order of those that they have come from."""
         base = self.at.points[0].now
         count = base.frequencies.size
-        found = opened.analysis.modes(ModesRequest(count + MORE)).modes
+        found = opened.analysis.modes(ModesRequest(count + DECKS.more)).modes
         seen = self.bridge(opened)(found.shapes)
         mac = (unit(base.shapes).T @ unit(seen)) ** 2
         f = np.maximum(found.frequencies, 1e-6)
-        away = np.log(f / np.maximum(base.frequencies, 1e-6)[:, None]) / REACH
+        away = np.log(f / np.maximum(base.frequencies, 1e-6)[:, None]) / DECKS.reach
         rows, of = linear_sum_assignment(-mac * np.exp(-(away**2)))
         order = np.arange(count)
         order[rows] = of
@@ -214,9 +232,10 @@ def _joined(model: Model) -> sparse.csr_array:
     return sparse.csr_array(touch.T @ touch)
 
 
-# in words, the change, and the standard deviation of its amount before the test
+# in words, the change, and the standard deviation of its amount before the test; the error of a
+# mesh is 4/3 of what refining it once changes (Richardson 1911)
 CAUSES: tuple[tuple[str, Callable[[Model], Model | None], float], ...] = (
-    ("a finer mesh", _finer, RICHARDSON),
+    ("a finer mesh", _finer, 4 / 3),
     ("coupled mass", _coupled, 1.0),
     ("shear flexibility of bars", _flexible("PBAR", "PBEAM"), 1.0),
     ("transverse shear flexibility of plates", _flexible("PSHELL"), 1.5),

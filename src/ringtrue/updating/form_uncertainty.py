@@ -20,7 +20,7 @@ from scipy import linalg
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from ringtrue.core.arrays import Float, FrozenArrays
+from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.updating.problem import Evaluated, Problem
 from ringtrue.updating.residuals.modal import Quantity
@@ -117,25 +117,21 @@ class FormPosterior(FrozenArrays):
         columns = zip(mean.T, std.T, strict=True)
         return np.array([[quantile(self.weight, m, s, t) for t in tails] for m, s in columns])
 
-    def flags(self) -> dict[str, str]:
-        """Parameters that may take up an error of form, with why.
-
-        Where causes stand out all do; else those that the mixture moves by more than its standard
-        deviation.
+    def flags(self, level: float = 0.9) -> dict[str, str]:
+        """Parameters that have taken up an error of form: the updated factor is outside of its own
+        interval; with what it would be.
         """
-        mean = self.weight @ self.shift
-        size = np.sqrt(self.weight @ (self.std**2 + (self.shift - mean) ** 2))
+        interval = self.interval(level)
+        factors = self.parameters.factors(self.x)
         acting = np.array([bool(c) for c in self.causes], dtype=np.bool_)
-        stands_out = float(self.weight[acting].sum()) > FORM_ERRORS.named
-        first = int(np.where(acting, self.weight, -1.0).argmax())
+        cause = "errors of form"
+        if float(self.weight[acting].sum()) > FORM_ERRORS.named:
+            cause = self.causes[int(np.where(acting, self.weight, -1.0).argmax())]
         out = {}
         for i, name in enumerate(self.parameters.names):
-            if not stands_out and abs(mean[i]) <= size[i]:
-                continue
-            x = self.x + (self.shift[first] if stands_out else mean)
-            factor = float(self.parameters.factors(x)[i])
-            cause = self.causes[first] if stands_out else "errors of form"
-            out[name] = f"with {cause} it would be {factor:.3g}"
+            low, high = interval[i].tolist()
+            if not low <= factors[i] <= high:
+                out[name] = f"with {cause} it would be {low:.3g} to {high:.3g}"
         return out
 
 
@@ -165,7 +161,7 @@ def form_posterior(
     field : (m, m) float64
         Covariance of δ of the partners of all test modes for τ = 1; the mean of its diagonal is 1.
     """
-    made = _Linear.of(problem, at, field)
+    made = _InLogs.of(problem, at, field)
     likely = (1 - FORM_ERRORS.none) / max(len(effects), 1)
     every = [(None, FORM_ERRORS.none), *((e, likely) for e in effects)]
     both = [(e, p, t) for e, p in every for t in FORM_ERRORS.scatter]
@@ -186,7 +182,7 @@ def form_posterior(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FormFit:
+class _Component:
     """−2 ln of the evidence, step and covariance of the unknowns, and what modes expect."""
 
     deviance: float
@@ -197,7 +193,7 @@ class _FormFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linear:
+class _InLogs:
     """The linearised problem; frequencies in ln λ, other rows as they are weighed.
 
     Attributes
@@ -221,14 +217,14 @@ class _Linear:
     field: Float
     value: Float
     slope: Float
-    hertz: Float
+    hertz: Bool
     scale: Float
-    test: Float
+    test: Int
     std: Float
     modes: Float
 
     @classmethod
-    def of(cls, problem: Problem, at: Evaluated, field: Float) -> _Linear:
+    def of(cls, problem: Problem, at: Evaluated, field: Float) -> _InLogs:
         only = problem.configurations[0]
         value, slope = problem.weighted(at)
         quantity = [t.quantity for t in only.terms]
@@ -255,7 +251,7 @@ class _Linear:
             modes=modes,
         )
 
-    def fit(self, effect: CauseEffect | None, tau: float) -> _FormFit:
+    def fit(self, effect: CauseEffect | None, tau: float) -> _Component:
         """With one cause or none, and one scatter τ: Gaussian in the unknowns and the amount."""
         slope = self.slope
         own = self.modes
@@ -287,7 +283,7 @@ class _Linear:
         variance = tau**2 * np.diag(self.field) - (near**2).sum(axis=0) + self.std**2
         variance = variance + np.einsum("mq,qr,mr->m", left, inverse, left)
         q = self.problem.size
-        return _FormFit(
+        return _Component(
             deviance=float(deviance),
             step=step[:q],
             covariance=inverse[:q, :q],

@@ -37,20 +37,47 @@ class FormSettings:
         Paired modes.
     floor : float
         Standard deviation of ln λ that no deck is better than.
+    ratio : float
+        Relative standard deviation of a loss factor that no deck is better than.
+    listed : int
+        Fields that a note names.
     """
 
     evidence: float = 6.0
     tie: float = 2.0
     least: int = 5
     floor: float = 2e-4
+    ratio: float = 0.01
+    listed: int = 6
 
 
+@dataclass(frozen=True, slots=True)
+class AmountSearch:
+    """The search for amounts of causes and for the scatter.
+
+    Attributes
+    ----------
+    steps, zooms : int
+        Of the grids of amounts, each finer than the one before.
+    sizes : int
+        Of the scatter.
+    unit : float
+        Amount from which on a path is spread by its order.
+    """
+
+    steps: int = 41
+    zooms: int = 4
+    sizes: int = 60
+    unit: float = 0.2
+
+
+SEARCH = AmountSearch()
 FORM = FormSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Deviations(FrozenArrays):
-    """Deviations of paired modes.
+class ModeDeviations(FrozenArrays):
+    """ModeDeviations of paired modes.
 
     Attributes
     ----------
@@ -128,7 +155,10 @@ class FormFindings:
         return tuple(self._note(p) for p in self.named)
 
     def _note(self, p: FormPattern) -> Note:
-        rivals = [o for o in self.patterns if o.pattern != p.pattern and _kind(o) == _kind(p)]
+        of_damping = p.pattern == "damping"
+        same = (o for o in self.patterns if (o.pattern == "damping") == of_damping)
+        rivals = [o for o in same if o is not p]
+        more = " and more" if len(p.fields) > FORM.listed else ""
         values: Mapping[str, float | int | str] = {
             "cause": p.cause,
             "percent": 100 * p.explained,
@@ -139,32 +169,24 @@ class FormFindings:
             "rival_percent": 100 * rivals[0].explained if rivals else 0.0,
             "margin": p.evidence - (rivals[0].evidence if rivals else 0.0),
             "factor": RECTANGLE / max(float(p.amounts[0]), 1e-3),
-            "fields": "; ".join(p.fields[:FIELDS]) + (", ..." if len(p.fields) > FIELDS else ""),
+            "fields": "; ".join(p.fields[: FORM.listed]) + more,
         }
         return Note(f"form {p.pattern}", "warning", p.cause, values)
 
 
-FIELDS = 6  # that a note names
-
-
-def _kind(p: FormPattern) -> bool:
-    """Whether it is about damping."""
-    return p.pattern == "damping"
-
-
-def may_stand_out(found: Deviations, settings: FormSettings = FORM) -> bool:
+def may_stand_out(found: ModeDeviations, settings: FormSettings = FORM) -> bool:
     """Whether a cause of one unknown that explained all would be named; if not, none is."""
     n = found.change.size
     if n < settings.least:
         return False
-    fit = _Fit(found.change, found.std**2 + settings.floor**2)
+    fit = _Likelihood(found.change, found.std**2 + settings.floor**2)
     none, _ = fit.deviance(found.change)
     every, _ = fit.deviance(np.zeros(n))
     return bool(none - every - np.log(n) > settings.evidence)
 
 
 def form_patterns(
-    found: Deviations,
+    found: ModeDeviations,
     changes: Sequence[FormChange],
     places: Sequence[str] = (),
     settings: FormSettings = FORM,
@@ -173,7 +195,7 @@ def form_patterns(
 
     Parameters
     ----------
-    found : Deviations
+    found : ModeDeviations
     changes : sequence of FormChange
         Of the same modes, (k, n) each.
     places : sequence of str, optional
@@ -182,7 +204,7 @@ def form_patterns(
     n = found.change.size
     if n < settings.least:
         return FormFindings(modes=n)
-    fit = _Fit(found.change, found.std**2 + settings.floor**2)
+    fit = _Likelihood(found.change, found.std**2 + settings.floor**2)
     none, _ = fit.deviance(found.change)
     every = [fit.of((c,)) for c in changes]
     joint = tuple(c for c in changes if c.joint)
@@ -240,8 +262,8 @@ def with_damping(
     if found.named or n < settings.least or not loss.deck.any() or not loss.joints.any():
         return found
     # relative: a damping ratio is not known better than to some hundredths
-    variance = loss.std**2 + (RATIO * np.median(np.abs(loss.test))) ** 2
-    fit = _Fit(excess, variance)
+    variance = loss.std**2 + (settings.ratio * np.median(np.abs(loss.test))) ** 2
+    fit = _Likelihood(excess, variance)
     none, _ = fit.deviance(excess)
     every = []
     for cause, slope in (("material", np.ones(n)), ("joints", loss.joints)):
@@ -260,11 +282,8 @@ def with_damping(
     )
 
 
-RATIO = 0.01  # relative standard deviation of a loss factor that no deck is better than
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
+class _CauseFit:
     """A cause at its best amounts."""
 
     pattern: str
@@ -273,8 +292,8 @@ class _Fitted:
     deviance: float
     scatter: float
     explained: float
-    fields: tuple[str, ...]
-    modes: tuple[int, ...]
+    fields: tuple[str, ...] = ()
+    modes: tuple[int, ...] = ()
 
     @property
     def unknowns(self) -> int:
@@ -294,11 +313,8 @@ class _Fitted:
         )
 
 
-STEPS, ZOOMS, SIZES = 41, 4, 60  # of the search for amounts and for the scatter
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _Likelihood:
     """Maximum likelihood of normal deviations (n,), stated variances, and a scatter in common."""
 
     change: Float
@@ -308,7 +324,7 @@ class _Fit:
         """−2 ln L of residuals (..., n) at the best scatter, and that, (...)."""
         top = max(float(np.abs(self.change).max()), 1e-6)
         low = np.sqrt(self.variance.min()) / 10
-        tau = np.concatenate([[0.0], np.geomspace(min(low, top / 10), 2 * top, SIZES)])
+        tau = np.concatenate([[0.0], np.geomspace(min(low, top / 10), 2 * top, SEARCH.sizes)])
         value = np.stack(
             [
                 (rest**2 / (self.variance + t**2) + np.log(self.variance + t**2)).sum(axis=-1)
@@ -317,7 +333,7 @@ class _Fit:
         )
         return value.min(axis=0), tau[value.argmin(axis=0)]
 
-    def of(self, changes: tuple[FormChange, ...]) -> _Fitted:
+    def of(self, changes: tuple[FormChange, ...]) -> _CauseFit:
         """One or more causes together, their changes of ln λ added."""
         axes = [_axis(c) for c in changes]
         paths = [PchipInterpolator(u, c.change) for (u, _), c in zip(axes, changes, strict=True)]
@@ -325,8 +341,8 @@ class _Fit:
         high = np.array([u[-1] for u, _ in axes])
         begin, end = low, high
         best = low
-        for _ in range(ZOOMS):
-            grids = [np.linspace(a, b, STEPS) for a, b in zip(begin, end, strict=True)]
+        for _ in range(SEARCH.zooms):
+            grids = [np.linspace(a, b, SEARCH.steps) for a, b in zip(begin, end, strict=True)]
             parts = [path(g) for path, g in zip(paths, grids, strict=True)]
             rest = self.change - parts[0]
             if len(parts) > 1:
@@ -334,7 +350,7 @@ class _Fit:
             value, _ = self.deviance(rest)
             at = np.unravel_index(int(value.argmin()), value.shape)
             best = np.array([g[i] for g, i in zip(grids, at, strict=True)])
-            reach = 2 * (end - begin) / (STEPS - 1)
+            reach = 2 * (end - begin) / (SEARCH.steps - 1)
             begin = np.maximum(best - reach, low)
             end = np.minimum(best + reach, high)
         rest = self.change - sum(path(b) for path, b in zip(paths, best, strict=True))
@@ -343,37 +359,29 @@ class _Fit:
         ]
         fields = tuple(dict.fromkeys(f for c in changes for f in c.fields))
         cause = " and ".join(c.cause for c in changes)
-        return self._made(changes[0].pattern, cause, np.array(amounts), rest, fields)
+        found = self._made(changes[0].pattern, cause, np.array(amounts), rest)
+        return replace(found, fields=fields)
 
-    def alone(self, j: int, test: int, place: str) -> _Fitted:
+    def alone(self, j: int, test: int, place: str) -> _CauseFit:
         """Mode j by itself."""
         rest = self.change.copy()
         rest[j] = 0.0
         cause = f"test mode {test + 1} alone"
         fields = (place,) if place else ()
-        return self._made("single", cause, self.change[[j]], rest, fields, (test,))
+        found = self._made("single", cause, self.change[[j]], rest)
+        return replace(found, fields=fields, modes=(test,))
 
-    def _made(
-        self,
-        pattern: str,
-        cause: str,
-        amounts: Float,
-        rest: Float,
-        fields: tuple[str, ...],
-        modes: tuple[int, ...] = (),
-    ) -> _Fitted:
+    def _made(self, pattern: str, cause: str, amounts: Float, rest: Float) -> _CauseFit:
         value, scatter = self.deviance(rest)
         left = float((rest**2 / self.variance).sum())
         explained = 1 - left / max(float((self.change**2 / self.variance).sum()), 1e-300)
-        return _Fitted(
+        return _CauseFit(
             pattern=pattern,
             cause=cause,
             amounts=amounts,
             deviance=float(value),
             scatter=float(scatter),
             explained=explained,
-            fields=fields,
-            modes=modes,
         )
 
 
@@ -382,8 +390,5 @@ def _axis(c: FormChange) -> tuple[Float, float]:
     decades are spread by their order, a proportional change is left as it is.
     """
     straight = np.allclose(c.change, np.outer(c.amount, c.change[-1] / c.amount[-1]))
-    unit = 1e3 * c.amount[-1] if straight else DECADE
+    unit = 1e3 * c.amount[-1] if straight else SEARCH.unit
     return np.asarray(np.arcsinh(c.amount / unit)), float(unit)
-
-
-DECADE = 0.2  # amount from which on it is spread by its order

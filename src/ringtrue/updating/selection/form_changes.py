@@ -70,7 +70,6 @@ class ChangeSettings:
 
 
 CHANGES = ChangeSettings()
-ROUNDING = 1e-12  # of the largest λ
 RECTANGLE = 5 / 6  # shear factor of a rectangular section (Timoshenko 1921)
 
 
@@ -471,6 +470,6 @@ def _followed(deck: DeckModes, made: Callable[[float], System], amounts: Sequenc
             _, of = linear_sum_assignment(-same)
             near = found.vectors[:, of]
             of = deck.measured.partners(system, found, of)
-            lam = np.maximum(found.values[of], ROUNDING * found.values[-1])
+            lam = np.maximum(found.values[of], 1e-12 * found.values[-1])  # rounding, if rigid
             change[s] = np.log(lam / deck.values[deck.at])
     return np.stack([change[s] for s in sorted(change)])
