@@ -62,6 +62,8 @@ RUNS = {  # name of the results: script and its options
     "channel_faults": "bench/correlation.py faults",
     "mixed_modes": "bench/correlation.py groups",
     "localisation": "bench/localisation.py",
+    "form_patterns": "bench/form_patterns.py",
+    "form_coverage": "bench/form_coverage.py",
     "updating": "bench/updating.py starts",
     "updating_cost": "bench/updating.py cost",
     "published": "bench/published.py",

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,8 @@ import derivatives
 import durability
 import elements
 import facility
+import form_coverage
+import form_patterns
 import global_optimum
 import identification_ambient
 import identification_hammer
@@ -259,6 +262,8 @@ SUMMARY: dict[str, Any] = {
     "parameters": [{"name": "slab", "updated": 2.2e10, "std": 1e9}],
 }
 SCORE = localisation.Score(3, 4, 1.0, 1.0, 0.2, {}, 1.0)
+CONFUSION = {c: Counter({c: 20}) for c in (*form_patterns.CAUSES, *form_patterns.OTHERS)}
+COVERAGE = Counter({"parameters": 100, "held": 90, "left out": 100, "left out held": 90})
 REACHED = global_optimum.Case(1.0, 1.0, 9.0, unfit=False, seconds=1.0)
 RUN = updating.Run(1.0, 0.5, 1e-12, 1e-6, True)
 COUNTS = {f"{w}{h}": 50 for w in uncertainty.STATED for h in ("", " held")}
@@ -447,6 +452,26 @@ JUDGED: list[
             ([replace(SCORE, share=0.3)] * 3,),
             ([replace(SCORE, members=8)] * 3,),
             ([replace(SCORE, random=0.9)] * 3,),
+        ],
+    ),
+    (
+        "form_patterns",
+        form_patterns.checks,
+        (CONFUSION,),
+        [
+            ({**CONFUSION, "shear": Counter(property=20)},),
+            ({**CONFUSION, "none": Counter(shear=20)},),
+        ],
+    ),
+    (
+        "form_coverage",
+        form_coverage.checks,
+        (COVERAGE, COVERAGE),
+        [
+            (COVERAGE | Counter(held=99), COVERAGE),
+            (COVERAGE - Counter(held=20), COVERAGE),
+            (COVERAGE - Counter({"left out held": 20}), COVERAGE),
+            (COVERAGE, COVERAGE + Counter(flagged=60)),
         ],
     ),
     (

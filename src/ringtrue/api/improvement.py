@@ -11,11 +11,12 @@ import numpy as np
 
 from ringtrue.api.measurements import TestModes, modes_at
 from ringtrue.api.models import open_model
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.display import Displayed, plot
 from ringtrue.core.iterate import Outcome, Progress, part, quiet
-from ringtrue.core.modes import ModeSet
+from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.assignment import NO_LOCKS, PairingSettings
 from ringtrue.correlation.pairing import pair_modes
@@ -35,7 +36,10 @@ from ringtrue.study.direct import (
     propose_parameters,
     solved,
 )
+from ringtrue.study.form import form_of
+from ringtrue.study.form_causes import UpdatedDeck
 from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
+from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed, seat_words, seats
 from ringtrue.study.reference import highest, measured_part
 from ringtrue.study.results import Seat
@@ -45,9 +49,12 @@ from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
 from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
+from ringtrue.updating.form_uncertainty import FormPosterior, form_posterior
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
 from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.missing_members import MissingMember
+from ringtrue.updating.solver import Solution
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
 
@@ -104,6 +111,9 @@ class Localisation(Displayed):
     members : tuple of MissingMember
         Braces, joints and supports that the deck may lack, ranked by what one stiffness explains of
         what the proposal leaves; each is judged by itself.
+    form : FormFindings
+        What the deviations follow: missing shear flexibility, soft supports, a factor in common,
+        one mode alone, joints that dissipate; its `notes` name what stands out.
     notes : tuple of str
     seats : tuple of Seat
         Where each sensor reads the model.
@@ -117,6 +127,7 @@ class Localisation(Displayed):
     worth: Float
     proposal: ParameterSet
     members: tuple[MissingMember, ...]
+    form: FormFindings
     notes: tuple[str, ...]
     seats: tuple[Seat, ...]
     found: DirectProposal
@@ -171,24 +182,13 @@ def localise(
     True
     """
     opened = open_model(model)
-    modes = modes_at(test)
-    sheet = read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
-    notes: tuple[str, ...] = ()
-    places: tuple[Seat, ...] = ()
-    if not modes.channels:
-        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
-        bridge = opened.observation(borrowed.points, np.inf)
-        notes = borrowed.notes
-        modes = borrowed.modes.take(measured_part(borrowed.modes)[0])
-    else:
-        bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
-        places = seats(bridge, sheet.model) if sheet is not None else ()
-        notes = seat_words(places)
+    at = _at_channels(opened, test, sensors, tolerance)
+    form = _form(opened, at)
     settings = CandidateSettings(units=model.units)
     found = propose_parameters(
         opened,
-        realise_modes(modes),
-        bridge=bridge,
+        realise_modes(at.modes),
+        bridge=at.bridge,
         settings=settings,
         limits=(pool, most),
         progress=part(progress, 0.1, 1.0),
@@ -202,10 +202,70 @@ def localise(
         worth=np.array([m.worth for m in members]),
         proposal=ParameterSet(tuple(by_name[m.name] for m in members if not m.lump)),
         members=found.members,
-        notes=notes,
-        seats=places,
+        form=form,
+        notes=at.notes,
+        seats=at.seats,
         found=found,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """Test modes and where their channels are on a model; without shapes, those of the model."""
+
+    modes: ModeSet
+    std: Uncertainty | None
+    bridge: Observation
+    notes: tuple[str, ...]
+    seats: tuple[Seat, ...] = ()
+
+
+def _at_channels(
+    opened: Opened,
+    test: ModeSet | TestModes,
+    sensors: SensorSheet | str | Path | None,
+    tolerance: float | None,
+) -> _Placed:
+    """The test on the model; where it has no channels, frequencies alone are paired."""
+    modes = modes_at(test)
+    std = test.uncertainty if isinstance(test, TestModes) else None
+    if not modes.channels:
+        borrowed = pair_frequencies(modes, opened, CorrelateSection().gates(), NO_LOCKS)
+        bridge = opened.observation(borrowed.points, np.inf)
+        kept = measured_part(borrowed.modes)[0]
+        std = None if std is None else std.take(kept)
+        return _Placed(borrowed.modes.take(kept), std, bridge, borrowed.notes)
+    sheet = read_sensor_sheet(sensors) if isinstance(sensors, str | Path) else sensors
+    bridge = placed(opened, modes.channels, _place(sensors), tolerance=tolerance)
+    places = seats(bridge, sheet.model) if sheet is not None else ()
+    return _Placed(modes, std, bridge, seat_words(places), places)
+
+
+def form_errors(
+    model: Model,
+    test: ModeSet | TestModes,
+    *,
+    sensors: SensorSheet | str | Path | None = None,
+    tolerance: float | None = None,
+) -> FormFindings:
+    """`Localisation.form` by itself: arguments as of `localise`."""
+    opened = open_model(model)
+    return _form(opened, _at_channels(opened, test, sensors, tolerance))
+
+
+def _form(opened: Opened, at: _Placed) -> FormFindings:
+    """Patterns of form of a test on a model."""
+    modes = realise_modes(at.modes)
+    elastic = modes.frequencies > 0
+    aim = Target(
+        frequencies=modes.frequencies,
+        shapes=np.asarray(modes.shapes.real, dtype=np.float64),
+        std=np.zeros(len(modes)),
+        used=elastic,
+        weights=Weights(shape=0.0) if modes.frequency_only else Weights(),
+        frequency_only=modes.frequency_only,
+    )
+    return form_of(opened, modes, at.std, aim, at.bridge.matrix)
 
 
 def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
@@ -233,6 +293,53 @@ class TestedModel:
     parameters: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeBands:
+    """Where an updated model expects the frequencies of a test.
+
+    Attributes
+    ----------
+    test, predicted : (m,) float64, Hz
+        NaN in `predicted` where a test mode has no partner.
+    low, high : (m,) float64, Hz
+        90 % band of the measured frequency, with the errors of parameters, test and form.
+    used : (m,) bool
+        Whether the updating has seen it; a band of such a mode is narrow.
+    """
+
+    test: Float
+    predicted: Float
+    low: Float
+    high: Float
+    used: Bool
+
+    @classmethod
+    def of(cls, problem: Problem, at: Evaluated, ratio: Float) -> ModeBands:
+        """From intervals (m, 2) of the measured frequency over the model's."""
+        aim = problem.configurations[0].target
+        here = at.points[0]
+        predicted = np.full(aim.frequencies.size, np.nan)
+        test, fe = here.every.T
+        predicted[test] = here.now.frequencies[fe]
+        low, high = predicted * ratio.T
+        return cls(aim.frequencies, predicted, low, high, aim.used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormErrors:
+    """What errors of the model's form leave open.
+
+    Attributes
+    ----------
+    flags : dict of str to str
+        Parameters that may take them up, with what each would be without.
+    bands : ModeBands, optional
+    """
+
+    flags: Mapping[str, str] = field(default_factory=dict)
+    bands: ModeBands | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class UpdatedModel(Displayed):
     """An updated model.
@@ -244,7 +351,8 @@ class UpdatedModel(Displayed):
         Updated over initial value; 1 where held. All of them, whether the test proves them or not:
         see `low` and `high`.
     low, high : (p,) float64
-        Bounds of the 90 % interval of each factor; those of the parameter where held.
+        Bounds of the 90 % interval of each factor; those of the parameter where held. With one
+        model and stated errors of its frequencies, errors of form count, too.
     models : tuple of Model or MatrixModel
         With the factors applied, of all configurations.
     before, after : CorrelationTable
@@ -260,6 +368,9 @@ class UpdatedModel(Displayed):
         the model is wrong.
     held : dict of str to tuple of str
         Parameters that the data cannot distinguish from others, with those that stand for them.
+    form : FormErrors
+        Parameters that may take up errors of the model's form, and bands of the frequencies, left
+        out ones too: with one model and stated errors of its frequencies.
     """
 
     names: tuple[str, ...]
@@ -274,6 +385,7 @@ class UpdatedModel(Displayed):
     basis_error: float
     misfits: tuple[Misfit, ...] = ()
     held: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    form: FormErrors = field(default_factory=lambda: FormErrors())
 
     @property
     def model(self) -> Model | MatrixModel:
@@ -381,6 +493,13 @@ def update(
         unfit = misfits(problem, problem.evaluate(solution.y))
     start = final.evaluate(np.zeros(final.size))
     interval = laplace(final, solution.end).interval(0.9)  # of the intervals of factors
+    form = FormErrors()
+    stated = (final.configurations[0].target.std > 0).all()
+    if len(tests) == 1 and isinstance(tests[0].model, Model) and stated:
+        found = _with_form_errors(tests[0], final, solution)
+        interval = found.interval(0.9)
+        flags = {n: why for n, why in found.flags().items() if n not in held}
+        form = FormErrors(flags, ModeBands.of(final, solution.end, found.band(0.9)))
     bounds = np.stack([every.factors(x) for x in every.bounds()], axis=1)
     interval = np.where(np.isin(every.names, list(held))[:, None], bounds, interval)
     factors = dict(zip(every.names, solution.factors.tolist(), strict=True))
@@ -398,7 +517,21 @@ def update(
         basis_error=error,
         misfits=unfit,
         held=held,
+        form=form,
     )
+
+
+def _with_form_errors(one: TestedModel, problem: Problem, solution: Solution) -> FormPosterior:
+    """What errors of form leave open of the parameters of one model."""
+    assert isinstance(one.model, Model)
+    own = problem.configurations[0].model.parameters
+    factors = own.factors(solution.x[problem.parameters.at(own.names)])
+    opened = open_model(at_factors(one.model, own, factors))
+    channels = modes_at(one.test).channels
+    sheet = _place(one.sensors)
+    end = problem.evaluate(solution.y)  # by the weights that were found
+    deck = UpdatedDeck(opened, problem, end, lambda o: placed(o, channels, sheet))
+    return form_posterior(problem, end, deck.effects(), deck.field())
 
 
 def _configuration(

@@ -23,11 +23,13 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
+from ringtrue.core.notes import sentence
 from ringtrue.io.files import atomic_write
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
 from ringtrue.study.placing import seats_json
 from ringtrue.updating.selection.candidates import CandidateSettings
+from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.member_cards import member_cards
 
 POOL: int = LocaliseSection.model_fields["pool"].default
@@ -87,8 +89,10 @@ def localise(
             path.write_text(text, encoding="utf-8")
     if json:
         sensed = {"sensors": seats_json(done.seats)} if done.seats else {}
-        write_json(_table(found) | {"notes": done.notes} | sensed, json)
+        said = {"form": _form(done.form), "notes": done.notes}
+        write_json(_table(found) | said | sensed, json)
     if json != "-":
+        tell(sentence(n) for n in done.form.notes)
         _print(deck, found, unit)
         tell([*done.notes, *_tables(found)])
     return 0
@@ -125,6 +129,25 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
         "other_rules": {k: list(v) for k, v in found.orders.items()},
         "missing_members": [{"name": m.name} | asdict(m) for m in localised.members],
     }
+
+
+def _form(found: FormFindings) -> list[dict[str, Any]]:
+    """Patterns of form, the best first."""
+    named = {id(p) for p in found.named}
+    return [
+        {
+            "pattern": p.pattern,
+            "cause": p.cause,
+            "unknowns": p.unknowns,
+            "amounts": p.amounts.tolist(),
+            "explained": p.explained,
+            "evidence": p.evidence,
+            "named": id(p) in named,
+            "fields": list(p.fields),
+            "modes": [m + 1 for m in p.modes],
+        }
+        for p in found.patterns
+    ]
 
 
 def _tables(found: DirectProposal) -> list[str]:

@@ -108,6 +108,30 @@ SENTENCES = {
         "those of the median channel to {usual:.2g} %: noise of a broken cable or sensor? MAC "
         "suffers; leave it out"
     ),
+    "form shear": (
+        "the deviations follow missing {cause}: {unknowns} explains {percent:.0f} % of them in "
+        "{modes} modes ({rival}: {rival_percent:.0f} %); give {fields} of about {factor:.2g}"
+    ),
+    "form common": (
+        "the deviations have one ratio: {unknowns}, the {cause}, explains {percent:.0f} % of them "
+        "in {modes} modes ({rival}: {rival_percent:.0f} %); propose {fields}"
+    ),
+    "form supports": (
+        "the deviations follow the supports ({cause}): {unknowns} explains {percent:.0f} % of them "
+        "in {modes} modes ({rival}: {rival_percent:.0f} %); give springs to {fields}"
+    ),
+    "form single": (
+        "one mode deviates ({cause}), which explains {percent:.0f} % in {modes} modes ({rival}: "
+        "{rival_percent:.0f} %): look for a local mass or member at {fields}"
+    ),
+    "form property": (
+        "the deviations follow the {cause}: {unknowns} explains {percent:.0f} % of them in {modes} "
+        "modes ({rival}: {rival_percent:.0f} %): a parameter, no error of form"
+    ),
+    "form damping": (
+        "the frequencies agree, the damping does not: its excess follows the energy in joints, "
+        "{percent:.0f} % of it ({rival}: {rival_percent:.0f} %); fit the damping of the joints"
+    ),
     "channel incoherent": (
         "channel {subject}: coherence {values}, {usual:.2f} of the others: does not move, has a "
         "loose cable or is dead"

@@ -14,5 +14,6 @@ with, `evidence` is what a correlation rests on, `measured_data` what was measur
 
 Of the model: `opened` is a deck in its solver, `scene` its drawing, `loads` its static load cases.
 `planned_test` holds the parts of a test plan, `objective` what an updating minimises; `direct`
-updates and localises without stages.
+updates and localises without stages. `form` says what the deviations of a test follow,
+`form_causes` what physical causes would do to an updated deck.
 """

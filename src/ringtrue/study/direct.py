@@ -403,7 +403,7 @@ def propose_parameters(
         weights=Weights(shape=0.0) if test.frequency_only else Weights(),
         frequency_only=test.frequency_only,
     )
-    count = _mode_count(len(test))
+    count = mode_count(len(test))
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
@@ -422,7 +422,7 @@ def propose_parameters(
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
         whole = reduced_to(some)
-        return small(replace(whole, count=min(whole.count, _mode_count(SIZES.modes))), some), whole
+        return small(replace(whole, count=min(whole.count, mode_count(SIZES.modes))), some), whole
 
     progress(0.15, f"what {len(moved)} candidates explain")
     deck = ScreenedDeck(
@@ -459,7 +459,7 @@ def propose_parameters(
     )
 
 
-def _mode_count(modes: int) -> int:
+def mode_count(modes: int) -> int:
     """Modes of the model to compare so many of a test with."""
     return int(EXTRA * modes) + 4
 

@@ -34,6 +34,7 @@ from ringtrue.signal.impacts import ImpactReport as ImpactReport
 from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
+from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.localisation import SCARCE
 from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.selection.proposal import Proposal
@@ -746,6 +747,7 @@ class LocaliseStage:
     places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     # ranked; each is judged by itself, the first first
     members: tuple[MissingMember, ...] = ()
+    form: FormFindings = field(default_factory=FormFindings)  # what the deviations follow
 
 
 @dataclass(frozen=True, slots=True, eq=False)

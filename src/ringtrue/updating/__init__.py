@@ -11,5 +11,6 @@ Damping and suspension: `damping`, `damping_regions`, `suspension`.
 Selection: `selection` from the cards of a deck to a few parameters.
 
 Uncertainty: `identifiability` what the data determine, `uncertainty` the posterior, `validation`
-modes that are left out, `prediction` what was not tested.
+modes that are left out, `form_uncertainty` what errors of form leave open, `prediction` what was
+not tested.
 """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (
     Block,
@@ -63,7 +64,7 @@ def section(data: Stages) -> Section | None:
         return Section(
             "localisation",
             title,
-            [Text(NO_SHAPES, "lead"), *_proposal(s), *_members(s, data.model)],
+            [Text(NO_SHAPES, "lead"), *_form(s), *_proposal(s), *_members(s, data.model)],
         )
     count = len(found.regions)
     which = f", the {plots.BARS} largest of {count}" if count > plots.BARS else ""
@@ -75,7 +76,33 @@ def section(data: Stages) -> Section | None:
     lead = Text(LEAD.format(EXPANSIONS[found.expansion]), "lead")
     every = Fold("All indicators by region", [_regions(s)])
     found_blocks = [Heading("Proposal"), *_proposal(s), *_members(s, data.model)]
-    return Section("localisation", title, [lead, bars, every, *found_blocks])
+    return Section("localisation", title, [lead, bars, every, *_form(s), *found_blocks])
+
+
+def _form(s: LocaliseStage) -> list[Block]:
+    """What the deviations follow: patterns that stand out, and what they were held against."""
+    f = s.form
+    if not f.patterns:
+        return []
+    rows = [
+        (p.cause, str(p.unknowns), fixed(100 * p.explained, 0), fixed(p.evidence, 1))
+        for p in f.patterns
+    ]
+    heads = ("|Cause", "Unknowns", "Explains, %", "Evidence")
+    text = (
+        f"Causes by what they would do to each of {f.modes} modes, each by itself. Explains: share "
+        "of the weighted squared deviations of the frequencies (or of damping); evidence: fall of "
+        "BIC against no cause, strong above 6."
+    )
+    table = ReportTable(heads, rows, text)
+    said = [sentence(note_sentence(n)) for n in f.notes]
+    blocks: list[Block] = [Heading("What the deviations follow")]
+    if not said:
+        why = (
+            "No single cause stands out: the deviations are those of several parameters, or noise."
+        )
+        return [*blocks, Text(why), Fold("What was compared", [table])]
+    return [*blocks, Items(said), table]
 
 
 def _members(s: LocaliseStage, model: ModelStage | None) -> list[Block]:

@@ -27,6 +27,7 @@ from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel, condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels, expanded
+from ringtrue.study.form import form_of
 from ringtrue.study.measured_data import flexible
 from ringtrue.study.objective import data_of, on_parameters, problem_of, target, terms_of
 from ringtrue.study.opened import AtChannels, lump_places
@@ -48,6 +49,7 @@ from ringtrue.updating.selection.candidates import (
     membership,
     parameters,
 )
+from ringtrue.updating.selection.form import FormFindings
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import (
     EXPANSION_MISFIT,
@@ -156,7 +158,19 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         proposal_basis=basis,
         places=session.places,
         members=members,
+        form=_form(session, aim),
     )
+
+
+def _form(session: Session, aim: Target) -> FormFindings:
+    """What the deviations of the study's own test follow."""
+    deck = session.remodelled
+    reference = session.own.reference
+    test = reference.elastic
+    observed = session.own.observed(deck)
+    here = {c: i for i, c in enumerate(observed.channels)}
+    observe = sparse.csr_array(observed.matrix[[here[c] for c in test.channels]])
+    return form_of(deck, test, reference.elastic_std, aim, observe)
 
 
 def _updated(session: Session) -> bool:

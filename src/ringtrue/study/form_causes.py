@@ -1,0 +1,243 @@
+"""What physical causes would do to an updated deck: modes of the deck with a finer mesh, coupled
+mass, shear flexibility, and lumped mass that is spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import linear_sum_assignment
+
+from ringtrue.core.arrays import Float
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.testmodel import Observation
+from ringtrue.errors import RingtrueError
+from ringtrue.fem.element_cards import ELEMENTS
+from ringtrue.model.model import Model, stacked
+from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.model.refine import NODES, refined
+from ringtrue.shapes import unit
+from ringtrue.study.opened import Opened
+from ringtrue.updating.form_uncertainty import CauseEffect
+from ringtrue.updating.problem import Evaluated, Problem
+from ringtrue.updating.selection.form_changes import softer
+from ringtrue.updating.uncertainty import energy_shares
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedDecks:
+    """How changed decks are solved and compared.
+
+    Attributes
+    ----------
+    largest : int
+        Free degrees of freedom up to which that is done.
+    more : int
+        Modes beyond those of the deck.
+    reach : float
+        Relative distance of a frequency at which a mode is less likely the same.
+    still : float
+        Change of a datum, in its standard deviations, that is rounding.
+    """
+
+    largest: int = 50_000
+    more: int = 6
+    reach: float = 0.2
+    still: float = 1e-9
+
+
+DECKS = ChangedDecks()
+Bridge = Callable[[Opened], Observation]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Modes at one point, as an observed model."""
+
+    parameters: ParameterSet
+    now: Linearisation
+
+    def linearise(self, x: Float) -> Linearisation:
+        """The same at all points."""
+        return self.now
+
+    def modes(self, x: Float) -> Linearisation:
+        """The same at all points."""
+        return self.now
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdatedDeck:
+    """An updated deck with the problem that it solves.
+
+    Attributes
+    ----------
+    opened : Opened
+    problem : Problem
+        Of one configuration.
+    at : Evaluated
+        Its end.
+    bridge : callable
+        From an opened deck to the channels of the test.
+    """
+
+    opened: Opened
+    problem: Problem
+    at: Evaluated
+    bridge: Bridge
+
+    def effects(self) -> tuple[CauseEffect, ...]:
+        """Of each cause that the deck has a place for; none of a large deck."""
+        if self.opened.analysis.system.stiffness.shape[0] > DECKS.largest:
+            return ()
+        start = self._seen(self.opened)
+        value = self._value(start)
+        out = []
+        for cause, edit, std in CAUSES:
+            changed = edit(self.opened.model)
+            if changed is None:
+                continue
+            try:
+                now = self._seen(Opened(changed, self.opened.length))
+            except RingtrueError:  # a changed deck that has no modes is no cause
+                continue
+            residual = value - self._value(now)
+            if float(np.abs(residual).max(initial=0.0)) > DECKS.still:
+                out.append(CauseEffect(cause, residual, self._modes(start, now), std))
+        return tuple(out)
+
+    def field(self) -> Float:
+        """Covariance of errors of form of the partners of the test modes, (m, m)."""
+        now = self.at.points[0].now
+        found = self.opened.analysis.eigen(ModesRequest(now.frequencies.size + DECKS.more))
+        test, fe = self.at.points[0].every.T
+        of = np.abs(found.frequencies[:, None] - now.frequencies[fe]).argmin(axis=0)
+        system = self.opened.analysis.system
+        shares = energy_shares(self.opened.model, system, found.vectors[:, of])
+        whole = np.zeros((shares.shape[0], self.problem.configurations[0].target.used.size))
+        whole[:, test] = shares
+        covariance = whole.T @ whole
+        return np.asarray(covariance / np.diag(covariance)[test].mean())
+
+    def _seen(self, opened: Opened) -> Linearisation:
+        """The modes of a changed deck in the order of those that they have come from."""
+        base = self.at.points[0].now
+        count = base.frequencies.size
+        found = opened.analysis.modes(ModesRequest(count + DECKS.more)).modes
+        seen = self.bridge(opened)(found.shapes)
+        mac = (unit(base.shapes).T @ unit(seen)) ** 2
+        f = np.maximum(found.frequencies, 1e-6)
+        away = np.log(f / np.maximum(base.frequencies, 1e-6)[:, None]) / DECKS.reach
+        rows, of = linear_sum_assignment(-mac * np.exp(-(away**2)))
+        order = np.arange(count)
+        order[rows] = of
+        still = np.zeros((count, 0))
+        shapes = seen[:, order]
+        none = np.zeros((*shapes.shape, 0))
+        return Linearisation(base.x, found.frequencies[order], shapes, still, none)
+
+    def _value(self, now: Linearisation) -> Float:
+        """Weighted residuals with these modes."""
+        only = self.problem.configurations[0]
+        known = replace(only, model=_Known(only.model.parameters, now))
+        problem = replace(self.problem, configurations=(known,))
+        return problem.evaluate(self.at.y, slopes=False).value
+
+    def _modes(self, start: Linearisation, now: Linearisation) -> Float:
+        """Change of ln λ of the partner of each test mode, (m,)."""
+        out = np.zeros(self.problem.configurations[0].target.used.size)
+        test, fe = self.at.points[0].every.T
+        out[test] = 2 * np.log(now.frequencies[fe] / start.frequencies[fe])
+        return out
+
+
+def _finer(model: Model) -> Model | None:
+    """With its mesh refined once; None where that is not possible."""
+    try:
+        changed = refined(model)
+    except RingtrueError:
+        return None
+    return changed if len(changed["GRID"]) > len(model["GRID"]) else None
+
+
+def _coupled(model: Model) -> Model | None:
+    """With coupled masses of elements, or lumped where they are coupled."""
+    now = model.param("COUPMASS", -1)
+    return replace(model, params={**model.params, "COUPMASS": -1 if now > 0 else 1})
+
+
+def _flexible(*cards: str) -> Callable[[Model], Model | None]:
+    """With the shear flexibility of rectangular sections in some properties."""
+
+    def edit(model: Model) -> Model | None:
+        some = [c for c in cards if c in model and len(model[c])]
+        return softer(model, some, 1.0) if some else None
+
+    return edit
+
+
+def _spread(model: Model) -> Model | None:
+    """With half of each point mass on the nodes that elements join to its own."""
+    if "CONM2" not in model or not len(model["CONM2"]):
+        return None
+    masses = model["CONM2"]
+    near = _joined(model)
+    place = {n: i for i, n in enumerate(model["GRID"].ids.tolist())}
+    rows = []
+    nodes = []
+    share = []
+    ids = model["GRID"].ids
+    for i, g in enumerate(masses["G"].tolist()):
+        around = near[[place[g]]].indices if g in place else np.zeros(0, dtype=np.int64)
+        around = around[ids[around] != g]
+        rows += [i] * around.size
+        nodes += ids[around].tolist()
+        share += [0.5 / max(around.size, 1)] * around.size
+    if not rows:
+        return None
+    at = np.array(rows)
+    more = masses.take(at)
+    more = more.with_column("EID", masses.ids.max() + 1 + np.arange(at.size))
+    more = more.with_column("G", np.array(nodes)).with_column("M", masses["M"][at] * share)
+    kept = np.where(np.isin(np.arange(len(masses)), at), 0.5, 1.0)
+    less = masses.with_column("M", masses["M"] * kept)
+    return replace(model, tables={**model.tables, "CONM2": stacked(less, more)})
+
+
+def _joined(model: Model) -> sparse.csr_array:
+    """Which nodes elements join, (n, n)."""
+    ids = model["GRID"].ids
+    rows = []
+    cols = []
+    first = 0
+    for card, names in NODES.items():
+        if card not in model or card not in ELEMENTS:
+            continue
+        t = model[card]
+        corners = t.stack(*names)
+        at = model["GRID"].find(corners.ravel())
+        owner = first + np.repeat(np.arange(len(t)), corners.shape[1])
+        rows.append(owner[at >= 0])
+        cols.append(at[at >= 0])
+        first += len(t)
+    if not rows:
+        return sparse.csr_array((ids.size, ids.size))
+    row = np.concatenate(rows)
+    touch = sparse.csr_array(
+        (np.ones(row.size), (row, np.concatenate(cols))), shape=(first, ids.size)
+    )
+    return sparse.csr_array(touch.T @ touch)
+
+
+# in words, the change, and the standard deviation of its amount before the test; the error of a
+# mesh is 4/3 of what refining it once changes (Richardson 1911)
+CAUSES: tuple[tuple[str, Callable[[Model], Model | None], float], ...] = (
+    ("a finer mesh", _finer, 4 / 3),
+    ("coupled mass", _coupled, 1.0),
+    ("shear flexibility of bars", _flexible("PBAR", "PBEAM"), 1.0),
+    ("transverse shear flexibility of plates", _flexible("PSHELL"), 1.5),
+    ("point masses that are spread", _spread, 1.0),
+)
