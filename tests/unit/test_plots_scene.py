@@ -8,9 +8,9 @@ import numpy as np
 
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.plots.scene import regions
-from ringtrue.study.opened import _faces, make_scene
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study
+from ringtrue.study.scene import _faces, make_scene
 
 
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
@@ -23,7 +23,7 @@ def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
     for order in (list(changed), list(reversed(changed))):
         view = regions(scene, {k: changed[k] for k in order}, {"density": "× 1.1"})
         colour = {x["name"]: x["color"] for x in view.payload["legend"]}
-        drawn = view.payload["skin"]["colors"]
+        drawn = view.payload["colors"]
         assert drawn == [colour["density"], colour["thickness of b"], colour["density"]]
         assert list(colour) == [k + ", not drawn" * (k == "far away") for k in order]
 

@@ -36,7 +36,8 @@ from ringtrue.study.loads import (
     refuse_displaced,
     support_motions,
 )
-from ringtrue.study.opened import Opened, make_scene, scene_modes
+from ringtrue.study.opened import Opened
+from ringtrue.study.scene import make_scene, scene_modes
 
 
 def read_deck(path: str | Path, *, units: str = "SI") -> Model:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import re
 from dataclasses import replace
 
@@ -18,7 +17,8 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.plots.diagram import CLASSES, POLES, auto_mac, identification_figure, pole_kinds
 from ringtrue.plots.scene import modes as modes_view
 from ringtrue.plots.style import axis, figure, packed
-from ringtrue.viewer.view import asset, script_json
+from ringtrue.viewer.assets import asset, script_json, viewer_script
+from ringtrue.viewer.encoding import to_json
 
 SHAPE_BYTES = 4_000_000  # of all poles in a page; beyond it those taken into modes have theirs
 
@@ -38,7 +38,7 @@ def picker_page(title: str, shown: IdentificationDiagram, test: TestModel | None
         "@TITLE@": html.escape(title),
         "@STYLE@": asset("viewer.css") + asset("diagram.css"),
         "@PLOTLY@": get_plotlyjs(),
-        "@VIEWER@": asset("viewer.js"),
+        "@VIEWER@": viewer_script(),
         "@SCRIPT@": asset("diagram.js"),
         "@DATA@": script_json(_picker_data(shown, test)),
     }
@@ -77,7 +77,7 @@ def _picker_data(shown: IdentificationDiagram, test: TestModel | None) -> str:
         _bars(len(channels)),
     ]
     drawn = ",".join(str(f.to_json()) for f in figures)
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = to_json(data)
     return f'{text[:-1]},"figures":[{drawn}]}}'
 
 

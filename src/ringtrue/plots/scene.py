@@ -12,61 +12,15 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.plots.style import QUALITATIVE, packed
+from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.results import Scene
+from ringtrue.viewer.encoding import shape_arrays
+from ringtrue.viewer.scene import model_arrays, sensor_arrays, test_arrays
 from ringtrue.viewer.view import View
 
 PLAIN = "#c3ccd5"
+SENSORS = tuple(QUALITATIVE[k] for k in (1, 0, 2, 3))
 SOFT = ("#9fb4c7", "#d8b98a", "#a9c3a1", "#c9a7b8", "#d9cf9c", "#a7cbd6", "#b8a692", "#b9c0c8")
-
-
-def _skin(scene: Scene, colors: Sequence[str], alpha: Sequence[float]) -> dict[str, Any]:
-    return {
-        "xyz": packed(scene.xyz, "<f4"),
-        "tri": packed(scene.triangles, "<u4"),
-        "tgroup": packed(scene.triangle_group, "<u2"),
-        "line": packed(scene.lines, "<u4"),
-        "lgroup": packed(scene.line_group, "<u2"),
-        "colors": list(colors),
-        "alpha": list(alpha),
-    }
-
-
-def _test(test: TestModel) -> dict[str, Any]:
-    order = np.argsort(test.points)
-    at = (
-        order[np.searchsorted(test.points[order], test.lines)]
-        if test.lines.size
-        else np.zeros((0, 2))
-    )
-    return {
-        "xyz": packed(test.xyz, "<f4"),
-        "line": packed(at, "<u4"),
-        "names": [f"{p} {g}".strip() for p, g in zip(test.points, test.groups, strict=True)],
-    }
-
-
-def _sensors(test: TestModel, kinds: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Arrows in one list per kind."""
-    rest = "hammer test" if kinds else "sensors"
-    names = list(dict.fromkeys(kinds.get(c, rest) for c in test.channels))
-    xyz = test.channel_xyz()
-    axes = test.axes
-    out = []
-    for i, name in enumerate(sorted(names)):
-        at = [k for k, c in enumerate(test.channels) if kinds.get(c, rest) == name]
-        color = QUALITATIVE[(1, 0, 2, 3)[i % 4]]
-        labels = [test.channels[k] for k in at]
-        out.append(
-            {
-                "name": name,
-                "color": color,
-                "labels": labels,
-                "xyz": packed(xyz[at], "<f4"),
-                "dir": packed(axes[at], "<f4"),
-            }
-        )
-    return out
 
 
 def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> View:
@@ -74,11 +28,12 @@ def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> Vie
     ...).
     """
     colors = [SOFT[i % len(SOFT)] for i in range(len(scene.groups))]
-    view: dict[str, Any] = {"kind": "model", "skin": _skin(scene, colors, [1.0] * len(colors))}
-    view["legend"] = [{"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)]
+    drawn: dict[str, Any] = {"model": model_arrays(scene)}
     if test is not None:
-        view |= {"test": _test(test), "sensors": _sensors(test, kinds)}
-    return View(view)
+        rest = "hammer test" if kinds else "sensors"
+        drawn["sensors"] = sensor_arrays(test, kinds, SENSORS, rest)
+    legend = [{"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)]
+    return View({"scene": drawn, "colors": colors, "legend": legend})
 
 
 def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]) -> View:
@@ -93,8 +48,8 @@ def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[s
         for g in groups:
             colors[g], alpha[g] = own[name], 1.0
     hidden = {name: "" if groups else ", not drawn" for name, groups in changed.items()}
-    legend = [{"name": n + hidden[n], "color": c, "note": notes.get(n, "")} for n, c in own.items()]
-    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": legend})
+    legend = [(name + hidden[name], color, notes.get(name, "")) for name, color in own.items()]
+    return painted(scene, colors, alpha, legend)
 
 
 def painted(
@@ -107,7 +62,8 @@ def painted(
     named.
     """
     entries = [{"name": n, "color": c, "note": t} for n, c, t in legend]
-    return View({"kind": "regions", "skin": _skin(scene, colors, alpha), "legend": entries})
+    drawn = {"model": model_arrays(scene)}
+    return View({"scene": drawn, "colors": list(colors), "alpha": list(alpha), "legend": entries})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,12 +80,6 @@ class Shown:
     seen: tuple[ModeSet, int] | None = (
         None  # the model's shape at the channels, to bring the test to its phase
     )
-
-
-def _quantised(a: Float) -> dict[str, Any]:
-    a = np.nan_to_num(a)
-    peak = float(np.abs(a).max(initial=0.0)) or 1.0
-    return {"peak": peak, "q": packed(np.round(a * (32767 / peak)), "<i2")}
 
 
 def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
@@ -176,25 +126,24 @@ def _phased(shown: Shown) -> Any_:
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
     out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
     if scene is not None and shown.fe is not None:
-        out["fe"] = _quantised(_at_scene(scene, *shown.fe))
+        out["fe"] = shape_arrays(_at_scene(scene, *shown.fe))
     elif test is not None and shown.seen is not None:
         seen, j = shown.seen
-        out["wire"] = _quantised(np.real(_at_points(test, seen, seen.shapes[:, j])))
+        out["wire"] = shape_arrays(np.real(_at_points(test, seen, seen.shapes[:, j])))
     if test is not None and shown.test is not None:
         points = _at_points(test, shown.test[0], _phased(shown).astype(np.complex128))
-        out["test"] = _quantised(np.stack([points.real, points.imag], 1))
+        out["test"] = shape_arrays(points.real, points.imag)
     return out
 
 
 def modes(scene: Scene | None, test: TestModel | None, shown: Sequence[Shown]) -> View:
     """Mode shapes: the test's wireframe over the model's skin, to be animated."""
-    view: dict[str, Any] = {"kind": "modes", "modes": [_mode(scene, test, s) for s in shown]}
+    drawn: dict[str, Any] = {}
     if scene is not None:
-        n = len(scene.groups)
-        view["skin"] = _skin(scene, [PLAIN] * n, [1.0] * n)
+        drawn["model"] = model_arrays(scene)
     if test is not None:
-        view["test"] = _test(test)
-    return View(view)
+        drawn["test"] = test_arrays(test)
+    return View({"scene": drawn, "modes": [_mode(scene, test, s) for s in shown]})
 
 
 def model_modes(scene: Scene, shapes: ModeSet) -> View:

@@ -40,7 +40,8 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
-from ringtrue.viewer.view import asset, script_json
+from ringtrue.viewer.assets import asset, script_json, viewer_script
+from ringtrue.viewer.encoding import to_json
 
 __all__ = ["Acceptance", "Photo", "assemble"]
 
@@ -91,7 +92,6 @@ DRAWN = 1_000_000  # nodes of all shapes together, eight bytes each in the page
 # nodes that are drawn of a model
 FEWEST = 3000
 MOST = 12_000
-GEOMETRY = frozenset(("xyz", "tri", "tgroup", "line", "lgroup"))  # of a skin; the rest is its look
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ class _Figures:
 
     plots: list[str] = field(default_factory=list)
     views: list[str] = field(default_factory=list)
-    skins: list[str] = field(default_factory=list)
+    models: list[str] = field(default_factory=list)
     figure: int = 0
     table: int = 0
 
@@ -198,20 +198,18 @@ class _Figures:
         if isinstance(block, Plot):
             self.plots.append(figure_json(block.figure))
             return len(self.plots) - 1
-        self.views.append(_json(self._shared(block.view.payload)))
+        self.views.append(to_json(self._shared(block.view.payload)))
         return len(self.views) - 1
 
     def _shared(self, payload: dict[str, Any]) -> dict[str, Any]:
-        """The payload with the geometry of its skin, the same in every view, replaced by its
-        position.
-        """
-        if "skin" not in payload:
+        """The payload with its model, the same in every view, replaced by its position."""
+        scene = payload["scene"]
+        if "model" not in scene:
             return payload
-        text = _json({k: v for k, v in payload["skin"].items() if k in GEOMETRY})
-        if text not in self.skins:
-            self.skins.append(text)
-        look = {k: v for k, v in payload["skin"].items() if k not in GEOMETRY}
-        return payload | {"skin": look | {"at": self.skins.index(text)}}
+        text = to_json(scene["model"])
+        if text not in self.models:
+            self.models.append(text)
+        return payload | {"scene": scene | {"model": {"at": self.models.index(text)}}}
 
 
 def _json(value: object) -> str:
@@ -266,12 +264,12 @@ def _render(data: Stages, sections: Sequence[Section]) -> str:
         body=body.replace("|Δf|", "|\u2060Δf|"),  # no line break after the bar
         raw=raw,
         viewer_style=asset("viewer.css"),
-        viewer_script=asset("viewer.js"),
+        viewer_script=viewer_script(),
         plotly=get_plotlyjs() if figures.plots else "",
         version=__version__,
         plots=figures.plots,
         views=figures.views,
-        skins=figures.skins,
+        models=figures.models,
     )
 
 

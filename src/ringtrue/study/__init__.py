@@ -12,7 +12,7 @@ Of the test: `hammer_records` makes FRFs of records with forces, `supplied` read
 files, `placing` lays the sensors onto a deck, `reference` picks the modes that a deck is compared
 with, `evidence` is what a correlation rests on, `measured_data` what was measured besides modes.
 
-Of the model: `opened` is a deck in its solver, `loads` its static load cases. `planned_test` holds
-the parts of a test plan, `objective` what an updating minimises; `direct` updates and localises
-without stages.
+Of the model: `opened` is a deck in its solver, `scene` its drawing, `loads` its static load cases.
+`planned_test` holds the parts of a test plan, `objective` what an updating minimises; `direct`
+updates and localises without stages.
 """

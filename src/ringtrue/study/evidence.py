@@ -25,9 +25,10 @@ from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_o
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
-from ringtrue.study.opened import Opened, scene_modes
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import settings
 from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, ReferenceModes, Scene
+from ringtrue.study.scene import scene_modes
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT
 
 # entries of the transform of a test-analysis model that are built without being asked for

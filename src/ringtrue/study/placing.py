@@ -28,8 +28,9 @@ from ringtrue.correlation.sensor_mounting import Readings
 from ringtrue.errors import DataError, InputError, about
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.frames import diagonal, positions
-from ringtrue.study.opened import ROUNDING, Opened, make_scene
+from ringtrue.study.opened import ROUNDING, Opened
 from ringtrue.study.results import Seat
+from ringtrue.study.scene import make_scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -451,6 +451,9 @@ class Scene:
     lines : (l, 2) int64
     line_group : (l,) int64
     groups : tuple of str
+    triangle_element : (t,) int64
+        Element numbers; empty where they are not known.
+    line_element : (l,) int64
     """
 
     node: Int
@@ -460,6 +463,8 @@ class Scene:
     lines: Int
     line_group: Int
     groups: tuple[str, ...]
+    triangle_element: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    line_element: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -86,19 +86,18 @@
   }
 
   // ---------------------------------------------------------------- shape of what was clicked
-  const points = data.view ? data.view.test.names.length : 0;
+  const points = data.view ? data.view.scene.test.names.length : 0;
   const shapeOf = (kind, k) => (kind === "mode" ? modeShape.subarray(2 * channels * k, 2 * channels * (k + 1))
     : poles.shape.length >= 2 * channels * (k + 1) ? Float32Array.from(poles.shape.subarray(2 * channels * k, 2 * channels * (k + 1)), (v) => v / 127) : null);
 
-  // As the 3D viewer takes it: 16-bit parts of the largest, (point, real or imaginary, xyz).
-  function quantised(shape) {
-    const at = new Float64Array(6 * points);
+  // Real and imaginary parts (point, xyz), as the 3D viewer takes them.
+  function atPoints(shape) {
+    const parts = [new Float32Array(3 * points), new Float32Array(3 * points)];
     data.geometry.point.forEach((p, c) => {
       if (p < 0) return;
-      for (let d = 0; d < 3; d++) for (let part = 0; part < 2; part++) at[6 * p + 3 * part + d] += shape[2 * c + part] * data.geometry.axes[c][d];
+      for (let d = 0; d < 3; d++) for (let part = 0; part < 2; part++) parts[part][3 * p + d] += shape[2 * c + part] * data.geometry.axes[c][d];
     });
-    const peak = at.reduce((m, v) => Math.max(m, Math.abs(v)), 0) || 1, q = Int16Array.from(at, (v) => Math.round((v / peak) * 32767));
-    return { peak, q: btoa(Array.from(new Uint8Array(q.buffer), (b) => String.fromCharCode(b)).join("")) };
+    return { real: parts[0], imag: parts[1] };
   }
 
   let viewer = null;
@@ -120,7 +119,7 @@
       Plotly.react(box, [bar(y, "real part", "#24527a"), bar(im, "imaginary part", "#b4bec8")], data.figures[2].layout, { responsive: true, displayModeBar: false });
       return;
     }
-    const mode = { stage: "test", label: title, info, test: quantised(shape) };
+    const mode = { stage: "test", label: title, info, test: atPoints(shape) };
     if (viewer) {
       Object.assign(viewer.list[0], mode);
       viewer.setMode();
@@ -129,7 +128,7 @@
       box.textContent = "";
       box.className = "view";
       box.style.setProperty("--h", "300px");
-      viewer = window.ringtrueView(box, { ...data.view, modes: [mode] });
+      viewer = ringtrueViewer.figure(box, { ...data.view, modes: [mode] });
     }
   }
 

@@ -4,7 +4,7 @@
   const PAPER = 686; // px at 96 dpi: the text width of an A4 page
   const figures = [...document.querySelectorAll("[data-plot], [data-view]")];
   const plotData = [...document.querySelectorAll("script.plot-data")];
-  const skinData = [...document.querySelectorAll("script.skin-data")];
+  const modelData = [...document.querySelectorAll("script.model-data")];
   const viewData = [...document.querySelectorAll("script.view-data")];
   const drawn = new Set(), near = new Set();
   // Diagrams side by side keep 230 px each; a narrow window scrolls over them.
@@ -67,13 +67,13 @@
     const button = (name, title, click) => ({ name, title, icon: icon(name), click });
     const image = (format) => async (div) => {
       const { width, height } = div._fullLayout, address = await Plotly.toImage(div, { format, width, height, scale: format === "png" ? 3 : 1 });
-      window.ringtrueSave(div, format, await (await fetch(address)).blob());
+      ringtrueViewer.save(div, format, await (await fetch(address)).blob());
     };
     return {
       displaylogo: false, responsive: false, displayModeBar: true,
       modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"], [
         button("PNG", "Save as PNG", image("png")), button("SVG", "Save as SVG, to be edited", image("svg")),
-        button("CSV", "Save the data", (div) => window.ringtrueSave(div, "csv", new Blob(["\ufeff", csv(div)], { type: "text/csv" }))),
+        button("CSV", "Save the data", (div) => ringtrueViewer.save(div, "csv", new Blob(["\ufeff", csv(div)], { type: "text/csv" }))),
       ]],
     };
   }
@@ -104,8 +104,9 @@
 
   function drawView(div) {
     const data = JSON.parse(viewData[+div.dataset.view].textContent);
-    if (data.skin) Object.assign(data.skin, JSON.parse(skinData[data.skin.at].textContent));
-    window.ringtrueView(div, data);
+    const { model } = data.scene;
+    if (model) data.scene.model = JSON.parse(modelData[model.at].textContent);
+    ringtrueViewer.figure(div, data);
   }
 
   function draw(div, paper = false) {
@@ -211,12 +212,12 @@
     folded.forEach((d) => { d.open = true; });
     fit(true);
     figures.filter((div) => div.getClientRects().length).forEach((div) => draw(div, true));
-    window.ringtrueStill(PAPER);
+    ringtrueViewer.still(PAPER);
   });
   addEventListener("afterprint", () => {
     fit(false);
     folded.forEach((d) => { d.open = false; });
-    window.ringtrueStill(0);
+    ringtrueViewer.still(0);
   });
   // report.html#pictures leaves, in place of the page, its figures in their order: each as PNG, with what its legend
   // says, and of mode shapes each mode.

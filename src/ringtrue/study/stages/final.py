@@ -17,7 +17,7 @@ from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import ModelModes, followed, frf_evidence, on_sheet, synthesised
-from ringtrue.study.opened import Opened, scene_modes
+from ringtrue.study.opened import Opened
 from ringtrue.study.reference import elastic_table, rigid_table
 from ringtrue.study.results import (
     ComparedFrfs,
@@ -27,6 +27,7 @@ from ringtrue.study.results import (
     IdentifyStage,
     ReferenceModes,
 )
+from ringtrue.study.scene import scene_modes
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
 

@@ -7,8 +7,8 @@ from ringtrue.checks.materials import autospc_findings, mass_properties, whole_m
 from ringtrue.core.iterate import Progress, part
 from ringtrue.model.cards import MADE
 from ringtrue.model.model import Model
-from ringtrue.study.opened import make_scene, scene_modes
 from ringtrue.study.results import ModelStage
+from ringtrue.study.scene import make_scene, scene_modes
 from ringtrue.study.session import Session
 
 
