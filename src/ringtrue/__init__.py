@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from ringtrue.api.checking import check_deck
     from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
         TestedModel,
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
+    "api.checking": "check_deck",
     "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
@@ -111,6 +113,7 @@ __all__ = [
     "UnsupportedError",
     "UpdateSettings",
     "at_factors",
+    "check_deck",
     "correlate",
     "estimate_frfs",
     "example_deck",
