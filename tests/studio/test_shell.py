@@ -93,7 +93,7 @@ def test_a_run_is_stopped_and_resumed(tmp_path: Path) -> None:
         assert session.standing("model") == "stale"
 
     asyncio.run(scenario())
-    assert session.work.command("model") == "ringtrue run study.toml --until model"
+    assert session.work.command("model") == f"ringtrue run {tmp_path}/study.toml --until model"
 
 
 def test_a_run_that_fails_says_why(

@@ -20,6 +20,7 @@ from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.side_by_side import Workers
 from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
+from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.model import Model
@@ -136,6 +137,22 @@ class Study:
         done: UpdateStage = self.stage("update")
         best = done.best
         return ParameterTable(tuple(best.parameters), best.factor, best.std)
+
+    @property
+    def deck_diff(self) -> str:
+        """The delivered deck against the initial one, as a unified diff.
+
+        Raises
+        ------
+        DataError
+            If no deck was delivered.
+        """
+        session = self.run.session
+        folder = session.own.updated_folder
+        inside = [Path(f).parts for f in self.stage("final").files]
+        # stored as seen from where the study was run
+        delivered = [folder.joinpath(*p[p.index(folder.name) + 1 :]) for p in inside]
+        return unified_diff(session.initial.model.files, delivered)
 
     @property
     def summary(self) -> dict[str, Any]:

@@ -10,9 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import app, ui
+from starlette.responses import FileResponse
 
 from ringtrue.errors import ConfigError
 from ringtrue.studio.guard import Guard
+from ringtrue.studio.screens.verdict import PAGE as REPORT
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import page, watch
 
@@ -48,6 +50,7 @@ def serve(
     address = f"http://{HOST}:{port}/?token={token}"
     app.add_middleware(Guard, token=token, port=port)
     watch(session)
+    app.get(REPORT)(lambda: FileResponse(session.path.with_name("report.html")))
     app.on_startup(session.refresh)
     say(address)
     if browser:

@@ -20,10 +20,13 @@ from ringtrue.studio.edits import Change
 from ringtrue.studio.work import Work
 from ringtrue.study.config import StudyConfig, parse_config
 from ringtrue.study.opened import Opened
+from ringtrue.study.results import CorrelateStage
 from ringtrue.study.run import StageState, stage_states
 
 log = logging.getLogger(__name__)
 CHOICE = "choice.toml"  # where a study names none
+# of study.toml, on which the reduced model does not rest
+OTHER_SECTIONS = {"study", "plan", "report", "predict", "damping", "uncertainty", "update"}
 NEVER = (-1, -1)  # time and size of a store that was not looked at
 
 
@@ -259,10 +262,13 @@ class StudioSession:
         await self.refresh()
 
     async def trial_model(self) -> TrialModel | None:
-        """The reduced model of the study as it is now, made once for each text of study.toml; None
-        while the program ends.
+        """The reduced model of the study as it is now; made once for each deck, its candidates and
+        its correlation. None while the program ends.
         """
-        key = self.documents.text(self.documents.name) + str(self._store_stamp())
+        stored: CorrelateStage | None = self.stage("correlate")
+        modes = b"" if stored is None else stored.reference.elastic.shapes.tobytes()
+        known = self.config.model_dump(exclude=OTHER_SECTIONS) if self.config is not None else {}
+        key = f"{known}{hash(modes)}"
         if self._trial is not None and self._trial[0] == key:
             return self._trial[1]
         model = await run.io_bound(rt.trial_model, self.path)

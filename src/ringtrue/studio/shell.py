@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -52,11 +52,14 @@ class Frame:
     ----------
     inspector : element
         The column on the right; cleared when the screen changes.
+    rebuild : callable
+        Builds the screen anew.
     keys : dict
         What `next`, `previous`, `accept`, `reject` and `play` do.
     """
 
     inspector: ui.column
+    rebuild: Callable[[], object] = lambda: None
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
     _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
 
@@ -102,6 +105,18 @@ def fact(name: str, value: str) -> None:
     with ui.row().classes("w-full items-baseline justify-between no-wrap gap-3"):
         ui.label(name).classes("text-sm opacity-70")
         ui.label(value).classes("text-sm rt-value text-right")
+
+
+def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
+    """A table; `names` has the label of each column, a row needs an `id`."""
+    columns = [
+        {"name": key, "label": label, "field": key, "align": "left"} for key, label in names.items()
+    ]
+    return (
+        ui.table(rows=rows, columns=columns, row_key="id")
+        .props("dense flat hide-bottom :rows-per-page-options=[0]")
+        .classes("w-full")
+    )
 
 
 def nothing_yet(session: StudioSession, text: str, until: str) -> None:
@@ -181,7 +196,7 @@ def _say_exception(error: Exception) -> None:
             type="warning" if refused else "negative",
             multi_line=True,
             timeout=8000,
-            close_button="Close",
+            actions=[{"label": "Close", "color": "white"}],
         )
     except RuntimeError:  # no page is concerned
         log.warning("%s", text)
@@ -214,7 +229,8 @@ def page(session: StudioSession) -> None:
         return build
 
     routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
-    ui.sub_pages(routes).classes("w-full")
+    pages = ui.sub_pages(routes).classes("w-full")
+    frame_.rebuild = pages.refresh
 
 
 def _header(session: StudioSession) -> None:

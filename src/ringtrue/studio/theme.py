@@ -47,26 +47,27 @@ def apply() -> None:
     ui.add_css(CSS)
 
 
-def drawn(figure: go.Figure, *, dark: bool, height: int | None = None) -> dict[str, Any]:
-    """A figure for the page, in its theme.
+def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any]:
+    """A figure for the page, in its theme; what holds it decides its size.
 
     Parameters
     ----------
     figure : plotly figure
     dark : bool
-    height : int, optional
-        Pixels; None: what holds it decides.
+    tools : bool
+        With the buttons to zoom and move.
     """
     spec: dict[str, Any] = figure.to_plotly_json()
     layout = spec["layout"]
-    layout["height"] = height
+    layout["height"] = None
     layout["uirevision"] = "kept"  # zoom and hidden traces stay when the figure changes
     layout["paper_bgcolor"] = layout["plot_bgcolor"] = "rgba(0,0,0,0)"
     layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": DARK_MUTED if dark else MUTED}
     if dark:
         spec = _recoloured(spec)
         spec["layout"]["hoverlabel"] = {"bgcolor": "#232b34", "font": {"color": DARK_INK}}
-    spec["config"] = {"displaylogo": False, "responsive": True, "scrollZoom": True}
+    spec["config"] = {"displaylogo": False, "responsive": True}
+    spec["config"] |= {"scrollZoom": True} if tools else {"displayModeBar": False}
     return spec
 
 

@@ -68,7 +68,7 @@ class Work:
 
     def command(self, until: str = "", first: str = "") -> str:
         """The command that does the same without the studio."""
-        words = ["ringtrue", "run", self.study.name]
+        words = ["ringtrue", "run", str(self.study)]
         words += ["--from", first] if first else []
         words += ["--until", until] if until else []
         return shlex.join(words)
@@ -83,10 +83,9 @@ class Work:
             sys.executable,
             "-m",
             "ringtrue.studio.worker",
-            self.study.name,
+            str(self.study),  # as it was named: results hold paths as they are seen from here
             until,
             first,
-            cwd=self.study.parent,
             stdin=pipe,
             stdout=pipe,
             stderr=pipe,

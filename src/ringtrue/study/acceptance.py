@@ -44,6 +44,8 @@ class AcceptanceCheck:
         A limit, how the updating ended, or what it has changed.
     required : bool
         One that is not informs: the model may be accepted without it.
+    reason : str
+        Why it is borne where it does not hold, as the study says it.
     """
 
     name: str
@@ -52,6 +54,7 @@ class AcceptanceCheck:
     held: bool
     code: Literal["limit", "outcome", "change"] = "limit"
     required: bool = True
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,4 +314,6 @@ def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[Acceptance
         # one that stalled is judged by the limits
         ended = tuple(replace(c, required=c.held) for c in ended)
     fitted = adequacy(results, required=not stated)
-    return (*ended, *fitted, *stated, *improvement(results))
+    every = (*ended, *fitted, *stated, *improvement(results))
+    reasons = config.report.reasons
+    return tuple(replace(c, reason=reasons.get(c.name, "")) for c in every)

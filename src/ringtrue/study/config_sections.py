@@ -557,3 +557,5 @@ class ReportSection(StudySection):
     """Files of pictures."""
     captions: list[str] = []
     """One a picture."""
+    reasons: dict[str, str] = {}
+    """Why a check that does not hold is borne, by its name, such as {"final: pairs" = "..."}."""

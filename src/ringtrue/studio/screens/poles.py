@@ -25,6 +25,7 @@ from ringtrue.studio.shell import (
     inspector,
     nothing_yet,
     run_button,
+    table,
 )
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
@@ -86,15 +87,10 @@ def build(session: StudioSession) -> None:
     stage: IdentifyStage | None = session.stage("identify")
     if not sources(stage):
         text = "No diagram is stored: the study has no records or FRFs, or was not run."
-        frame().follow(_again, session.on_results)
+        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, text, "identify")
         return
     _PolesScreen(session).build()
-
-
-def _again() -> None:
-    ui.navigate.to("/")
-    ui.navigate.to("/poles")
 
 
 class _PolesScreen:
@@ -324,7 +320,7 @@ class _PolesScreen:
         }
         with ui.column().classes("grow gap-0"):
             heading("Found")
-            _table(names, rows).on("rowClick", self._row_clicked).mark("found")
+            table(names, rows).on("rowClick", self._row_clicked).mark("found")
 
     def _row_clicked(self, event: GenericEventArguments) -> None:
         self._select_mode(int(event.args[1]["id"]))
@@ -353,7 +349,7 @@ class _PolesScreen:
         with ui.column().classes("w-80 gap-0"):
             heading(f"Your choice: {self.session.choice_name}")
             if rows:
-                _table({"what": "what", "f": "f, Hz", "why": "order or reason"}, rows).mark("own")
+                table({"what": "what", "f": "f, Hz", "why": "order or reason"}, rows).mark("own")
             else:
                 ui.label("Nothing yet: the automatic modes stand.").classes("text-sm opacity-70")
 
@@ -392,14 +388,3 @@ class _PolesScreen:
 
 def _pick_words(order: int) -> str:
     return f"order {order}" if order else "the automatic mode"
-
-
-def _table(names: dict[str, str], rows: list[dict[str, object]]) -> ui.table:
-    columns = [
-        {"name": key, "label": label, "field": key, "align": "left"} for key, label in names.items()
-    ]
-    return (
-        ui.table(rows=rows, columns=columns, row_key="id")
-        .props("dense flat hide-bottom :rows-per-page-options=[0]")
-        .classes("w-full")
-    )

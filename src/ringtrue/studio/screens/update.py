@@ -1,12 +1,326 @@
-"""The screen of update."""
+"""Update: factors that are tried move frequencies and MAC at once; the run; the delivered deck."""
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
+import numpy as np
 from nicegui import ui
 
+from ringtrue.api.trial import Trial, TrialModel
+from ringtrue.core.parameters import Parameter
+from ringtrue.errors import RingtrueError
+from ringtrue.plots.correlation import table_matrix
+from ringtrue.plots.updating import convergence, path
+from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
+from ringtrue.studio.shell import (
+    diff_view,
+    fact,
+    frame,
+    heading,
+    inspector,
+    nothing_yet,
+    run_button,
+    table,
+)
+from ringtrue.study.results import SetResult, UncertaintyStage, UpdateStage
+
+THROTTLE_S = 0.05  # between two positions of a slider that is dragged
+TAIL = 14  # lines of progress
 
 
 def build(session: StudioSession) -> None:
     """Fill the page."""
-    ui.label("update")
+    if session.stage("correlate") is None:
+        frame().follow(frame().rebuild, session.on_results)
+        nothing_yet(session, "The updating follows from a correlation.", "correlate")
+        return
+    _UpdateScreen(session).build()
+
+
+class _UpdateScreen:
+    """The screen of one page."""
+
+    def __init__(self, session: StudioSession) -> None:
+        self.session = session
+        self.model: TrialModel | None = None
+        self.factors: dict[str, float] = {}
+        self.modes: ui.table | None = None
+        self.matrix: ui.plotly | None = None
+        self.sliders: dict[str, tuple[ui.slider, ui.label]] = {}
+
+    def build(self) -> None:
+        session = self.session
+        with ui.column().classes("w-full gap-1 p-2"):
+            with ui.row().classes("w-full items-center no-wrap gap-2"):
+                self.sets()
+                ui.space()
+                run_button(session, "final", "Update")
+            with ui.row().classes("w-full no-wrap gap-3 items-start"):
+                self.tried = ui.column().classes("w-2/5 gap-1")
+                self.follows = ui.column().classes("grow min-w-0 gap-0")
+            self.results()
+        self.inspected()
+        frame().follow(self._results_changed, session.on_results, session.on_theme)
+        frame().follow(self.inspected, session.on_selection, session.on_work, session.on_documents)
+        ui.timer(0.05, self._open, once=True)
+
+    async def _results_changed(self) -> None:
+        self.sets.refresh()
+        self.results.refresh()
+        self.inspected()
+        await self._open()
+
+    async def _open(self) -> None:
+        """Make the reduced model where it is not known, then its sliders."""
+        self.tried.clear()
+        with self.tried, ui.row().classes("items-center gap-2"):
+            ui.spinner(size="sm")
+            ui.label("Reduced model over the candidates").classes("text-sm")
+        try:
+            self.model = await self.session.trial_model()
+        except RingtrueError as e:
+            self.tried.clear()
+            with self.tried:
+                ui.label(str(e)).classes("text-sm")
+            return
+        if self.model is not None:
+            kept = {n: self.factors.get(n, 1.0) for n in self.model.parameters.names}
+            self._rows()
+            self.put(kept)
+
+    # --- what is tried
+
+    def _rows(self) -> None:
+        assert self.model is not None
+        self.tried.clear()
+        self.sliders.clear()
+        with self.tried:
+            heading("Factors, updated over initial")
+            for parameter in self.model.parameters.parameters:
+                self._slider(parameter)
+            with ui.row().classes("gap-1"):
+                deck = ui.button("Deck", on_click=partial(self.put, {})).props("dense flat no-caps")
+                deck.tooltip("All factors 1").mark("reset")
+                if self.update is not None:
+                    best = self.update.best.factors
+                    ui.button("Updated", on_click=partial(self.put, best)).props(
+                        "dense flat no-caps"
+                    ).tooltip("As the chosen set of the updating ends").mark("updated")
+        with self.follows:
+            self.follows.clear()
+            self.modes = table(MODES, []).mark("modes")
+            self.matrix = ui.plotly({}).classes("w-full").style("height:34vh")
+
+    def _slider(self, parameter: Parameter) -> None:
+        """A factor between its bounds, by its logarithm."""
+        name = parameter.name
+        low, high = np.log(parameter.lower), np.log(parameter.upper)
+        with ui.row().classes("w-full items-center no-wrap gap-3"):
+            ui.label(name).classes("text-sm w-28 shrink-0 ellipsis cursor-pointer").tooltip(
+                name
+            ).on("click", partial(self.session.select, region=name))
+            slider = ui.slider(min=low, max=high, step=(high - low) / 400, value=0.0).props("dense")
+            slider.on(
+                "update:model-value",
+                lambda e, n=name: self.try_factor(n, float(np.exp(e.args))),
+                throttle=THROTTLE_S,
+                leading_events=True,
+            ).mark(f"factor-{name}")
+            value = ui.label("1.000").classes("text-sm rt-value w-12 text-right")
+        self.sliders[name] = (slider, value)
+
+    def try_factor(self, name: str, factor: float) -> None:
+        """Put one factor, within its bounds, and draw what follows."""
+        assert self.model is not None
+        at = self.model.parameters.names.index(name)
+        p = self.model.parameters.parameters[at]
+        self.factors[name] = min(max(factor, p.lower), p.upper)
+        self.sliders[name][1].text = f"{self.factors[name]:.3f}"
+        self._draw()
+
+    def put(self, factors: dict[str, float]) -> None:
+        """Put all factors; those that are not named have 1."""
+        for name, (slider, value) in self.sliders.items():
+            self.factors[name] = factors.get(name, 1.0)
+            slider.value = float(np.log(self.factors[name]))
+            value.text = f"{self.factors[name]:.3f}"
+        self._draw()
+
+    def _draw(self) -> None:
+        if self.model is None or self.modes is None or self.matrix is None:
+            return
+        trial = self.model.at(self.factors)
+        self.modes.rows = _mode_rows(trial)
+        spec = theme.drawn(table_matrix(trial.pairs), dark=self.session.dark, tools=False)
+        self.matrix.update_figure(spec)
+
+    # --- what was run
+
+    @property
+    def update(self) -> UpdateStage | None:
+        """The stored updating."""
+        found: UpdateStage | None = self.session.stage("update")
+        return found
+
+    @ui.refreshable_method
+    def sets(self) -> None:
+        """The chosen set in a line."""
+        if self.update is None:
+            ui.label("Not updated yet: try factors, then run.").classes("text-sm opacity-70")
+            return
+        best = self.update.best
+        ui.label(f"{best.name}: {best.outcome.verdict}").classes("text-sm")
+        ui.label(f"mean |Δf| {best.fit.mean_deviation:.2f} %").classes("text-sm rt-value")
+
+    @ui.refreshable_method
+    def results(self) -> None:
+        """Parameters, sets and the objective, and the delivered deck."""
+        found = self.update
+        if found is None:
+            return
+        dark = self.session.dark
+        with ui.tabs().props("dense no-caps align=left") as tabs:
+            names = ("Parameters", "Objective", "Sets", "Delivered deck")
+            each = [ui.tab(name) for name in names]
+        with ui.tab_panels(tabs, value=each[0]).classes("w-full"):
+            with ui.tab_panel(each[0]).classes("q-pa-none"):
+                table(PARAMETERS, self._parameter_rows(found.best)).mark("parameters")
+            with ui.tab_panel(each[1]).classes("q-pa-none"):
+                ui.plotly(theme.drawn(convergence(found.sets, found.chosen), dark=dark)).classes(
+                    "w-full"
+                ).style("height:300px")
+                ui.plotly(theme.drawn(path(found.best), dark=dark)).classes("w-full").style(
+                    "height:320px"
+                )
+            with ui.tab_panel(each[2]).classes("q-pa-none"):
+                table(SETS, _set_rows(found)).mark("sets")
+                ui.label(found.why).classes("text-sm q-mt-sm")
+            with ui.tab_panel(each[3]).classes("q-pa-none"):
+                if self.session.stage("final") is not None and self.session.study is not None:
+                    diff_view(self.session.study.deck_diff)
+                else:
+                    ui.label("No deck is delivered yet.").classes("text-sm opacity-70")
+
+    def _parameter_rows(self, best: SetResult) -> list[dict[str, object]]:
+        known: UncertaintyStage | None = self.session.stage("uncertainty")
+        intervals: dict[str, Any] = {}
+        if known is not None:
+            p = known.posterior
+            intervals = dict(zip(p.parameters.names, p.interval.tolist(), strict=True))
+        rows: list[dict[str, object]] = []
+        for k, name in enumerate(best.parameters):
+            low, high = intervals.get(name, (np.nan, np.nan))
+            rows.append(
+                {
+                    "id": name,
+                    "name": name,
+                    "factor": f"{best.factor[k]:.4f}",
+                    "std": f"{100 * best.std[k]:.2f}",
+                    "interval": f"{low:.4f} to {high:.4f}" if np.isfinite(low) else "",
+                    "bounds": f"{best.bounds[k, 0]:g} to {best.bounds[k, 1]:g}",
+                    "ratio": f"{best.identifiability[k]:.3f}",
+                }
+            )
+        return rows
+
+    # --- the inspector
+
+    def inspected(self) -> None:
+        """The run while there is one, else the selected candidate with its bounds."""
+        job = self.session.work.job
+        with inspector():
+            if job is not None and job.running:
+                heading("Run")
+                ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
+                with ui.column().classes("w-full gap-0 rt-mono"):
+                    for line in job.lines[-TAIL:]:
+                        ui.label(line)
+                return
+            self._candidate()
+
+    def _candidate(self) -> None:
+        config = self.session.config
+        candidates = config.candidate if config is not None else []
+        names = [c.name for c in candidates]
+        heading("Candidate")
+        if self.session.selection.region not in names:
+            ui.label("Select the name of a factor.").classes("text-sm opacity-70")
+            return
+        at = names.index(self.session.selection.region)
+        candidate = candidates[at]
+        fact("Name", candidate.name)
+        for target in candidate.targets:
+            ui.label(target).classes("rt-mono")
+        fact("Prior standard deviation", f"{candidate.std:g}")
+        for key in ("lower", "upper"):
+            ui.number(f"{key.capitalize()} bound", value=getattr(candidate, key), step=0.05).props(
+                "dense outlined"
+            ).classes("w-full").on(
+                "change", lambda e, k=key: self._set_bound(at, candidate.name, k, e.args)
+            ).mark(f"bound-{key}")
+
+    def _set_bound(self, at: int, name: str, key: str, value: object) -> None:
+        words = f"{key} bound of {name}"
+        self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
+
+
+MODES = {
+    "test": "test, Hz",
+    "fe": "FE, Hz",
+    "df": "Δf, %",
+    "mac": "MAC, %",
+    "subspace": "subspace MAC, %",
+}
+PARAMETERS = {
+    "name": "parameter",
+    "factor": "factor",
+    "std": "σ, %",
+    "interval": "interval",
+    "bounds": "bounds",
+    "ratio": "posterior over prior",
+}
+SETS = {
+    "name": "set",
+    "count": "parameters",
+    "outcome": "outcome",
+    "mean": "mean |Δf|, %",
+    "max": "largest |Δf|, %",
+    "left": "left out, %",
+    "criterion": "AICc",
+}
+
+
+def _mode_rows(trial: Trial) -> list[dict[str, object]]:
+    return [
+        {
+            "id": r.test,
+            "test": f"{r.test}: {r.test_hz:.4f}",
+            "fe": f"{r.fe}: {r.fe_hz:.4f}",
+            "df": f"{r.deviation_percent:+.2f}",
+            "mac": f"{r.mac_percent:.1f}",
+            "subspace": f"{r.subspace_mac_percent:.1f}",
+        }
+        for r in trial.pairs.rows()
+    ]
+
+
+def _set_rows(found: UpdateStage) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    for k, s in enumerate(found.sets):
+        chosen = " (chosen)" if k == found.chosen else ""
+        rows.append(
+            {
+                "id": s.name,
+                "name": s.name + chosen,
+                "count": len(s.parameters),
+                "outcome": s.outcome.verdict,
+                "mean": f"{s.fit.mean_deviation:.3f}",
+                "max": f"{s.fit.max_deviation:.2f}",
+                "left": f"{s.fit.mean_deviation_left_out:.3f}",
+                "criterion": f"{s.fit.criterion:.1f}",
+            }
+        )
+    return rows
