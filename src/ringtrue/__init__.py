@@ -50,7 +50,9 @@ if TYPE_CHECKING:
     )
     from ringtrue.api.reduction import reduce_model
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
+    from ringtrue.api.sensors import place_sensors
     from ringtrue.api.trial import trial_model
+    from ringtrue.api.trial_plan import trial_plan
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
     from ringtrue.errors import (
@@ -79,7 +81,9 @@ _PLACES = {  # module -> public names in it
     "api.reduction": "reduce_model",
     "reduction.part": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
+    "api.sensors": "place_sensors",
     "api.trial": "trial_model",
+    "api.trial_plan": "trial_plan",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
     "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",
@@ -127,6 +131,7 @@ __all__ = [
     "modes_of_test",
     "open_study",
     "parameter",
+    "place_sensors",
     "plan_test",
     "predict",
     "read_deck",
@@ -140,6 +145,7 @@ __all__ = [
     "solve_modes",
     "static",
     "trial_model",
+    "trial_plan",
     "tune_suspension",
     "update",
     "write_deck",
