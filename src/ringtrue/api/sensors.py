@@ -70,7 +70,7 @@ class PlacedSensors(Displayed):
         if not row.size:
             raise DataError(f"node {node}: not a node of the model that moves")
         at = xyz[row[0]]
-        return at if self._fit is None else (at - self._fit.shift) @ self._fit.rotation
+        return at if self._fit is None else np.asarray((at - self._fit.shift) @ self._fit.rotation)
 
 
 def place_sensors(
