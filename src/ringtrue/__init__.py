@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from ringtrue.api.candidates import region_parameters
     from ringtrue.api.checking import check_deck
     from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
@@ -49,8 +50,8 @@ if TYPE_CHECKING:
         write_deck,
     )
     from ringtrue.api.reduction import reduce_model
-    from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.api.sensors import place_sensors
+    from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.api.trial import trial_model
     from ringtrue.api.trial_plan import trial_plan
     from ringtrue.core.parameters import ParameterSet
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
+    "api.candidates": "region_parameters",
     "api.checking": "check_deck",
     "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
@@ -141,6 +143,7 @@ __all__ = [
     "read_record",
     "read_sensors",
     "reduce_model",
+    "region_parameters",
     "run_study",
     "solve_modes",
     "static",

@@ -19,8 +19,8 @@ FUNCTIONS = """
     at_factors check_deck correlate estimate_frfs example_deck fit_damping frf identify_ambient
     identify_ambient_setups identify_frfs inspect_file localise modes_of_test open_study parameter
     place_sensors plan_test predict read_deck read_deflections read_frfs read_modes
-    read_record read_sensors reduce_model run_study solve_modes static trial_model trial_plan
-    tune_suspension update write_deck write_modes
+    read_record read_sensors reduce_model region_parameters run_study solve_modes
+    static trial_model trial_plan     tune_suspension update write_deck write_modes
 """
 TYPES = """
     Channel CorrelateSettings FrfSet InputError MatrixModel NumericalError ParameterSet PlanSettings
