@@ -43,8 +43,10 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "solvers": {"mpi4py", "petsc4py", "slepc4py", "wire"},  # wire: without ringtrue, by its file
     "study": {"h5py", "pydantic"},
     "plots": {"plotly"},
+    "viewer": {"anywidget", "traitlets"},
     "report": {"docx", "jinja2", "plotly"},
     "cli": {"typer", "rich", "click"},
+    "studio": {"nicegui", "starlette"},
     "demos": {"h5py"},
     "studio": {"nicegui", "plotly", "starlette", "tomlkit"},
 }

@@ -2,5 +2,5 @@
 
 `launch` opens it, behind `guard`; `shell` is the frame around the screens, `theme` its colours.
 `documents` are the texts that are its only state, `edits` what a click does to one; `session` is
-what is open, `work` what runs in a process of its own (`worker`).
+what is open, `work` what runs in a process of its own (`worker`). `viewer_element` is the 3D view.
 """

@@ -80,25 +80,6 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
     return replace(modes, shapes=shapes, labels=labels)
 
 
-def element_cards(model: Model, elements: Int) -> dict[str, Int]:
-    """Property and material numbers of elements (e,), 0 where an element has none of its own."""
-    found = {name: np.zeros(elements.size, dtype=np.int64) for name in ("PID", "MID")}
-    for card in (*FACES, *_SURFACES, *_LINES, *_JOINTS):
-        if card not in model:
-            continue
-        row = model[card].find(elements)
-        for name, out in found.items():
-            if name in model[card].columns:
-                out[row >= 0] = model[card][name][row[row >= 0]]
-    for card in model.tables:
-        table = model[card]
-        if card.startswith("P") and {"PID", "MID"} <= set(table.columns):
-            row = table.find(found["PID"])
-            own = (row >= 0) & (found["PID"] > 0)
-            found["MID"][own] = table["MID"][row[own]]
-    return found
-
-
 def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[tuple[str, ...], Int]:
     """Names of groups, the regions first, then properties as they come; the group of each entry."""
     named = {pid: name for name, members in regions.items() for pid in members}

@@ -34,7 +34,7 @@ class Figure {
   modeControls() {
     const button = (textContent, title, onclick) => make("button", { type: "button", textContent, title, onclick });
     this.stages = [...new Set(this.data.modes.map((m) => m.stage))];
-    this.stageBox = make("select", { onchange: () => this.setStage(this.stageBox.selectedIndex), ariaLabel: "Stage" }, ...options(this.stages));
+    this.stageBox = make("select", { onchange: () => this.setStage(this.stageBox.selectedIndex), ariaLabel: "Stage" }, ...entries(this.stages));
     this.modeBox = make("select", { onchange: () => this.setMode(), ariaLabel: "Mode" });
     const step = (d) => () => { const n = this.modeBox.length; this.modeBox.selectedIndex = (this.modeBox.selectedIndex + d + n) % n; this.setMode(); };
     const playing = button("Play", "Play or pause", () => this.play(!this.playing));
@@ -85,7 +85,7 @@ class Figure {
   setStage(k) {
     const stage = this.stages ? this.stages[k] : this.data.modes[0].stage;
     this.list = this.data.modes.filter((m) => m.stage === stage);
-    if (this.modeBox) this.modeBox.replaceChildren(...options(this.list.map((m) => m.label)));
+    if (this.modeBox) this.modeBox.replaceChildren(...entries(this.list.map((m) => m.label)));
     this.setMode();
   }
 
@@ -138,7 +138,7 @@ class Figure {
   }
 }
 
-const options = (texts) => texts.map((textContent) => make("option", { textContent }));
+const entries = (texts) => texts.map((textContent) => make("option", { textContent }));
 
 // Redraws every view for paper of this width (at its largest deflection), or with 0 for the screen again.
 export function still(width) {

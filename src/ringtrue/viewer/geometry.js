@@ -22,6 +22,9 @@ export function unpack(bytes) {
   return decode(head, buffer.slice(start + 4 + size));
 }
 
+export const ENDS = 6; // points of an arrow: foot, tip, four of its head
+export const STROKES = 5; // lines of it
+
 export const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255);
 
 // Edges of the visible skin worth drawing: free ones, sharp ones, borders between groups; with `mesh` all but those

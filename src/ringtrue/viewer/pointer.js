@@ -1,4 +1,5 @@
 // The pointer over a view: turn, move, zoom, and find what lies under it in a picture of ids.
+import { ENDS, STROKES } from "./geometry.js";
 
 const REACH = 5; // px around the pointer in which something thin is found
 const NODE = 12; // px within which a node is meant
@@ -13,7 +14,7 @@ export class Pointer {
     on("pointerdown", (e) => this.down(e));
     on("pointermove", (e) => this.move(e));
     on("pointerup", (e) => this.up(e));
-    on("pointercancel", (e) => this.cancel(e));
+    for (const name of ["pointercancel", "lostpointercapture"]) on(name, (e) => this.cancel(e));
     on("pointerleave", () => { clearTimeout(this.waiting); this.hover(null); });
     on("contextmenu", (e) => e.preventDefault());
     on("dblclick", (e) => { const found = this.find(...this.at(e)); view.fly(found && found.kind === "element" ? { element: [found.id] } : null); });
@@ -147,7 +148,7 @@ export class Pointer {
     const found = this.nearest(x, y);
     if (!found) return null;
     const [kind, k] = found, has = (name) => kinds.includes(name);
-    if (kind === 5) return has("sensor") ? this.sensor(Math.floor(k / 3)) : null;
+    if (kind === 5) return has("sensor") ? this.sensor(Math.floor(k / STROKES)) : null;
     if (kind === 4) return has("point") ? { kind: "point", id: view.test.names[k], group: "" } : null;
     const e = this.element(kind, k), near = this.nodeNear(kind, k, x, y);
     const about = { ...e, node: view.model.node_id[near.node] };
@@ -251,7 +252,7 @@ export class Pointer {
       for (const n of this.corners(kind, k)) if (inside(view.body, n)) nodes.add(view.model.node_id[n]);
     }
     const names = view.arrows && view.state.sensor ? view.sensing.names : [];
-    view.tell("box", { element: [...elements], node: [...nodes], point: [...points], sensor: names.filter((_, k) => inside(view.arrows, 4 * k)) });
+    view.tell("box", { element: [...elements], node: [...nodes], point: [...points], sensor: names.filter((_, k) => inside(view.arrows, ENDS * k)) });
   }
 
   // ------------------------------------------------------------------ a sensor on its way to a node

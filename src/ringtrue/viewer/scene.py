@@ -11,7 +11,6 @@ from ringtrue.core.arrays import Int
 from ringtrue.core.testmodel import TestModel
 from ringtrue.model.model import Model
 from ringtrue.study.results import Scene
-from ringtrue.study.scene import element_cards
 from ringtrue.viewer.encoding import f4, u2, u4
 
 
@@ -50,8 +49,26 @@ def model_arrays(scene: Scene, model: Model | None = None) -> dict[str, Any]:
     }
     if model is None:
         return out
-    cards = element_cards(model, element)
-    return out | {"property": u4(cards["PID"]), "material": u4(cards["MID"])}
+    prop, material = _cards(model, element)
+    return out | {"property": u4(prop), "material": u4(material)}
+
+
+def _cards(model: Model, elements: Int) -> tuple[Int, Int]:
+    """Property and material numbers of elements (e,); 0 where there is none, or one a ply."""
+    prop = np.zeros(elements.size, dtype=np.int64)
+    material = np.zeros(elements.size, dtype=np.int64)
+    tables = model.tables.values()
+    for table in (t for t in tables if t.card.startswith("C") and "EID" in t.columns):
+        row = table.find(elements)
+        for name, out in (("PID", prop), ("MID", material)):
+            if name in table.columns:
+                out[row >= 0] = table[name][row[row >= 0]]
+    for table in (t for t in tables if t.card.startswith("P") and "PID" in t.columns):
+        name = "MID1" if table.card == "PSHELL" else "MID"
+        if isinstance(table.columns.get(name), np.ndarray):
+            row = np.where(prop > 0, table.find(prop), -1)
+            material[row >= 0] = table[name][row[row >= 0]]
+    return prop, material
 
 
 def test_arrays(test: TestModel) -> dict[str, Any]:

@@ -33,7 +33,7 @@
 // view.snapshot()          a promise of a PNG
 // view.destroy()
 import { Body, context } from "./gpu.js";
-import { OBLIQUE, boxOf, decode, edgesOf, fittingZoom, matrices, rgb } from "./geometry.js";
+import { ENDS, OBLIQUE, STROKES, boxOf, decode, edgesOf, fittingZoom, matrices, rgb } from "./geometry.js";
 import { Clock } from "./clock.js";
 import { Pointer } from "./pointer.js";
 
@@ -155,24 +155,24 @@ class View {
     const { points, names, colors } = this.sensing, n = points.length / 3;
     if (!n || !this.ctx) return this.draw();
     this.sensorAt = new Map(names.map((name, k) => [name, k]));
-    const index = new Uint32Array(6 * n);
-    for (let k = 0; k < n; k++) index.set([0, 1, 1, 2, 1, 3].map((v) => 4 * k + v), 6 * k);
+    const index = new Uint32Array(2 * STROKES * n);
+    for (let k = 0; k < n; k++) index.set([0, 1, 1, 2, 1, 3, 1, 4, 1, 5].map((v) => ENDS * k + v), 2 * STROKES * k);
     this.arrows = new Body(this.ctx, this.arrowEnds(points), n);
-    this.arrows.strip("lines", "line", index, Uint32Array.from({ length: 3 * n }, (_, k) => Math.floor(k / 3)));
+    this.arrows.strip("lines", "line", index, Uint32Array.from({ length: STROKES * n }, (_, k) => Math.floor(k / STROKES)));
     this.arrowColors = Uint8Array.from(colors.flatMap((c) => [...rgb(c).map((v) => 255 * v), 255]));
     this.paintSelection();
     this.draw();
   }
 
-  // Foot, tip and the two ends of the head of each arrow.
+  // Foot, tip and the four ends of the head of each arrow.
   arrowEnds(points) {
-    const { directions } = this.sensing, long = 0.055 * this.size, out = new Float32Array(4 * points.length);
+    const { directions } = this.sensing, long = 0.055 * this.size, out = new Float32Array(ENDS * points.length);
     for (let k = 0; k < points.length; k += 3) {
-      const side = Math.abs(directions[k + 2]) > 0.7 ? [1, 0, 0] : [0, 0, 1];
+      const d = directions.subarray(k, k + 3), side = Math.abs(d[2]) > 0.7 ? [1, 0, 0] : [0, 0, 1];
+      const other = [d[1] * side[2] - d[2] * side[1], d[2] * side[0] - d[0] * side[2], d[0] * side[1] - d[1] * side[0]];
       for (let c = 0; c < 3; c++) {
-        const d = directions[k + c], head = points[k + c] + 0.68 * long * d, wing = 0.16 * long * side[c];
-        const ends = [points[k + c], points[k + c] + long * d, head + wing, head - wing];
-        ends.forEach((v, e) => { out[4 * k + 3 * e + c] = v; });
+        const foot = points[k + c], head = foot + 0.68 * long * d[c], u = 0.16 * long * side[c], v = 0.16 * long * other[c];
+        [foot, foot + long * d[c], head + u, head - u, head + v, head - v].forEach((x, e) => { out[ENDS * k + 3 * e + c] = x; });
       }
     }
     return out;
@@ -338,6 +338,7 @@ class View {
 
   // ------------------------------------------------------------------ drawing
   draw(moving = this.clock.playing) {
+    this.fresh = null; // of the picture of ids: with sensors or without
     if (!this.ctx || this.queued || this.gone) return;
     this.queued = true;
     requestAnimationFrame((t) => {
@@ -372,7 +373,7 @@ class View {
     this.begin(w, h, [...theme.back, 1]);
     const phase = width ? 0 : this.clock.phase;
     this.drawn = this.scene(w, h, ratio, phase);
-    this.fresh = false; // of the picture of ids
+    this.fresh = null;
     this.contents(this.drawn, theme);
     if (smooth) {
       gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth);
@@ -471,7 +472,7 @@ class View {
   labels() {
     const { labels } = this.state, out = [];
     if (labels && this.body) for (const id of labels.node || []) for (const k of this.nodesAt([id])) out.push([this.body, k, String(id)]);
-    if (labels && this.arrows) for (const n of labels.sensor || []) if (this.sensorAt.has(n)) out.push([this.arrows, 4 * this.sensorAt.get(n) + 1, n]);
+    if (labels && this.arrows) for (const n of labels.sensor || []) if (this.sensorAt.has(n)) out.push([this.arrows, ENDS * this.sensorAt.get(n) + 1, n]);
     if (labels && this.wire) for (const n of labels.point || []) if (this.test.names.includes(n)) out.push([this.wire, this.test.names.indexOf(n), n]);
     this.marked = out.map(([body, k, textContent]) => [body, k, make("span", { textContent })]);
     this.marks.replaceChildren(...this.marked.map(([, , e]) => e));
