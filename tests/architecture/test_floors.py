@@ -46,7 +46,6 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "viewer": {"anywidget", "traitlets"},
     "report": {"docx", "jinja2", "plotly"},
     "cli": {"typer", "rich", "click"},
-    "studio": {"nicegui", "starlette"},
     "demos": {"h5py"},
     "studio": {"nicegui", "plotly", "starlette", "tomlkit"},
 }

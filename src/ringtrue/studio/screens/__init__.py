@@ -37,6 +37,7 @@ class Screen:
 
 
 SCREENS = (
+    Screen("model", "Model", "view_in_ar", ("model",)),
     Screen("poles", "Poles", "scatter_plot", ("identify",)),
     Screen("correlation", "Correlation", "grid_on", ("compare", "correlate")),
     Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final")),

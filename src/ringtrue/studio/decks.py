@@ -1,0 +1,151 @@
+"""The deck of a session as screens show it: its drawing, its checks, its modes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from nicegui import run
+
+import ringtrue as rt
+from ringtrue.api.checking import DeckCheck
+from ringtrue.api.models import open_model
+from ringtrue.core.arrays import Int
+from ringtrue.core.modes import ModeSet
+from ringtrue.plots.scene import SOFT
+from ringtrue.studio.session import StudioSession
+from ringtrue.study.config_sections import ModelSection
+from ringtrue.study.opened import Opened
+from ringtrue.study.results import ModelStage, Scene
+from ringtrue.study.scene import make_scene, scene_modes
+from ringtrue.viewer.scene import model_arrays
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnDeck:
+    """A deck and its drawing.
+
+    Attributes
+    ----------
+    opened : Opened
+    scene : Scene
+    arrays : dict
+        Of the viewer.
+    """
+
+    opened: Opened
+    scene: Scene
+    arrays: dict[str, Any]
+
+    @cached_property
+    def elements(self) -> Int:
+        """Numbers of the elements that are drawn, ascending."""
+        return np.asarray(self.arrays["element_id"], dtype=np.int64)
+
+    def numbers(self, coloring: str) -> Int:
+        """The property, material or group of each of `elements`."""
+        return np.asarray(self.arrays[coloring], dtype=np.int64)
+
+    def legend(self, coloring: str) -> list[tuple[int, str, str, int]]:
+        """Number, name, colour and count of elements of each property, material or group."""
+        number, count = np.unique(self.numbers(coloring), return_counts=True)
+        names = self.arrays["groups"]
+        label = {"property": "property {}", "material": "material {}"}.get(coloring, "")
+        out = []
+        for k, (n, size) in enumerate(zip(number.tolist(), count.tolist(), strict=True)):
+            name = label.format(n) if n else f"no {coloring}"
+            out.append((n, name if label else names[n], SOFT[k % len(SOFT)], size))
+        return out
+
+
+_DRAWN: WeakKeyDictionary[StudioSession, tuple[Any, DrawnDeck]] = WeakKeyDictionary()
+_CHECKS: WeakKeyDictionary[StudioSession, tuple[DrawnDeck, DeckCheck]] = WeakKeyDictionary()
+_MODES: WeakKeyDictionary[StudioSession, tuple[Opened, ModeSet]] = WeakKeyDictionary()
+
+
+def deck_path(session: StudioSession) -> Path | None:
+    """The deck of the study, or the one that was opened in place of a study."""
+    if session.config is not None:
+        model = session.config.model
+        return None if model is None else session.documents.folder / model.deck
+    return session.source
+
+
+def deck_units(session: StudioSession) -> str:
+    """As study.toml has them; SI where there is no study."""
+    model = session.config.model if session.config is not None else None
+    return "SI" if model is None else model.units
+
+
+async def drawn_deck(session: StudioSession) -> DrawnDeck | None:
+    """The deck, read and drawn once as long as it does not change; None where there is none."""
+    path = deck_path(session)
+    if path is None:
+        return None
+    model = session.config.model if session.config is not None else None
+    known = _DRAWN.get(session)
+    if known is not None and known[0] == _state(model, known[1].opened):
+        return known[1]
+    if model is not None and model.refine and session.deck is None:
+        await session.refresh()  # it alone refines
+    regions = {} if model is None else model.regions
+    made: DrawnDeck | None
+    made = await run.io_bound(_drawn, path, deck_units(session), session.deck, regions)
+    if made is not None:
+        _DRAWN[session] = _state(model, made.opened), made
+    return made
+
+
+def _drawn(
+    path: Path, units: str, opened: Opened | None, regions: Mapping[str, Sequence[int]]
+) -> DrawnDeck:
+    if opened is None:
+        opened = open_model(rt.read_deck(path, units=units))
+    scene = make_scene(opened.model, regions, opened.length)
+    return DrawnDeck(opened, scene, model_arrays(scene, opened.model))
+
+
+async def deck_check(session: StudioSession, deck: DrawnDeck) -> DeckCheck | None:
+    """What is wrong with the deck, found once; None while the program ends."""
+    known = _CHECKS.get(session)
+    if known is not None and known[0] is deck:
+        return known[1]
+    path = deck_path(session)
+    assert path is not None
+    made: DeckCheck | None = await run.io_bound(rt.check_deck, path, units=deck_units(session))
+    if made is not None:
+        _CHECKS[session] = deck, made
+    return made
+
+
+def stored_modes(session: StudioSession, deck: DrawnDeck) -> ModeSet | None:
+    """Modes at the nodes of the drawing: those of the study, or those solved on demand."""
+    stage: ModelStage | None = session.stage("model")
+    if stage is not None and session.standing("model") == "done":
+        same = np.array_equal(stage.scene.node, deck.scene.node)
+        return stage.modes if same else scene_modes(stage.modes, deck.scene)
+    known = _MODES.get(session)
+    return known[1] if known is not None and known[0] is deck.opened else None
+
+
+async def solve_deck(session: StudioSession, deck: DrawnDeck, count: int) -> None:
+    """Solve the lowest modes of the deck, for drawing."""
+    made: ModeSet | None = await run.io_bound(_solved, deck, count)
+    if made is not None:
+        _MODES[session] = deck.opened, made
+
+
+def _solved(deck: DrawnDeck, count: int) -> ModeSet:
+    return scene_modes(rt.solve_modes(deck.opened.model, count=count).modes, deck.scene)
+
+
+def _state(settings: ModelSection | None, opened: Opened) -> tuple[Any, ...]:
+    """What a drawing follows from: the settings of the deck, and its files as they stand."""
+    files = [Path(f) for f in opened.model.files]
+    stamps = [(f.stat().st_mtime_ns, f.stat().st_size) if f.exists() else None for f in files]
+    return str(settings), *stamps
