@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import asyncio
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from nicegui import run
 
 import ringtrue as rt
+from ringtrue.api.candidates import RegionParameter
 from ringtrue.api.checking import DeckCheck
 from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Int
@@ -47,6 +49,18 @@ class DrawnDeck:
         """Numbers of the elements that are drawn, ascending."""
         return np.asarray(self.arrays["element_id"], dtype=np.int64)
 
+    @cached_property
+    def parameters(self) -> tuple[RegionParameter, ...]:
+        """All factors that change an element that is drawn."""
+        return rt.region_parameters(self.opened.model, frozenset(self.elements.tolist()))
+
+    def changed(self, targets: Collection[str]) -> set[int]:
+        """Elements that have one of some cards, named as the targets of a candidate."""
+        wanted = {_card(t) for t in targets}
+        return {
+            e for p in self.parameters if wanted & set(map(_card, p.targets)) for e in p.elements
+        }
+
     def numbers(self, coloring: str) -> Int:
         """The property, material or group of each of `elements`."""
         return np.asarray(self.arrays[coloring], dtype=np.int64)
@@ -63,9 +77,15 @@ class DrawnDeck:
         return out
 
 
+def _card(target: str) -> tuple[str, ...]:
+    """Card and number of a target such as `MAT1 7 E`."""
+    return tuple(target.split()[:2])
+
+
 _DRAWN: WeakKeyDictionary[StudioSession, tuple[Any, DrawnDeck]] = WeakKeyDictionary()
 _CHECKS: WeakKeyDictionary[StudioSession, tuple[DrawnDeck, DeckCheck]] = WeakKeyDictionary()
 _MODES: WeakKeyDictionary[StudioSession, tuple[Opened, ModeSet]] = WeakKeyDictionary()
+_READING: WeakKeyDictionary[StudioSession, asyncio.Lock] = WeakKeyDictionary()
 
 
 def deck_path(session: StudioSession) -> Path | None:
@@ -84,6 +104,11 @@ def deck_units(session: StudioSession) -> str:
 
 async def drawn_deck(session: StudioSession) -> DrawnDeck | None:
     """The deck, read and drawn once as long as it does not change; None where there is none."""
+    async with _READING.setdefault(session, asyncio.Lock()):
+        return await _drawn_deck(session)
+
+
+async def _drawn_deck(session: StudioSession) -> DrawnDeck | None:
     path = deck_path(session)
     if path is None:
         return None

@@ -40,6 +40,7 @@ SCREENS = (
     Screen("model", "Model", "view_in_ar", ("model",)),
     Screen("poles", "Poles", "scatter_plot", ("identify",)),
     Screen("correlation", "Correlation", "grid_on", ("compare", "correlate")),
+    Screen("where", "Where it is wrong", "my_location", ("localise",)),
     Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final")),
     Screen("verdict", "Verdict and report", "fact_check", ("uncertainty", "damping", "predict")),
 )

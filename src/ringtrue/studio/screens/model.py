@@ -105,7 +105,7 @@ class _ModelScreen:
     async def _changed(self) -> None:
         deck = await drawn_deck(self.session)
         if deck is not self.deck:
-            await self.load()
+            frame().rebuild()
         elif deck is not None:
             self.bar.refresh()
             self.inspected()
@@ -337,10 +337,7 @@ class _ModelScreen:
         config = self.session.config
         entry = next((c for c in config.candidate if c.name == region), None) if config else None
         if entry is not None:
-            wanted = set(entry.targets)
-            parameters = rt.region_parameters(deck.opened.model, deck.elements.tolist())
-            hits = [p for p in parameters if _cards(p.targets) & _cards(wanted)]
-            self.select(e for p in hits for e in p.elements)
+            self.select(deck.changed(entry.targets))
         else:
             self.inspected()
 
@@ -469,11 +466,6 @@ def candidate(name: str, parameters: list[RegionParameter]) -> edits.Change:
         "std": min(p.std for p in parameters),
     }
     return edits.add_entry("candidate", entry)
-
-
-def _cards(targets: Iterable[str]) -> set[str]:
-    """Card and number of some targets."""
-    return {" ".join(t.split()[:2]) for t in targets}
 
 
 def _small(text: str, icon: str, does: Any) -> None:
