@@ -10,14 +10,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.display import Displayed
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, DataError
-from ringtrue.planning.exciters import reached
+from ringtrue.planning.exciters import LEAST_REACH, reached
 from ringtrue.planning.sensors import worst_sensor_loss
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 from ringtrue.study.config import read_config
+from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.planned_test import PlanProblem
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.session import Session
@@ -73,6 +74,11 @@ class PlanTrial(Displayed):
         return int(self.modes[a]), int(self.modes[b])
 
     @property
+    def missed(self) -> Bool:
+        """Which target modes no excitation point excites well, (t,)."""
+        return np.asarray(self.reach < LEAST_REACH)
+
+    @property
     def worst_excited(self) -> int:
         """The mode that the excitation points excite worst."""
         return int(self.modes[int(np.argmin(self.reach))])
@@ -93,6 +99,16 @@ class TrialPlan:
     def nodes(self) -> Int:
         """Candidate nodes (n,)."""
         return self._problem.able.nodes
+
+    def under(self, settings: PlanSection) -> TrialPlan:
+        """The same deck under other settings, such as other regions that are left out.
+
+        Raises
+        ------
+        ConfigError
+            If no candidate is left, or a fixed node is not in the deck.
+        """
+        return TrialPlan(plan_problem(self._problem.session, settings, stored=True), self._edge)
 
     def at(self, points: Sequence[int | str]) -> PlanTrial:
         """What some points see.

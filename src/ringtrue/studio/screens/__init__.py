@@ -38,6 +38,8 @@ class Screen:
 
 SCREENS = (
     Screen("model", "Model", "view_in_ar", ("model",)),
+    Screen("plan", "Plan", "edit_location_alt", ("plan",)),
+    Screen("sensors", "Sensors", "sensors"),
     Screen("poles", "Poles", "scatter_plot", ("identify",)),
     Screen("correlation", "Correlation", "grid_on", ("compare", "correlate")),
     Screen("where", "Where it is wrong", "my_location", ("localise",)),

@@ -29,6 +29,7 @@ FIELDS = {  # of the indicators
     "energy": "change of strain energy",
     "strain": "strain energy",
 }
+FAINT = 0.2  # opacity of what is not selected
 LEAST_TOP = 2.0  # of the colours of a concentration: 1 is an error that is spread evenly
 
 
@@ -235,7 +236,9 @@ class _WhereScreen:
         if name in self.names:
             targets = target_words(self.parameter(name))
             select = highlighted(deck, deck.changed(targets))
-        self.viewer.show(select=select, labels=None)
+        # what is not selected is seen through
+        alpha = None if select is None else [FAINT] * len(deck.arrays["groups"])
+        self.viewer.show(select=select, labels=None, alpha=alpha)
         self.ranked.refresh()
         self.inspected()
 
