@@ -36,7 +36,7 @@ from ringtrue.correlation.sensor_mounting import (
     readings_by_name,
 )
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.errors import ConfigError, DataError, about, did_you_mean
+from ringtrue.errors import ConfigError, DataError, UnsupportedError, about, did_you_mean
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.common.tracking import Stretch, Tracked, track_modes, unseen
 from ringtrue.io.recognition import Format, format_of
@@ -46,13 +46,14 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.evidence import NAMES, ChannelMass, channel_mass, gate
-from ringtrue.study.opened import Opened
+from ringtrue.study.opened import Opened, PairedShapes
 from ringtrue.study.placing import (
     alignment,
     alignment_text,
     between_nodes,
     mesh_points,
     near_mesh,
+    node_points,
     placed,
     readings,
     seat_words,
@@ -222,6 +223,8 @@ class Correlation(Displayed):
         Where each sensor reads the model.
     mendings : tuple of Mending
         Mountings of sensors that would explain the shapes better.
+    drawn : PairedShapes, optional
+        The shapes and the places of the channels, where a model was given.
     """
 
     UNITS: ClassVar[Mapping[str, str]] = {
@@ -236,6 +239,7 @@ class Correlation(Displayed):
     notes: tuple[str, ...] = ()
     seats: tuple[Seat, ...] = ()
     mendings: tuple[Mending, ...] = ()
+    drawn: PairedShapes | None = None
     test_mode: Int = field(init=False)
     fe_mode: Int = field(init=False)
     test_hz: Float = field(init=False)
@@ -258,9 +262,25 @@ class Correlation(Displayed):
     def __len__(self) -> int:
         return len(self.table)
 
-    def plot(self) -> Any:
-        """The MAC matrix, a plotly figure."""
-        return plot(self.table)
+    def plot(self, *, shapes: bool = False) -> Any:
+        """The MAC matrix, a plotly figure; with `shapes` the pairs in motion, a 3D view: the test
+        over the model.
+
+        Raises
+        ------
+        UnsupportedError
+            If `shapes` are asked for and no model, or no shapes, were correlated.
+        """
+        if not shapes:
+            return plot(self.table)
+        if self.drawn is None or self.table.frequency_only:
+            raise UnsupportedError(
+                "plot(shapes=True): the places of the channels are not known; correlate test "
+                "shapes with a model, or with modes of rt.solve_modes"
+            )
+        from ringtrue.plots.scene import pair_modes_view  # plotly loads when something is drawn
+
+        return pair_modes_view(self.table, self.drawn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,6 +292,7 @@ class _AtChannels:
     mass: Callable[[], ChannelMass] = ChannelMass
     seats: tuple[Seat, ...] = ()
     readings: Readings | None = None
+    drawn: Callable[[ModeSet, ModeSet], PairedShapes] | None = None
 
 
 def correlate(
@@ -376,7 +397,8 @@ def correlate(
             settings=gates,
         )
         notes = (*notes, *filter(None, [weight.why]))
-    return Correlation(table, full, notes, held.seats, tuple(mendings))
+    drawn = held.drawn(one, two) if held.drawn is not None and one.channels else None
+    return Correlation(table, full, notes, held.seats, tuple(mendings), drawn)
 
 
 def _std(modes: object) -> Float | float:
@@ -467,6 +489,7 @@ def _of_model(
         places = seats(look, here)
         notes += seat_words(places)
     at_sensors = test.rows(channels)
+    at = here if here is not None else node_points(opened, channels)
     if given is None:
         tried = readings_by_name(at_sensors, _along_all_axes(opened, modes, channels))
     else:
@@ -477,6 +500,7 @@ def _of_model(
         lambda: channel_mass(opened, look, channels, asked, reach),
         places,
         tried,
+        lambda one, two: PairedShapes(one, two, at, opened, modes),
     )
 
 

@@ -127,7 +127,7 @@ class Study:
 
     def pairs(self, of: Stage = "final") -> CorrelationTable:
         """The mode pairs of the initial or the final deck with the test."""
-        table = self.stage("correlate" if of == "initial" else "final").table
+        table = self.stage("final").table if of == "final" else self.stage("correlate").initial
         assert isinstance(table, CorrelationTable)
         return table
 

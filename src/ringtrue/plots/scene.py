@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.style import QUALITATIVE
+from ringtrue.study.opened import PairedShapes
 from ringtrue.study.results import Scene
+from ringtrue.study.scene import make_scene, scene_modes
 from ringtrue.viewer.encoding import shape_arrays
 from ringtrue.viewer.scene import model_arrays, sensor_arrays, test_arrays
 from ringtrue.viewer.view import View
@@ -82,7 +85,7 @@ class Shown:
     )
 
 
-def _at_scene(scene: Scene, modes: ModeSet, k: int) -> Float:
+def at_nodes(scene: Scene, modes: ModeSet, k: int) -> Float:
     """(node, 3) displacements of mode `k`; zero where the mode has no such degree of freedom."""
     dofs = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
     node = np.repeat(scene.node, 3)
@@ -123,15 +126,21 @@ def _phased(shown: Shown) -> Any_:
     return shape / peak if peak else shape
 
 
+def at_test_points(test: TestModel, shown: Shown) -> Complex:
+    """(point, 3) displacements of the test shape of what is shown, on the model's shape."""
+    assert shown.test is not None
+    return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
+
+
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
     out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
     if scene is not None and shown.fe is not None:
-        out["fe"] = shape_arrays(_at_scene(scene, *shown.fe))
+        out["fe"] = shape_arrays(at_nodes(scene, *shown.fe))
     elif test is not None and shown.seen is not None:
         seen, j = shown.seen
         out["wire"] = shape_arrays(np.real(_at_points(test, seen, seen.shapes[:, j])))
     if test is not None and shown.test is not None:
-        points = _at_points(test, shown.test[0], _phased(shown).astype(np.complex128))
+        points = at_test_points(test, shown)
         out["test"] = shape_arrays(points.real, points.imag)
     return out
 
@@ -150,6 +159,25 @@ def model_modes(scene: Scene, shapes: ModeSet) -> View:
     """The mode shapes of a model in motion."""
     labels = _numbered(shapes)
     return modes(scene, None, [Shown("model", s, s, fe=(shapes, k)) for k, s in enumerate(labels)])
+
+
+def pair_modes_view(table: CorrelationTable, shapes: PairedShapes) -> View:
+    """The mode pairs of a correlation in motion, the test over the model."""
+    scene = make_scene(shapes.opened.model, {}, shapes.opened.length)
+    skin = scene_modes(shapes.modes, scene)
+    shown = [
+        Shown(
+            "pairs",
+            f"test {r.test} · FE {r.fe}: {r.test_hz:.4g} Hz",
+            f"test {r.test_hz:.4g} Hz, FE {r.fe_hz:.4g} Hz, Δf {r.deviation_percent:+.2f} %, "
+            f"MAC {r.mac_percent:.1f} %",
+            fe=(skin, r.fe - 1),
+            test=(shapes.test, r.test - 1),
+            seen=(shapes.fe, r.fe - 1),
+        )
+        for r in table.rows()
+    ]
+    return modes(scene, shapes.points, shown)
 
 
 def test_modes(test: TestModel, shapes: ModeSet) -> View:

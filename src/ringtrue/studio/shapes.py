@@ -1,46 +1,97 @@
-"""Mode shapes as the screens show them."""
+"""Mode shapes as the screens show them: the test's points over the model's skin, in motion."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
 from ringtrue.core.modes import ModeSet
-from ringtrue.plots.scene import Shown, modes
+from ringtrue.core.testmodel import TestModel
+from ringtrue.plots.scene import Shown, at_nodes, at_test_points
 from ringtrue.studio.session import StudioSession
-from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, ModelStage
-from ringtrue.viewer.view import View
+from ringtrue.studio.shell import frame
+from ringtrue.studio.viewer_element import Viewer
+from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, ModelStage, Scene
+from ringtrue.viewer.scene import model_arrays, test_arrays
+
+SHAPE = "shown"  # the one shape that a view keeps
 
 
-def pair_view(session: StudioSession, state: str, pair: tuple[int, int]) -> View | None:
-    """The shapes of a test mode and an FE mode over each other; None where they are not stored."""
-    stage: CorrelateStage | None = session.stage("correlate")
-    model: ModelStage | None = session.stage("model")
-    found: IdentifyStage | None = session.stage("identify")
-    if stage is None or found is None or state == "ambient and hammer":
-        return None
+class ShapeView:
+    """A view of one shape at a time; its geometry is sent once.
+
+    Parameters
+    ----------
+    session : StudioSession
+    parts : {"both", "model", "test"}
+        What is drawn.
+    linked : str
+        Views of a page with the same name move and turn together.
+    """
+
+    def __init__(self, session: StudioSession, parts: str = "both", linked: str = "") -> None:
+        self.session = session
+        model: ModelStage | None = session.stage("model")
+        found: IdentifyStage | None = session.stage("identify")
+        self.scene: Scene | None = None
+        self.test: TestModel | None = None
+        drawn: dict[str, Any] = {}
+        if model is not None and parts != "test":
+            self.scene = model.scene
+            drawn["model"] = model_arrays(model.scene)
+        if found is not None and parts != "model":
+            self.test = found.test
+            drawn["test"] = test_arrays(found.test)
+        with ui.element("div").classes("w-full h-full"):
+            self.viewer = Viewer(drawn, linked=linked, theme=self._theme)
+        self.viewer.play()
+        frame().follow(lambda: self.viewer.show(theme=self._theme), session.on_theme)
+
+    @property
+    def _theme(self) -> str:
+        return "dark" if self.session.dark else "light"
+
+    def mode(self, modes: ModeSet, k: int) -> None:
+        """Show a mode at the channels of the test, from 0."""
+        self._show(Shown("", "", "", test=(modes, k)))
+
+    def pair(self, state: str, pair: tuple[int, int]) -> None:
+        """Show a test mode and an FE mode of a correlation, from 0."""
+        stage: CorrelateStage | None = self.session.stage("correlate")
+        if stage is None:
+            return
+        seen, skin = fe_modes(self.session, stage, state)
+        test = stage.reference.elastic
+        t, k = pair
+        if t >= len(test) or k >= len(seen):
+            return
+        fe = (skin, k) if skin is not None and k < len(skin) else None
+        self._show(Shown(state, "", "", fe=fe, test=(test, t), seen=(seen, k)))
+
+    def _show(self, shown: Shown) -> None:
+        state: dict[str, Any] = {"mode": None}
+        if self.scene is not None and shown.fe is not None:
+            self.viewer.shapes(SHAPE, at_nodes(self.scene, *shown.fe))
+            state["mode"] = SHAPE
+        if self.test is not None and shown.test is not None:
+            points = at_test_points(self.test, shown)
+            self.viewer.shapes(SHAPE, np.real(points), np.imag(points), on="test")
+            state["test"] = SHAPE
+        self.viewer.show(color="displacement" if state["mode"] else "group", **state)
+
+
+def fe_modes(
+    session: StudioSession, stage: CorrelateStage, state: str
+) -> tuple[ModeSet, ModeSet | None]:
+    """The FE modes of a correlation at the channels, and on the drawing of the model where they are
+    stored.
+    """
     final: FinalStage | None = session.stage("final")
-    seen: ModeSet
-    skin: ModeSet | None
+    model: ModelStage | None = session.stage("model")
     if state == "final" and final is not None:
-        seen, skin = final.observed, final.modes
-    elif state == "remodelled":
-        seen, skin = stage.fe_remodelled, None
-    else:
-        seen, skin = stage.fe_initial, model.modes if model is not None else None
-    test = stage.reference.elastic
-    t, k = pair
-    if t >= len(test) or k >= len(seen):
-        return None
-    drawn = skin is not None and k < len(skin)
-    shown = Shown(
-        state,
-        f"test {t + 1} · FE {k + 1}",
-        f"test {test.frequencies[t]:.4g} Hz, FE {seen.frequencies[k]:.4g} Hz",
-        fe=(skin, k) if skin is not None and drawn else None,
-        test=(test, t),
-        seen=(seen, k),
-    )
-    scene = model.scene if model is not None and drawn else None
-    return modes(scene, found.test, [shown])
-
-
-def pair_shapes(session: StudioSession, state: str, pair: tuple[int, int]) -> None:
-    """Show them."""
+        return final.observed, final.modes
+    if state == "remodelled":
+        return stage.fe_remodelled, None
+    return stage.fe_initial, model.modes if model is not None else None

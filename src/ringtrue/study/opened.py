@@ -14,7 +14,7 @@ from ringtrue.checks.materials import mass_properties
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part
-from ringtrue.core.modes import elastic
+from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.sensor_mapping import Method, observe
@@ -147,6 +147,28 @@ class Opened:
 
 CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
 ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedShapes:
+    """The two mode sets of a correlation, and where they are drawn.
+
+    Attributes
+    ----------
+    test, fe : ModeSet
+        At the common channels.
+    points : TestModel
+        Where the channels are on the model.
+    opened : Opened
+    modes : ModeSet
+        Of the model at all its degrees of freedom.
+    """
+
+    test: ModeSet
+    fe: ModeSet
+    points: TestModel
+    opened: Opened
+    modes: ModeSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)

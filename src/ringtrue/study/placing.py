@@ -320,6 +320,24 @@ def _motions(sheet: Path | SensorSheet, channels: Sequence[str]) -> TestModel:
     return found.model
 
 
+def node_points(opened: Opened, channels: Sequence[str]) -> TestModel:
+    """Channels that are translations of nodes (`101+Z`) as points with a direction each."""
+    dofs = DofSet.parse(channels)
+    along = np.abs(dofs.direction)
+    kept = np.flatnonzero((along >= 1) & (along <= 3))
+    node = dofs.node[kept]
+    points = np.unique(node)
+    grid = opened.model["GRID"]
+    return TestModel(
+        points=points,
+        xyz=positions(opened.model)[grid.find(points)] * opened.length,
+        channels=tuple(channels[k] for k in kept.tolist()),
+        at=node,
+        axes=np.eye(3)[along[kept] - 1] * np.sign(dofs.direction[kept])[:, None],
+        lines=np.zeros((0, 2), dtype=np.int64),
+    )
+
+
 def mesh_points(opened: Opened) -> TestModel:
     """Nodes that are drawn of a deck and move, `MESHED` at most all over it, as points with three
     directions each.

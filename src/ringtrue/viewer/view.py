@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ringtrue.errors import UnsupportedError
 from ringtrue.io.files import atomic_write
 from ringtrue.viewer.assets import asset, script_json, viewer_script
 from ringtrue.viewer.encoding import to_json
@@ -40,6 +42,28 @@ class View:
         with atomic_write(target) as part:
             part.write_text(self._page(), encoding="utf-8")
         return target
+
+    def widget(self) -> Any:
+        """The view as a widget of a notebook: `state` changes what is shown, `picked` has what was
+        clicked on.
+
+        Raises
+        ------
+        UnsupportedError
+            If anywidget is not installed.
+        """
+        if find_spec("anywidget") is None:
+            raise UnsupportedError("a widget needs anywidget: pip install 'ringtrue[notebook]'")
+        from ringtrue.viewer.widget import ViewerWidget  # anywidget is an extra
+
+        return ViewerWidget(self.payload, HEIGHT)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, Any]:
+        """The widget where anywidget is installed, without the page, which holds the same again."""
+        if find_spec("anywidget") is None:
+            return {}
+        bundle, _ = self.widget()._repr_mimebundle_(include=include, exclude=exclude)
+        return {**bundle, "text/html": "<i>3D view: run this cell to see it.</i>"}
 
     def _repr_html_(self) -> str:
         # 130: of the bar above and the legend below it, pixels

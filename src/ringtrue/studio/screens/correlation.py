@@ -16,7 +16,7 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.correlation import labels, orthogonality, table_matrix
 from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shapes import pair_shapes
+from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
     ask_reason,
     fact,
@@ -29,7 +29,7 @@ from ringtrue.studio.shell import (
 )
 from ringtrue.study.results import CompareStage, CorrelateStage, Evidence, FinalStage
 
-STATES = ("initial", "remodelled", "final", "ambient and hammer")
+BOTH_TESTS = "ambient and hammer"
 DECISIONS = ("lock", "forbid")
 
 
@@ -46,7 +46,7 @@ def states(session: StudioSession) -> dict[str, tuple[CorrelationTable, Evidence
         found["final"] = (final.table, final.evidence)
     compared: CompareStage | None = session.stage("compare")
     if compared is not None:
-        found["ambient and hammer"] = (compared.table, compared.evidence)
+        found[BOTH_TESTS] = (compared.table, compared.evidence)
     return found
 
 
@@ -67,6 +67,8 @@ class _CorrelationScreen:
         there = list(states(session))
         self.state = "final" if "final" in there else there[0]
         self.kind = "MAC"
+        self.arrangement = "overlaid"
+        self.shown: list[ShapeView] = []
 
     @property
     def table(self) -> CorrelationTable:
@@ -93,7 +95,7 @@ class _CorrelationScreen:
                 with ui.column().classes("grow min-w-0 gap-0"):
                     self.plot = ui.plotly(self._figure()).classes("w-full").style("height:58vh")
                     self.plot.on("plotly_click", self._clicked, ["points"]).mark("matrix")
-                self.shapes()
+                self._shapes()
             self.pairs()
         self.inspected()
         keys = frame().keys
@@ -107,7 +109,7 @@ class _CorrelationScreen:
     def _update(self) -> None:
         self.plot.update_figure(self._figure())
         self.pairs.refresh()
-        self.shapes.refresh()
+        self._show_pair()
         self.inspected()
 
     def _show(self, **change: str) -> None:
@@ -179,13 +181,36 @@ class _CorrelationScreen:
         k = (int(now[0]) + by) % a.size if now.size else 0
         self.select(int(a[k]), int(b[k]))
 
+    def _shapes(self) -> None:
+        """Both shapes of the selected cell, over each other or next to each other."""
+        with ui.column().classes("w-2/5 gap-1").style("height:58vh"):
+            ui.toggle(
+                ["overlaid", "side by side"],
+                value=self.arrangement,
+                on_change=lambda e: self._arrange(e.value),
+            ).props("dense no-caps unelevated size=sm").mark("arrangement")
+            self.views()
+
+    def _arrange(self, arrangement: str) -> None:
+        self.arrangement = arrangement
+        self.views.refresh()
+
     @ui.refreshable_method
-    def shapes(self) -> None:
-        """Both shapes of the selected cell."""
+    def views(self) -> None:
+        """The views, which stay while the selection changes."""
+        parts = ("both",) if self.arrangement == "overlaid" else ("test", "model")
+        with ui.column().classes("w-full grow gap-1"):
+            for part in parts:
+                with ui.element("div").classes("w-full grow min-h-0"):
+                    view = ShapeView(self.session, part, linked="pair")
+                self.shown = [view] if part == parts[0] else [*self.shown, view]
+        self._show_pair()
+
+    def _show_pair(self) -> None:
         pair = self.session.selection.pair
-        if pair is not None:
-            with ui.column().classes("w-2/5 gap-0"):
-                pair_shapes(self.session, self.state, pair)
+        if pair is not None and self.state != BOTH_TESTS:
+            for view in self.shown:
+                view.pair(self.state, pair)
 
     @ui.refreshable_method
     def pairs(self) -> None:
@@ -258,7 +283,7 @@ class _CorrelationScreen:
             fact("Paired", "yes")
         else:
             fact("Paired", "no")
-        if self.state == "ambient and hammer":
+        if self.state == BOTH_TESTS:
             return
         with ui.row().classes("gap-2 q-mt-sm"):
             ui.button("Lock", icon="lock", on_click=partial(self._ask, "lock")).props(

@@ -12,11 +12,13 @@ from nicegui.events import GenericEventArguments
 
 from ringtrue.core.choice import Choice
 from ringtrue.core.digits import plus_minus
+from ringtrue.core.modes import ModeSet
 from ringtrue.io.choices import parse_choice
 from ringtrue.plots.diagram import POLES, identification_figure
 from ringtrue.studio import edits, theme
 from ringtrue.studio.screens.evidence import evidence
 from ringtrue.studio.session import StudioSession
+from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
     ask_reason,
     fact,
@@ -82,6 +84,18 @@ def nearest_pole(found: IdentifiedModes, frequency: float, order: int) -> Pole |
     return best
 
 
+def pole_shape(found: IdentifiedModes, pole: Pole) -> ModeSet | None:
+    """The shape of a pole; None where the poles hold something else, as those of FRFs do."""
+    channels = found.diagram.modes.channels
+    for diagram in found.diagrams:
+        poles = diagram.poles
+        at = np.flatnonzero((poles.order == pole.order) & (poles.frequencies == pole.frequency))
+        if at.size and poles.shape.shape[0] == len(channels):
+            shape = poles.shape[:, at[:1]]
+            return ModeSet(poles.frequencies[at[:1]], poles.damping[at[:1]], shape, channels)
+    return None
+
+
 def build(session: StudioSession) -> None:
     """Fill the page."""
     stage: IdentifyStage | None = session.stage("identify")
@@ -99,6 +113,7 @@ class _PolesScreen:
     def __init__(self, session: StudioSession) -> None:
         self.session = session
         self.plot: ui.plotly | None = None
+        self.view: ShapeView | None = None
 
     @property
     def record(self) -> str:
@@ -126,9 +141,14 @@ class _PolesScreen:
             self._bar()
             self.plot = ui.plotly(self._figure()).classes("w-full").style("height:56vh")
             self.plot.on("plotly_click", self._clicked, ["points"]).mark("diagram")
+            self.plot.on("plotly_hover", self._hovered, ["points"], throttle=0.1)
             with ui.row().classes("w-full no-wrap gap-4 items-start"):
                 self.automatic()
                 self.own()
+        with inspector():
+            with ui.element("div").classes("w-full").style("height:220px"):
+                self.view = ShapeView(session, "test")
+            self.about = ui.column().classes("w-full gap-1")
         self.inspected()
         keys = frame().keys
         keys["next"] = partial(self._step, 1)
@@ -195,6 +215,18 @@ class _PolesScreen:
                 del trace["hoverinfo"]
                 trace["hovertemplate"] = "%{x:.5g} Hz, order %{y}<extra></extra>"
         return spec
+
+    def _hovered(self, event: GenericEventArguments) -> None:
+        """The shape of the mode, or of the pole, under the pointer moves."""
+        points = event.args.get("points") or []
+        if not points or self.view is None:
+            return
+        if (mode := points[0].get("customdata")) is not None:
+            self.view.mode(self.found.diagram.modes, int(np.ravel(mode)[0]))
+        elif (pole := nearest_pole(self.found, points[0]["x"], points[0]["y"])) is not None:
+            shape = pole_shape(self.found, pole)
+            if shape is not None:
+                self.view.mode(shape, 0)
 
     def _clicked(self, event: GenericEventArguments) -> None:
         """A mark of a mode selects it, a pole is picked, one that is picked is let go."""
@@ -354,11 +386,14 @@ class _PolesScreen:
                 ui.label("Nothing yet: the automatic modes stand.").classes("text-sm opacity-70")
 
     def inspected(self) -> None:
-        """The evidence of what is selected."""
-        with inspector():
+        """The evidence of what is selected, and its shape in motion."""
+        assert self.view is not None
+        self.about.clear()
+        with self.about:
             selection = self.session.selection
             k = self._mode()
             if k is not None:
+                self.view.mode(self.found.diagram.modes, k)
                 evidence(self.found, k)
                 f = float(self.found.diagram.modes.frequencies[k])
                 rejected = self._entry("reject", f) is not None
