@@ -147,18 +147,14 @@ class TrialPlan:
             raise ConfigError("no measuring point: name one at least")
         nodes = [p for p in points if not isinstance(p, str)]
         lost: list[int | str] = np.setdiff1d(nodes, able.node).tolist()
-        sensor = {c: k // able.each for k, c in enumerate(self._channels)}
         channels = [p for p in points if isinstance(p, str)]
+        labels = able.labels(np.arange(able.at.size)) if channels else ()
+        sensor = {c: k // able.each for k, c in enumerate(labels)}
         lost += [c for c in channels if c not in sensor]
         if lost:
             raise ConfigError(f"{lost[0]}: no candidate of the plan; it is held, excluded or named")
         named = np.array([sensor[c] for c in channels], dtype=np.int64)
         return np.union1d(np.flatnonzero(np.isin(able.node, nodes)), named)
-
-    @cached_property
-    def _channels(self) -> tuple[str, ...]:
-        able = self._problem.able
-        return able.labels(np.arange(able.at.size))
 
 
 def trial_plan(study: str | Path) -> TrialPlan:

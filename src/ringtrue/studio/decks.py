@@ -14,7 +14,6 @@ import numpy as np
 from nicegui import run
 
 import ringtrue as rt
-from ringtrue.api.candidates import RegionParameter
 from ringtrue.api.checking import DeckCheck
 from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Int
@@ -50,16 +49,18 @@ class DrawnDeck:
         return np.asarray(self.arrays["element_id"], dtype=np.int64)
 
     @cached_property
-    def parameters(self) -> tuple[RegionParameter, ...]:
-        """All factors that change an element that is drawn."""
-        return rt.region_parameters(self.opened.model, frozenset(self.elements.tolist()))
+    def _of_cards(self) -> dict[tuple[str, ...], set[int]]:
+        """Elements that each card changes, by its name and number."""
+        found: dict[tuple[str, ...], set[int]] = {}
+        every = frozenset(self.elements.tolist())
+        for p in rt.region_parameters(self.opened.model, every):
+            for card in set(map(_card, p.targets)):
+                found.setdefault(card, set()).update(p.elements)
+        return found
 
     def changed(self, targets: Collection[str]) -> set[int]:
-        """Elements that have one of some cards, named as the targets of a candidate."""
-        wanted = {_card(t) for t in targets}
-        return {
-            e for p in self.parameters if wanted & set(map(_card, p.targets)) for e in p.elements
-        }
+        """Elements that some cards change, which are named as the targets of a candidate."""
+        return set().union(*(self._of_cards.get(_card(t), ()) for t in targets))
 
     def numbers(self, coloring: str) -> Int:
         """The property, material or group of each of `elements`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from ringtrue.core.modes import ModeSet
@@ -90,13 +91,10 @@ def mass_unit(session: StudioSession) -> str:
 
 def highlighted(deck: DrawnDeck, elements: Collection[int]) -> dict[str, list[int]]:
     """A selection of the viewer; whole properties by their numbers, which is short."""
-    wanted = set(elements)
-    whole: list[int] = []
-    rest = wanted
-    properties = deck.numbers("property")
-    for number, _, _, _ in deck.legend("property"):
-        own = set(deck.elements[properties == number].tolist())
-        if number and own <= wanted:
-            whole.append(number)
-            rest = rest - own
-    return {"property": whole, "element": sorted(rest)}
+    chosen = np.isin(deck.elements, np.array(sorted(elements), dtype=np.int64))
+    prop = deck.numbers("property")
+    number, at, count = np.unique(prop, return_inverse=True, return_counts=True)
+    inside = np.bincount(at, weights=chosen, minlength=number.size)
+    whole = number[(inside == count) & (number > 0)]
+    rest = deck.elements[chosen & ~np.isin(prop, whole)]
+    return {"property": whole.tolist(), "element": rest.tolist()}

@@ -285,7 +285,7 @@ class _ModelScreen:
         """Select elements by their numbers."""
         self.chosen = set(elements)
         self._shown()
-        self.inspected()
+        self.selection.refresh()
 
     def select_number(self, value: int) -> None:
         """Select all elements of a property, material or region."""
@@ -309,13 +309,13 @@ class _ModelScreen:
         assert self.deck is not None
         self.hidden = set(self.deck.elements.tolist()) - self.chosen
         self._shown()
-        self.inspected()
+        self.selection.refresh()
 
     def show_all(self) -> None:
         """Hide nothing."""
         self.hidden = set()
         self._shown()
-        self.inspected()
+        self.selection.refresh()
 
     def _shown(self) -> None:
         if self.viewer is None or self.deck is None:
@@ -337,9 +337,9 @@ class _ModelScreen:
         config = self.session.config
         entry = next((c for c in config.candidate if c.name == region), None) if config else None
         if entry is not None:
-            self.select(deck.changed(entry.targets))
-        else:
-            self.inspected()
+            self.chosen = deck.changed(entry.targets)
+            self._shown()
+        self.inspected()
 
     # --- the inspector
 
@@ -348,11 +348,13 @@ class _ModelScreen:
         if self.deck is None:
             return
         with inspector():
-            self._chosen()
+            self.selection()
             self._legend()
             self._candidates()
 
-    def _chosen(self) -> None:
+    @ui.refreshable_method
+    def selection(self) -> None:
+        """The selected elements, and what can be done with them."""
         heading("Selection")
         count = len(self.chosen)
         if not count:

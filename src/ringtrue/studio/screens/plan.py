@@ -338,13 +338,7 @@ class _PlanScreen:
 
     def set(self, words: str, **keys: object) -> None:
         """Change keys of [plan] in one step; None takes one out."""
-
-        def change(text: str) -> str:
-            for key, value in keys.items():
-                text = edits.put(("plan", key), value)(text)
-            return text
-
-        self.session.edit(words, change)
+        self.session.edit(words, edits.put_all(("plan",), keys))
 
     def add(self) -> None:
         """Measure at the selected node in any case."""

@@ -74,13 +74,16 @@ def gain(session: StudioSession, reads: Mapping[str, tuple[str, float]]) -> Gain
     shapes = np.array(test.shapes)
     for name, (at, sign) in reads.items():
         shapes[row[at]] = sign * test.shapes[row[name]]
-    settings = session.config.correlate
-    found = [
-        rt.correlate(modes, stage.fe_initial, settings=settings)
-        for modes in (test, replace(test, shapes=shapes))
-    ]
-    now, then = (float(np.sum(f.mac_percent)) / max(len(test), 1) for f in found)
-    return Gain((len(found[0]), len(found[1])), (now, then))
+    found = rt.correlate(
+        replace(test, shapes=shapes),
+        stage.fe_initial,
+        settings=session.config.correlate,
+        mountings=False,
+    )
+    before = [r.mac_percent for r in stage.initial.rows()]
+    count = max(len(test), 1)
+    now, then = sum(before) / count, float(np.sum(found.mac_percent)) / count
+    return Gain((len(before), len(found)), (now, then))
 
 
 def build(session: StudioSession) -> None:
@@ -124,14 +127,14 @@ class _SensorsScreen:
     async def load(self) -> None:
         """Read deck and sheet, and draw them."""
         self.deck = await drawn_deck(self.session)
-        await self._place()
         if self.holder.is_deleted:
             return
         drawn: dict[str, Any] = {}
         if self.deck is not None:
             drawn["model"] = self.deck.arrays
-        elif self.sheet is not None:
-            drawn["test"] = test_arrays(self.sheet.model)
+        else:
+            await self._place()
+            drawn["test"] = test_arrays(self.sheet.model) if self.sheet is not None else {}
         with self.holder:
             self.bar()
             self.viewer = deck_view(self.session, drawn, ["sensor"], below=358)
@@ -139,12 +142,10 @@ class _SensorsScreen:
             self.viewer.on_event("pick", self.picked).on_event("drag", self.dragged)
             with ui.scroll_area().style("height:246px").classes("w-full"):
                 self.points()
-        self._drawn()
-        self._selected()
+        await self._changed()
 
     async def _changed(self) -> None:
-        deck = await drawn_deck(self.session)
-        if deck is not self.deck:
+        if await drawn_deck(self.session) is not self.deck:
             frame().rebuild()
             return
         await self._place()
@@ -153,7 +154,7 @@ class _SensorsScreen:
         self.bar.refresh()
         self._drawn()
         self.points.refresh()
-        self.inspected()
+        self._selected()
 
     async def _place(self) -> None:
         """The sheet as it is now, on the deck."""

@@ -69,7 +69,8 @@ class _WhereScreen:
         self.holder = ui.column().classes("w-full gap-1 p-2")
         ui.timer(0.0, self.load, once=True)
         frame().follow(frame().rebuild, session.on_results)
-        frame().follow(self._changed, session.on_selection, session.on_documents)
+        frame().follow(self._selected, session.on_selection)
+        frame().follow(self._changed, session.on_documents)
         keys = frame().keys
         keys["next"] = partial(self.step, 1)
         keys["previous"] = partial(self.step, -1)
@@ -93,7 +94,7 @@ class _WhereScreen:
                 self.ranked()
                 self.alternatives()
         self.show_field(self.field)
-        self._changed()
+        self._selected()
 
     def _bar(self) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
@@ -228,6 +229,11 @@ class _WhereScreen:
             self.session.select(region=names[k])
 
     def _changed(self) -> None:
+        if self.viewer is not None:
+            self.ranked.refresh()
+            self.inspected()
+
+    def _selected(self) -> None:
         deck = self.deck
         if deck is None or self.viewer is None:
             return
@@ -239,7 +245,6 @@ class _WhereScreen:
         # what is not selected is seen through
         alpha = None if select is None else [FAINT] * len(deck.arrays["groups"])
         self.viewer.show(select=select, labels=None, alpha=alpha)
-        self.ranked.refresh()
         self.inspected()
 
     def parameter(self, name: str) -> Parameter:
