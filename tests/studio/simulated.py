@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -59,3 +60,20 @@ def visit(session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -
             await scenario(user)
 
     asyncio.run(run())
+
+
+def opened(ran: Path, tmp_path: Path) -> StudioSession:
+    """A copy of it that a test may change."""
+    folder = tmp_path / "frame"
+    shutil.copytree(ran, folder)
+    return StudioSession(folder / "study.toml")
+
+
+def on(screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
+    """Open a screen as a user who then does something."""
+
+    async def there(user: User) -> None:
+        await user.open(f"/{screen}")
+        await scenario(user)
+
+    visit(session, there)

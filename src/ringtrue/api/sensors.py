@@ -32,7 +32,7 @@ class PlacedSensors(Displayed):
         In the frame of the model, m.
     points : (p,) int64
     node : (p,) int64
-        The nearest node that moves.
+        The nearest node that a sensor may be on.
     distance : (p,) float64, m
         From it.
     tolerance : float, m
@@ -63,12 +63,12 @@ class PlacedSensors(Displayed):
         Raises
         ------
         DataError
-            If the model has no such node, or it is held.
+            If the model has no such node, or it is not the one of several at a place that moves.
         """
         ids, xyz = self._nodes
         row = np.flatnonzero(ids == node)
         if not row.size:
-            raise DataError(f"node {node}: not a node of the model that moves")
+            raise DataError(f"node {node}: not a node of the model that a sensor may be on")
         at = xyz[row[0]]
         return at if self._fit is None else np.asarray((at - self._fit.shift) @ self._fit.rotation)
 

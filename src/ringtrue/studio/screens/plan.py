@@ -38,11 +38,11 @@ from ringtrue.viewer.scene import sensor_arrays
 
 STRUCK, MEASURED = "excitation point", "measuring point"
 TRIALS = 20  # virtual tests on demand
-MARGIN = 1e-6  # m: of a forbidden box around the nodes that it is to hold
+MARGIN = 1e-3  # m: of a box around the nodes that it is to hold
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
+class PlannedPoints:
     """Points as they stand: those of the stored plan, with what was added and taken out since.
 
     Attributes
@@ -79,7 +79,7 @@ def trial_of(session: StudioSession) -> TrialPlan:
     return known[1].under(session.config.plan)
 
 
-def planned(plan: PlanSection, stored: PlanStage | None, candidates: TrialPlan) -> Planned:
+def planned(plan: PlanSection, stored: PlanStage | None, candidates: TrialPlan) -> PlannedPoints:
     """The points as they stand."""
     allowed = set(candidates.nodes.tolist())
     points: list[int | str] = []
@@ -98,7 +98,7 @@ def planned(plan: PlanSection, stored: PlanStage | None, candidates: TrialPlan) 
     except ConfigError:  # the stored plan is of other directions
         points = list(dict.fromkeys(nodes))
         trial = candidates.at(points)
-    return Planned(tuple(points), tuple(dict.fromkeys(nodes)), trial)
+    return PlannedPoints(tuple(points), tuple(dict.fromkeys(nodes)), trial)
 
 
 def build(session: StudioSession) -> None:
@@ -153,7 +153,7 @@ class _PlanScreen:
         self.deck: DrawnDeck | None = None
         self.viewer: Viewer | None = None
         self.candidates: TrialPlan | None = None
-        self.now: Planned | None = None
+        self.now: PlannedPoints | None = None
         self.problem = ""
         self.node: int | None = None
         self.boxed_nodes: list[int] = []
@@ -382,7 +382,7 @@ class _PlanScreen:
         if not len(here):
             return
         corners = [*(here.min(axis=0) - MARGIN).tolist(), *(here.max(axis=0) + MARGIN).tolist()]
-        box = [float(f"{x:.6f}") + 0.0 for x in corners]
+        box = [float(f"{x:.4f}") + 0.0 for x in corners]
         count = len(self.boxed_nodes)
         self.boxed_nodes = []
         words = "forbidden" if key == "keep_out" else "measured alone"

@@ -304,8 +304,8 @@ class _WhereScreen:
             fact("Effect of one prior σ", f"{number(float(s.candidates.effect[k]), 3)} σ of data")
             known = 100 * float(s.candidates.others_known[k])
             free = 100 * float(s.candidates.all_free[k])
-            fact("Left of the prior σ", f"{number(known, 2)} %")
-            fact("With all candidates free", f"{number(free, 2)} %")
+            fact("σ left, others known", f"{number(known, 2)} %")
+            fact("σ left, all free", f"{number(free, 2)} %")
             member = next((m for m in s.proposal.members if m.name == name), None)
             if member is not None:
                 heading("Evidence")
