@@ -70,7 +70,9 @@ RUNS = {  # name of the results: script and its options
     "facility": "bench/facility.py",
     "kernels": "bench/kernels.py",
     "durability": "bench/durability.py",
+    "viewer": "bench/viewer.py",
     "fuzz": "scripts/fuzz",
+    "studio": "bench/studio.py",
 }
 BENCH = Path(__file__).resolve().parent
 RESULTS = BENCH / "results"

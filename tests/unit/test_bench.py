@@ -38,8 +38,10 @@ import published
 import pytest
 import records
 import results_files
+import studio
 import uncertainty
 import updating
+import viewer
 import write_docs
 from outcome import (
     Check,
@@ -89,6 +91,7 @@ RECORD = ambient_families.Outcome(
     missing=0,
 )
 STATED = np.linspace(0.0, 1.0, 500)
+PICTURE = viewer.Drawn(20.0, 0.5, 300.0, np.arange(40), np.arange(40), 12)
 FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
 
 
@@ -560,6 +563,16 @@ JUDGED: list[
         [(replace(ALIKE, **{n: 99}),) for n in ("met", "whole", "alike")],
     ),
     (
+        "viewer",
+        viewer.checks,
+        (PICTURE, 12),
+        [
+            (replace(PICTURE, picked=PICTURE.picked + 1), 12),
+            (PICTURE, 24),
+            (replace(PICTURE, frames=0.0), 12),
+        ],
+    ),
+    (
         "durability",
         durability.unread,
         (FLIPS,),
@@ -567,6 +580,12 @@ JUDGED: list[
             (replace(FLIPS, **{n: v}),)
             for n, v in (("wrong", 1), ("ended", 1), ("alike", 19), ("named", -9))
         ],
+    ),
+    (
+        "studio",
+        studio.states_itself,
+        (1e-5, 8e-6, 1e-3),
+        [(1e-4, 8e-6, 1e-3), (1e-5, 8e-6, 0.1), (np.nan, 8e-6, 1e-3)],
     ),
 ]
 

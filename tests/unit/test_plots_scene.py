@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+import ringtrue as rt
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.errors import UnsupportedError
 from ringtrue.plots.scene import regions
 from ringtrue.study.results import Scene
 from ringtrue.study.run import run_study
 from ringtrue.study.scene import _faces, make_scene
+from ringtrue.viewer.scene import model_arrays
 
 
 def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
@@ -115,3 +119,60 @@ def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_pa
     s = scene_of(tmp_path, *places, *cards)  # 5 is a mass in the air, which a sensor on 4 sees
     lines = {tuple(x) for x in s.node[s.lines].tolist()}
     assert lines == {(1, 2), (3, 4), (4, 1), (2, 2), (3, 3), (4, 4)}
+
+
+def test_what_is_drawn_has_its_element_property_and_material(tmp_path: Path) -> None:
+    """Two solids that share a face, a shell, a rod of its own material and a spring without a
+    property.
+    """
+    places = [(float(x), float(y), float(z)) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)]
+    cards = [
+        "CHEXA,11,1,1,2,5,4,7,8",
+        ",11,10",
+        "CHEXA,12,1,2,3,6,5,8,9",
+        ",12,11",
+        "CQUAD4,21,2,7,8,11,10",
+        "CONROD,31,1,2,9,.01",
+        "CELAS2,32,1.+6,1,1",
+        "PSOLID,1,1",
+        "PSHELL,2,9,.01",
+        "MAT1,9,7.+10,,.3",
+    ]
+    (tmp_path / "all.bdf").write_text(
+        "\n".join(["BEGIN BULK", *grids(*places), *cards, "MAT1,1,2.1+11,,.3,7850."])
+    )
+    deck = read_deck(tmp_path / "all.bdf")
+    drawn = model_arrays(make_scene(deck, {}), deck)
+    assert drawn["element_id"].tolist() == [11, 12, 21, 31, 32]
+    assert drawn["property"].tolist() == [1, 1, 2, 0, 0]
+    assert drawn["material"].tolist() == [1, 1, 9, 9, 0]
+    assert np.bincount(drawn["face_element"]).tolist() == [10, 10, 2]  # of each solid five faces
+    assert sorted(drawn["line_element"].tolist()) == [3, 4]
+    assert [drawn["groups"][g] for g in drawn["group"]] == [
+        "property 1",
+        "property 1",
+        "property 2",
+        "no property",
+        "no property",
+    ]
+
+
+def test_pairs_are_drawn_with_the_test_on_the_model() -> None:
+    """A test whose shapes are those of the model, turned and scaled: drawn it moves with it."""
+    fe = rt.solve_modes(rt.read_deck(rt.example_deck()), band=(0, 100))
+    names = ["2+X", "3-X"]
+    shapes = fe.at(["2+X", "3+X"]).shapes[:, :2] * [[-4.0, 0.3], [4.0, -0.3]]
+    test = rt.modes_of_test([2.2, 6.4], shapes, names)
+    view = rt.correlate(test, fe).plot(shapes=True).payload
+    node = view["scene"]["model"]["node_id"].tolist()
+    point = [int(name) for name in view["scene"]["test"]["names"]]
+    assert point == [2, 3]
+    for mode in view["modes"]:
+        moved = [mode[k]["real"] * (mode[k]["peak"] / 32767) for k in ("fe", "test")]
+        np.testing.assert_allclose(
+            moved[1][:, 0],
+            moved[0][[node.index(p) for p in point], 0],
+            atol=1e-3 * mode["fe"]["peak"],
+        )  # 16 bits
+    with pytest.raises(UnsupportedError, match="places of the channels"):
+        rt.correlate(test, test).plot(shapes=True)

@@ -401,7 +401,7 @@ def correlate(
         )
         notes = (*notes, *filter(None, [weight.why]))
     drawn = held.drawn(one, two) if held.drawn is not None and one.channels else None
-    return Correlation(table, full, notes, held.seats, tuple(mendings), drawn)
+    return Correlation(table, full, notes, seats=held.seats, mendings=tuple(mendings), drawn=drawn)
 
 
 def _std(modes: object) -> Float | float:
@@ -501,9 +501,9 @@ def _of_model(
         there,
         tuple(notes),
         lambda: channel_mass(opened, look, channels, asked, reach),
-        places,
-        tried,
-        lambda one, two: PairedShapes(one, two, at, opened, modes),
+        seats=places,
+        readings=tried,
+        drawn=lambda one, two: PairedShapes(one, two, at, opened, modes),
     )
 
 

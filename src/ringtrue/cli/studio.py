@@ -12,7 +12,7 @@ from ringtrue.errors import SolverMissing
 
 
 def studio(
-    target: Annotated[
+    what: Annotated[
         Path | None,
         typer.Argument(
             metavar="[STUDY | DECK | RECORD]",
@@ -45,16 +45,16 @@ def studio(
         from ringtrue.api.studies import run_study
         from ringtrue.demos.frame import write_demo
 
-        folder = target or Path("frame")
+        folder = what or Path("frame")
         folder.mkdir(parents=True, exist_ok=True)
-        target = write_demo(folder)
-        if not target.with_name("study.h5").exists():
+        what = write_demo(folder)
+        if not what.with_name("study.h5").exists():
             with progress("worked example") as show:
-                run_study(target, until="correlate", progress=show)
+                run_study(what, until="correlate", progress=show)
 
     def say(address: str) -> None:
         out.print(f"ringtrue studio: {address}")
         err.print("Ctrl-C ends it; what was changed is in the files of the study.")
 
-    serve(opened(target), port=port, browser=browser, say=say)
+    serve(opened(what), port=port, browser=browser, say=say)
     return 0

@@ -212,10 +212,6 @@ class _Figures:
         return payload | {"scene": scene | {"model": {"at": self.models.index(text)}}}
 
 
-def _json(value: object) -> str:
-    return json.dumps(value, separators=(",", ":"), allow_nan=False)
-
-
 def _diff_lines(text: str) -> Iterator[tuple[str, str]]:
     for line in text.splitlines():
         head = line[:3] in ("+++", "---") or line.startswith("@@")
@@ -287,7 +283,7 @@ def figure_json(figure: go.Figure) -> str:
     for i in marked:
         trace = figure.data[i]
         spec["data"][i] |= _packed(trace.x, trace.y, trace.meta["overlay"])
-    return _json(spec)
+    return json.dumps(spec, separators=(",", ":"), allow_nan=False)
 
 
 def _packed(x: Any_, y: Any_, curves: int) -> dict[str, Any]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextvars import Context
 from pathlib import Path
 
 from nicegui import app, ui
@@ -38,7 +40,7 @@ def serve(
     browser : bool
         Open the page.
     say : callable
-        Is given the address.
+        Is given the address when it is served.
 
     Raises
     ------
@@ -52,11 +54,18 @@ def serve(
     watch(session)
     app.get(REPORT)(lambda: FileResponse(session.path.with_name("report.html")))
     app.on_startup(session.refresh)
-    say(address)
-    if browser:
-        app.on_startup(lambda: threading.Thread(target=webbrowser.open, args=(address,)).start())
+
+    async def announce() -> None:
+        await _served(port)
+        say(address)
+        if browser:
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+    app.on_startup(announce)
     app.on_shutdown(session.work.stop)
-    ui.run(
+    # not a run that reads and then writes: the studio edits what it has read
+    Context().run(
+        ui.run,
         lambda: page(session),
         host=HOST,
         port=port,
@@ -67,6 +76,18 @@ def serve(
         show_welcome_message=False,
         reconnect_timeout=30.0,
     )
+
+
+async def _served(port: int) -> None:
+    """Wait until the port answers."""
+    while True:
+        try:
+            _, writer = await asyncio.open_connection(HOST, port)
+        except OSError:
+            await asyncio.sleep(0.05)
+            continue
+        writer.close()
+        return
 
 
 def _free(port: int) -> int:

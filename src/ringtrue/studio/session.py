@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -308,30 +307,3 @@ def opened(target: Path | None) -> StudioSession:
     if not path.exists():
         raise ConfigError(f"{path}: no such file; name a study.toml, a deck or a record")
     return StudioSession(path.with_name("study.toml"), path)
-
-
-def new_study(found: Mapping[str, str]) -> Change:
-    """The text of a study of some files, by what each is: deck, sheet, log, frfs, modes.
-
-    Raises
-    ------
-    ConfigError
-        If there is a text already.
-    """
-
-    def change(text: str) -> str:
-        if text:
-            raise ConfigError("study.toml is there already")
-        parts = []
-        if deck := found.get("deck"):
-            parts.append(edits.put(("model", "deck"), deck))
-        for key in ("sheet", "log", "modes"):
-            if name := found.get(key):
-                parts.append(edits.put(("test", key), name))
-        if frfs := found.get("frfs"):
-            parts.append(edits.put(("test", "frfs"), [frfs]))
-        for part in parts:
-            text = part(text)
-        return text
-
-    return change

@@ -46,8 +46,14 @@ class ShapeView:
             drawn["test"] = test_arrays(found.test)
         with ui.element("div").classes("w-full h-full"):
             self.viewer = Viewer(drawn, linked=linked, theme=self._theme)
+        self._playing = True
         self.viewer.play()
         frame().follow(lambda: self.viewer.show(theme=self._theme), session.on_theme)
+
+    def toggle(self) -> None:
+        """Begin or end the motion."""
+        self._playing = not self._playing
+        self.viewer.play(self._playing)
 
     @property
     def _theme(self) -> str:

@@ -14,7 +14,7 @@ from nicegui.events import KeyEventArguments
 
 from ringtrue.errors import RingtrueError
 from ringtrue.studio import theme
-from ringtrue.studio.screens import SCREENS, Screen
+from ringtrue.studio.screens import BEGIN, SCREENS, Screen
 from ringtrue.studio.session import StudioSession
 
 log = logging.getLogger(__name__)
@@ -52,14 +52,14 @@ class Frame:
     ----------
     inspector : element
         The column on the right; cleared when the screen changes.
-    rebuild : callable
-        Builds the screen anew.
+    pages : element
+        What holds the screen; None while the first one is built.
     keys : dict
         What `next`, `previous`, `accept`, `reject` and `play` do.
     """
 
     inspector: ui.column
-    rebuild: Callable[[], object] = lambda: None
+    pages: ui.sub_pages | None = None
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
     _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
 
@@ -68,6 +68,11 @@ class Frame:
         for event in events:
             event.subscribe(callback)
             self._followed.append((event, callback))
+
+    def rebuild(self) -> None:
+        """Build the screen anew."""
+        if self.pages is not None:
+            self.pages.refresh()
 
     def reset(self) -> None:
         """Empty, for another screen."""
@@ -221,16 +226,21 @@ def page(session: StudioSession) -> None:
     ui.keyboard(on_key=lambda e: _key(session, frame_, e), ignore=["input", "textarea", "select"])
     _rail(session, rail)
 
-    def shown(screen: Screen) -> Callable[[], None]:
-        def build() -> None:
+    def shown(screen: Screen) -> Callable[[], object]:
+        def build() -> object:
             frame_.reset()
-            screen.build(session)
+            if session.config is not None:
+                return screen.build(session)
+            frame_.follow(frame_.rebuild, session.on_documents)
+            if session.problem:
+                ui.label(session.problem).classes("p-6 whitespace-pre-wrap").mark("problem")
+                return None
+            return BEGIN.build(session)
 
         return build
 
     routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
-    pages = ui.sub_pages(routes).classes("w-full")
-    frame_.rebuild = pages.refresh
+    frame_.pages = ui.sub_pages(routes).classes("w-full")
 
 
 def _header(session: StudioSession) -> None:

@@ -33,8 +33,7 @@ body { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-se
 .body--light .rt-rail { background: #f4f6f8 }
 .body--dark .rt-rail { background: #12161b }
 .body--dark { background: #161b21 }
-/* the first layer: of rules that are !important the earliest layer wins */
-@layer theme { .body--dark .text-primary { color: #7db3e0 !important } }
+.body--dark .text-primary { --q-primary: #7db3e0 }
 .body--light .rt-add { background: #e3f4e6 } .body--light .rt-del { background: #fbe6e2 }
 .body--dark .rt-add { background: #17361f } .body--dark .rt-del { background: #45211b }
 """

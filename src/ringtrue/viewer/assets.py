@@ -6,7 +6,16 @@ import re
 from functools import cache
 from importlib.resources import files
 
-SOURCES = ("clock", "geometry", "gpu", "pointer", "viewer", "figure")  # each after what it imports
+SOURCES = (
+    "clock",
+    "geometry",
+    "gpu",
+    "parts",
+    "picture",
+    "pointer",
+    "viewer",
+    "figure",
+)  # each after what it imports
 _IMPORT = re.compile(r'^import [^\n]* from "\./[^\n]*";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:function|const|class) (\w+))", re.MULTILINE)
 # "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON

@@ -18,7 +18,6 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.errors import InputError
 
 KINDS = {"float32": "f4", "uint32": "u4", "uint16": "u2", "int16": "i2", "uint8": "u1"}
-ALIGNED = 4  # bytes: where an array may begin
 
 
 def f4(a: Any_) -> NDArray[np.float32]:
@@ -73,7 +72,7 @@ def to_block(payload: Any) -> bytes:
         nonlocal size
         at = size
         raw = a.tobytes()
-        raw += bytes(-len(raw) % ALIGNED)
+        raw += bytes(-len(raw) % 4)  # an array of the viewer begins at a multiple of its kind
         pieces.append(raw)
         size += len(raw)
         return [at, a.size]

@@ -4,7 +4,8 @@
 //                            of a mode the shape of the model, that of the model at the points of the test, that of the test
 import { Clock } from "./clock.js";
 import { decode } from "./geometry.js";
-import { make, mount, save, views } from "./viewer.js";
+import { make, save } from "./parts.js";
+import { mount, views } from "./viewer.js";
 
 const TEST_COLOR = "#d55e00";
 

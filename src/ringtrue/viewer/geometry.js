@@ -1,7 +1,12 @@
 // Geometry without a graphics card: arrays as they travel, edges worth drawing, the camera.
 
 const TYPES = { f4: Float32Array, u4: Uint32Array, u2: Uint16Array, i2: Int16Array, u1: Uint8Array };
-const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+
+function bytesOf(text) {
+  const raw = atob(text), out = new Uint8Array(raw.length);
+  for (let k = 0; k < raw.length; k++) out[k] = raw.charCodeAt(k);
+  return out.buffer;
+}
 
 // Arrays travel as {f4: base64} in a page, or as {f4: [offset, count]} into a block of bytes. Both become typed arrays.
 export function decode(value, block = null) {
@@ -53,6 +58,40 @@ export function edgesOf({ points, triangles, face_element: owner, group }, shown
   const out = [];
   for (let slot = 0; slot < size; slot++) if (first[slot] >= 0 && state[slot] !== 2) out.push(low[slot], high[slot]);
   return Uint32Array.from(out);
+}
+
+// Faces with few of the nodes, to be drawn while a large model moves: the nodes of a cubic cell become the one nearest to
+// their mean (Rossignac, Borrel 1993), faces that collapse go. Cells are made larger until at most `most` are taken.
+export function thinned({ points, triangles, face_element: owner }, most) {
+  const count = points.length / 3, { low, high } = boxOf(points), cell = new Uint32Array(count);
+  let taken = Infinity;
+  for (let side = Math.max(...high.map((h, c) => h - low[c])) / 160 || 1; taken > most; side *= 1.3) {
+    const seen = new Map(), [nx, ny] = [0, 1].map((c) => Math.floor((high[c] - low[c]) / side) + 1);
+    for (let k = 0; k < count; k++) {
+      const [i, j, l] = [0, 1, 2].map((c) => Math.floor((points[3 * k + c] - low[c]) / side)), key = (l * ny + j) * nx + i;
+      let at = seen.get(key);
+      if (at === undefined) seen.set(key, at = seen.size);
+      cell[k] = at;
+    }
+    taken = seen.size;
+  }
+  const mean = new Float64Array(4 * taken), best = new Uint32Array(taken), least = new Float64Array(taken).fill(Infinity);
+  for (let k = 0; k < count; k++) {
+    for (let c = 0; c < 3; c++) mean[4 * cell[k] + c] += points[3 * k + c];
+    mean[4 * cell[k] + 3]++;
+  }
+  for (let k = 0; k < count; k++) {
+    const m = 4 * cell[k], d = [0, 1, 2].reduce((sum, c) => sum + (points[3 * k + c] - mean[m + c] / mean[m + 3]) ** 2, 0);
+    if (d < least[cell[k]]) { least[cell[k]] = d; best[cell[k]] = k; }
+  }
+  const out = [], of = [];
+  for (let t = 0; t < owner.length; t++) {
+    const [a, b, c] = [cell[triangles[3 * t]], cell[triangles[3 * t + 1]], cell[triangles[3 * t + 2]]];
+    if (a === b || b === c || a === c) continue;
+    out.push(best[a], best[b], best[c]);
+    of.push(owner[t]);
+  }
+  return { triangles: Uint32Array.from(out), owner: Uint32Array.from(of) };
 }
 
 function unitNormal(points, triangles, t, out) {

@@ -30,9 +30,9 @@ class Screen:
     stages: tuple[str, ...] = ()
 
     @property
-    def build(self) -> Callable[[StudioSession], None]:
+    def build(self) -> Callable[[StudioSession], object]:
         """What fills the page; imported when it is shown first."""
-        function: Callable[[StudioSession], None] = import_module(f"{__name__}.{self.name}").build
+        function: Callable[[StudioSession], object] = import_module(f"{__name__}.{self.name}").build
         return function
 
 
@@ -46,3 +46,4 @@ SCREENS = (
     Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final")),
     Screen("verdict", "Verdict and report", "fact_check", ("uncertainty", "damping", "predict")),
 )
+BEGIN = Screen("begin", "A new study", "add")  # where there is no study.toml yet

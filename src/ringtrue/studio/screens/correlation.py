@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,8 +11,6 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from ringtrue.core.digits import number
-from ringtrue.correlation.measures import CompleteCorrelation
-from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.correlation import labels, orthogonality, table_matrix
 from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
@@ -28,6 +26,10 @@ from ringtrue.studio.shell import (
     table,
 )
 from ringtrue.study.results import CompareStage, CorrelateStage, Evidence, FinalStage
+
+if TYPE_CHECKING:
+    from ringtrue.correlation.measures import CompleteCorrelation
+    from ringtrue.correlation.table import CorrelationTable
 
 BOTH_TESTS = "ambient and hammer"
 DECISIONS = ("lock", "forbid")
@@ -103,6 +105,7 @@ class _CorrelationScreen:
         keys["previous"] = partial(self._step, -1)
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
+        keys["play"] = self._toggle
         events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
         frame().follow(self._update, *events)
 
@@ -190,6 +193,10 @@ class _CorrelationScreen:
                 on_change=lambda e: self._arrange(e.value),
             ).props("dense no-caps unelevated size=sm").mark("arrangement")
             self.views()
+
+    def _toggle(self) -> None:
+        for view in self.shown:
+            view.toggle()
 
     def _arrange(self, arrangement: str) -> None:
         self.arrangement = arrangement

@@ -1,8 +1,7 @@
-"""Poles: the stabilisation diagram, the automatic modes beside the user's own choice."""
+"""Poles: the stabilisation diagram, the modes that were found and the user's own choice."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,11 +11,10 @@ from nicegui.events import GenericEventArguments
 
 from ringtrue.core.choice import Choice
 from ringtrue.core.digits import plus_minus
-from ringtrue.core.modes import ModeSet
 from ringtrue.io.choices import parse_choice
 from ringtrue.plots.diagram import POLES, identification_figure
 from ringtrue.studio import edits, theme
-from ringtrue.studio.screens.evidence import evidence
+from ringtrue.studio.identified import evidence, nearest_pole, pole_shape, sources
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
@@ -31,69 +29,9 @@ from ringtrue.studio.shell import (
 )
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
-HAMMER = "hammer"  # as a choice names the modes of FRFs
 SAME = 0.01  # relative: a frequency of a choice means a mode as near as that
 PICK = {"symbol": "star", "size": 13, "color": "#e69f00", "line": {"width": 1, "color": "#7a5200"}}
 REJECT = {"symbol": "x-thin", "size": 13, "line": {"width": 2.5, "color": "#c0392b"}}
-
-
-@dataclass(frozen=True, slots=True)
-class Pole:
-    """A pole of a diagram.
-
-    Attributes
-    ----------
-    frequency : float, Hz
-    order : int
-    damping, std_frequency, std_damping : float
-    """
-
-    frequency: float
-    order: int
-    damping: float
-    std_frequency: float
-    std_damping: float
-
-
-def sources(stage: IdentifyStage | None) -> dict[str, IdentifiedModes]:
-    """Whose diagrams there are, by the names that a choice has for them."""
-    if stage is None:
-        return {}
-    found: dict[str, IdentifiedModes] = {}
-    if stage.hammer is not None and stage.hammer.diagrams:
-        found[HAMMER] = stage.hammer
-    found |= {r.record: r for r in stage.ambient_records if r.diagrams}
-    return found
-
-
-def nearest_pole(found: IdentifiedModes, frequency: float, order: int) -> Pole | None:
-    """The pole of an order that is nearest to a frequency, Hz, to all its digits."""
-    best: Pole | None = None
-    for diagram in found.diagrams:
-        poles = diagram.poles
-        for k in np.flatnonzero(poles.order == order).tolist():
-            f = float(poles.frequencies[k])
-            if best is None or abs(f - frequency) < abs(best.frequency - frequency):
-                best = Pole(
-                    f,
-                    order,
-                    float(poles.damping[k]),
-                    float(poles.std_frequency[k]),
-                    float(poles.std_damping[k]),
-                )
-    return best
-
-
-def pole_shape(found: IdentifiedModes, pole: Pole) -> ModeSet | None:
-    """The shape of a pole; None where the poles hold something else, as those of FRFs do."""
-    channels = found.diagram.modes.channels
-    for diagram in found.diagrams:
-        poles = diagram.poles
-        at = np.flatnonzero((poles.order == pole.order) & (poles.frequencies == pole.frequency))
-        if at.size and poles.shape.shape[0] == len(channels):
-            shape = poles.shape[:, at[:1]]
-            return ModeSet(poles.frequencies[at[:1]], poles.damping[at[:1]], shape, channels)
-    return None
 
 
 def build(session: StudioSession) -> None:
@@ -155,6 +93,7 @@ class _PolesScreen:
         keys["previous"] = partial(self._step, -1)
         keys["accept"] = self._confirm
         keys["reject"] = self._ask_reject
+        keys["play"] = self.view.toggle
         events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
         frame().follow(self._update, *events)
 

@@ -36,6 +36,20 @@ def test_edits_are_said_and_undone_on_the_page(tmp_path: Path) -> None:
     assert session.config is None
 
 
+def test_a_study_begins_from_a_deck(tmp_path: Path) -> None:
+    written(tmp_path)
+    (tmp_path / "study.toml").unlink()
+    session = opened(tmp_path / "tower.bdf")
+
+    async def scenario(user: User) -> None:
+        await user.should_see(marker="begin-modes", retries=50)
+        user.find(marker="begin").click()
+        await user.should_see("No diagram is stored")
+
+    visit(session, scenario)
+    assert (tmp_path / "study.toml").read_text() == '[model]\ndeck = "tower.bdf"\n'
+
+
 def test_a_refusal_is_one_message_and_a_fault_is_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

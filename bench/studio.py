@@ -1,0 +1,182 @@
+"""The studio: a slider to all frequencies and MAC, the first picture, memory.
+
+    python bench/studio.py [--quick]
+
+The deck of the worked example (39,000 degrees of freedom; quick: the frame of three storeys), whose
+test is its own modes at other factors, is run to its correlation. Factors drawn within the bounds
+are tried on the reduced model, as a slider of the studio does on the server; it is right if
+frequencies and MAC are those of full solutions to within what the basis states of itself. The
+page is opened in headless Chromium, up to its first matrix with pairs. Memory is that of the
+server at its largest. Not covered: the network, and what the browser takes to draw.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+from outcome import ROOT, Check, Report, arguments, at_most
+
+import ringtrue as rt
+from ringtrue.api.trial import Trial
+from ringtrue.demos import frame
+from ringtrue.demos.lsf import deck, facility
+from ringtrue.demos.lsf.facility import Builder
+from ringtrue.demos.lsf.spec import Spec
+from ringtrue.demos.lsf.study import access, candidates
+
+sys.path.insert(0, str(ROOT / "tests" / "browser"))
+import chromium
+
+TRIALS = 40  # of factors, timed
+FULL = 2  # of them, solved fully
+# the estimate takes the flexibility of the deck for that at the factors, which may be twice as soft
+OVER_ESTIMATE = 3.0
+MAC_MOST = 0.03  # of pairs whose shapes are off by a per mille
+POINTS = 60  # of the sensor sheet
+
+
+def states_itself(error: float, estimate: float, mac: float) -> tuple[Check, Check]:
+    """A trial against its full solution: largest relative frequency error over what the basis
+    states, and largest difference of subspace MAC.
+    """
+    return (
+        at_most("frequency off, over the stated error", error / estimate, OVER_ESTIMATE),
+        at_most("MAC off a full solution", mac, MAC_MOST),
+    )
+
+
+def _mac_off(trial: Trial, full: Trial) -> float:
+    """Largest difference of the subspace MAC of the pairs that both have; close modes turn within
+    their subspace at the smallest change.
+    """
+    one, other = (
+        dict(zip(t.pairs.pairing.a, t.pairs.pairing.mac, strict=True)) for t in (trial, full)
+    )
+    both = one.keys() & other.keys()
+    assert len(both) >= 0.9 * len(other), "pairs are lost"
+    return max(abs(float(one[k] - other[k])) for k in both)
+
+
+def facility_study(folder: Path) -> Path:
+    """The deck of the worked example; its test are its modes at drawn factors."""
+    built = facility.build(Spec())
+    main = deck.write(built, folder / "deck", "Large spinning facility")
+    channels = _write_sheet(folder / "sensors.csv", built)
+    regions = candidates()
+    parameters = rt.ParameterSet(tuple(rt.parameter(name, *targets) for name, targets in regions))
+    truth = np.exp(np.random.default_rng(1).normal(0, 0.2, len(regions)))
+    model = rt.at_factors(rt.read_deck(main), parameters, truth)
+    modes = rt.solve_modes(model, band=(0, 40)).at(channels)
+    rt.write_modes(folder / "modes.json", modes)
+    lines = [
+        f'[model]\ndeck = "deck/{main.name}"\nfmax = 54.0',
+        '[test]\nsheet = "sensors.csv"\nmodes = "modes.json"',
+    ]
+    for name, targets in regions:
+        lines.append(f'[[candidate]]\nname = "{name}"\ntargets = {json.dumps(targets)}')
+    (folder / "study.toml").write_text("\n".join(lines) + "\n")
+    return folder / "study.toml"
+
+
+def _write_sheet(path: Path, built: Builder) -> list[str]:
+    """Triaxial points spread over the nodes that a crew can reach."""
+    nodes = [n for some in access(built).values() for n in some]
+    place = dict(zip(built.ids, built.xyz, strict=True))
+    chosen = nodes[:: max(1, len(nodes) // POINTS)]
+    rows = ["point,x,y,z,direction"]
+    for n in chosen:
+        x, y, z = place[n]
+        rows += [f"{n},{x},{y},{z},+{axis}" for axis in "XYZ"]
+    path.write_text("\n".join(rows) + "\n")
+    return [f"{n}+{axis}" for n in chosen for axis in "XYZ"]
+
+
+def first_picture(study: Path) -> tuple[float, float, int]:
+    """Seconds from the address to the first matrix with its pairs, the server's memory, GB, and
+    complaints of the browser.
+    """
+    command = [sys.executable, "-m", "ringtrue", "studio", str(study), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            address = server.stdout.readline().split()[-1]
+            time.sleep(5)  # it reads what is stored
+            seconds, complaints = _pictured(address)
+            status = Path(f"/proc/{server.pid}/status")
+            peak = 0.0
+            if status.exists():
+                rows = dict(r.split(":", 1) for r in status.read_text().splitlines() if ":" in r)
+                peak = float(rows["VmHWM"].split()[0]) / 1e6
+        finally:
+            server.terminate()
+    return seconds, peak, complaints
+
+
+def _pictured(address: str) -> tuple[float, int]:
+    parts = urlsplit(address)
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        chromium.page(Path(profile)) as page,
+    ):
+        page.call("Page.navigate", url=address)
+        page.until("document.readyState === 'complete'")
+        begin = time.perf_counter()
+        page.call("Page.navigate", url=f"{parts.scheme}://{parts.netloc}/correlation")
+        drawn = "!!document.querySelector('.js-plotly-plot .hm') && !!document.querySelector('td')"
+        assert page.until(drawn, 120), "no picture"
+        return time.perf_counter() - begin, len(page.complaints())
+
+
+def main() -> None:
+    """Prepare, try, open."""
+    options = arguments(__doc__).parse_args()
+    report = Report(options)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if options.quick:
+            study = frame.write_study(folder, frame.DEMO, ambient=False)
+        else:
+            study = facility_study(folder)
+        rt.run_study(study, until="correlate")
+        begin = time.process_time()
+        model = rt.trial_model(study)
+        made = time.process_time() - begin
+        low, high = model.parameters.bounds()
+        rng = np.random.default_rng(0)
+        spent = []
+        points = []
+        for _ in range(TRIALS):
+            # as far as an updating goes: half of the way to the bounds
+            x = 0.5 * rng.uniform(low, high)
+            factors = model.parameters.factors(x)
+            points.append(dict(zip(model.parameters.names, factors.tolist(), strict=True)))
+            begin = time.process_time()
+            model.at(points[-1])
+            spent.append(time.process_time() - begin)
+        for k, point in enumerate(points[:FULL]):
+            trial, full = model.at(point), model.full(point)
+            off = np.abs(trial.modes.frequencies / full.modes.frequencies - 1)
+            checks = states_itself(float(off.max()), model.error(point), _mac_off(trial, full))
+            cost = {"ms": 1e3 * float(np.median(spent)), "s to prepare": made} if not k else {}
+            report.row(f"slider to {off.size} frequencies and MAC, factors {k + 1}", cost, checks)
+        if chromium.find() is None:
+            report.not_run("Chromium", "not installed: no picture")
+        else:
+            seconds, memory, complaints = first_picture(study)
+            cost = {"s": seconds, "GB": memory}
+            report.row("first picture", cost, [at_most("complaints of the browser", complaints, 0)])
+    report.end()
+
+
+if __name__ == "__main__":
+    for thread in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(thread, "1")
+    main()
