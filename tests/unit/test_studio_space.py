@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from nicegui import ui
 from nicegui.testing import User
-from simulated import DECK, on, opened, visit
+from simulated import DECK, on, opened, visit, written
 
 import ringtrue as rt
 from ringtrue.studio import sheet_edits
 from ringtrue.studio.screens.sensors import gain
-from ringtrue.studio.session import StudioSession
 
 PATIENCE = 300  # tenths of a second: something hangs, not that the machine is busy
 PLAN = "\n[plan]\nfmin = 1.0\nfmax = 12.0\nsensors = 4\nreferences = 1\nambient = false\n"
@@ -65,8 +64,8 @@ def test_a_part_of_the_model_becomes_a_candidate_region(ran: Path, tmp_path: Pat
 
 
 def test_a_finding_flies_to_its_element_and_units_are_judged(tmp_path: Path) -> None:
-    (tmp_path / "tower.bdf").write_text(DECK.replace("ENDDATA", "GRID,9,,5.,0.,0.\nENDDATA"))
-    session = StudioSession(tmp_path / "study.toml", tmp_path / "tower.bdf")
+    session = written(tmp_path)
+    (tmp_path / "tower.bdf").write_text(DECK.replace("ENDDATA", "GRID,9,,5000.,0.,0.\nENDDATA"))
 
     async def scenario(user: User) -> None:
         await user.open("/model")
@@ -74,16 +73,19 @@ def test_a_finding_flies_to_its_element_and_units_are_judged(tmp_path: Path) -> 
         user.find(marker="finding-0").click()
         (view,) = user.find(marker="view").elements
         assert view.props["aim"]["selection"] == {"node": [9]}
-        user.find(marker="solve").click()  # on demand, without a study
+        user.find(marker="solve").click()  # on demand
         await user.should_see(marker="mode", retries=PATIENCE)
         assert view.props["state"]["mode"] == "FE 1"
-        user.find(marker="begin-study").click()
-        await user.should_see(marker="run-model")
+        (units,) = user.find(marker="units").elements
+        assert isinstance(units, ui.select)
+        await user.should_see("long in SI, that is 5000 m: is that its unit system?")
+        units.set_value("mm-t-s")
+        await user.should_not_see("is that its unit system?", retries=PATIENCE)
 
     visit(session, scenario)
     assert session.config is not None
     assert session.config.model is not None
-    assert session.config.model.deck == "tower.bdf"
+    assert session.config.model.units == "mm-t-s"
 
 
 def test_a_candidate_is_ticked_where_it_is_wrong(localised: Path, tmp_path: Path) -> None:

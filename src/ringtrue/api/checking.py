@@ -25,7 +25,7 @@ from ringtrue.checks.materials import (
 from ringtrue.core.display import Displayed
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.decks.nastran.reader import Survey, survey
-from ringtrue.errors import DeckError, RingtrueError, UnsupportedCard
+from ringtrue.errors import RingtrueError, UnsupportedCard
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.cards import effects
 from ringtrue.model.frames import extent
@@ -143,12 +143,12 @@ def _findings(found: Survey, units: str) -> list[Finding]:
     partial = bool(found.unsupported)
     findings = list(checked(found.model, units, partial=partial).findings)
     extra = {(f.file, f.line) for f in findings}
-    return [_lost(f) for f in found.faults if (str(f.path), f.line) not in extra] + findings
-
-
-def _lost(fault: DeckError) -> Finding:
-    place = f"{fault.path}:{fault.line}: " if fault.line else f"{fault.path}: "
-    return Finding("error", str(fault).removeprefix(place), str(fault.path), fault.line or 0)
+    lost = []
+    for fault in (f for f in found.faults if (str(f.path), f.line) not in extra):
+        place = f"{fault.path}:{fault.line}: " if fault.line else f"{fault.path}: "
+        text = str(fault).removeprefix(place)
+        lost.append(Finding("error", text, str(fault.path), fault.line or 0))
+    return lost + findings
 
 
 def _rigid_of_readable(

@@ -66,7 +66,7 @@ class PlanTrial(Displayed):
 
     @property
     def worst_pair(self) -> tuple[int, int]:
-        """The two modes that look most alike at the points; twice the same where there is one."""
+        """The two modes of largest auto-MAC; twice the same where there is one."""
         if self.modes.size < 2:
             return (int(self.modes[0]),) * 2
         above = np.triu(self.auto_mac, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from nicegui import run
 
 import ringtrue as rt
 from ringtrue.api.checking import DeckCheck
-from ringtrue.api.models import open_model
+from ringtrue.api.models import FeModes, open_model
 from ringtrue.core.arrays import Int
 from ringtrue.core.modes import ModeSet
 from ringtrue.plots.scene import SOFT
@@ -89,16 +89,8 @@ _MODES: WeakKeyDictionary[StudioSession, tuple[Opened, ModeSet]] = WeakKeyDictio
 _READING: WeakKeyDictionary[StudioSession, asyncio.Lock] = WeakKeyDictionary()
 
 
-def deck_path(session: StudioSession) -> Path | None:
-    """The deck of the study, or the one that was opened in place of a study."""
-    if session.config is not None:
-        model = session.config.model
-        return None if model is None else session.documents.folder / model.deck
-    return session.source
-
-
 def deck_units(session: StudioSession) -> str:
-    """As study.toml has them; SI where there is no study."""
+    """As study.toml has them."""
     model = session.config.model if session.config is not None else None
     return "SI" if model is None else model.units
 
@@ -110,29 +102,25 @@ async def drawn_deck(session: StudioSession) -> DrawnDeck | None:
 
 
 async def _drawn_deck(session: StudioSession) -> DrawnDeck | None:
-    path = deck_path(session)
-    if path is None:
-        return None
     model = session.config.model if session.config is not None else None
+    if model is None:
+        return None
     known = _DRAWN.get(session)
     if known is not None and known[0] == _state(model, known[1].opened):
         return known[1]
-    if model is not None and model.refine and session.deck is None:
+    if model.refine and session.deck is None:
         await session.refresh()  # it alone refines
-    regions = {} if model is None else model.regions
-    made: DrawnDeck | None
-    made = await run.io_bound(_drawn, path, deck_units(session), session.deck, regions)
+    path = session.documents.folder / model.deck
+    made: DrawnDeck | None = await run.io_bound(_drawn, path, model, session.deck)
     if made is not None:
         _DRAWN[session] = _state(model, made.opened), made
     return made
 
 
-def _drawn(
-    path: Path, units: str, opened: Opened | None, regions: Mapping[str, Sequence[int]]
-) -> DrawnDeck:
+def _drawn(path: Path, settings: ModelSection, opened: Opened | None) -> DrawnDeck:
     if opened is None:
-        opened = open_model(rt.read_deck(path, units=units))
-    scene = make_scene(opened.model, regions, opened.length)
+        opened = open_model(rt.read_deck(path, units=settings.units))
+    scene = make_scene(opened.model, settings.regions, opened.length)
     return DrawnDeck(opened, scene, model_arrays(scene, opened.model))
 
 
@@ -141,8 +129,9 @@ async def deck_check(session: StudioSession, deck: DrawnDeck) -> DeckCheck | Non
     known = _CHECKS.get(session)
     if known is not None and known[0] is deck:
         return known[1]
-    path = deck_path(session)
-    assert path is not None
+    assert session.config is not None
+    assert session.config.model is not None
+    path = session.documents.folder / session.config.model.deck
     made: DeckCheck | None = await run.io_bound(rt.check_deck, path, units=deck_units(session))
     if made is not None:
         _CHECKS[session] = deck, made
@@ -161,16 +150,13 @@ def stored_modes(session: StudioSession, deck: DrawnDeck) -> ModeSet | None:
 
 async def solve_deck(session: StudioSession, deck: DrawnDeck, count: int) -> None:
     """Solve the lowest modes of the deck, for drawing."""
-    made: ModeSet | None = await run.io_bound(_solved, deck, count)
-    if made is not None:
-        _MODES[session] = deck.opened, made
+    found: FeModes | None
+    found = await run.io_bound(rt.solve_modes, deck.opened.model, count=count)
+    if found is not None:
+        _MODES[session] = deck.opened, scene_modes(found.modes, deck.scene)
 
 
-def _solved(deck: DrawnDeck, count: int) -> ModeSet:
-    return scene_modes(rt.solve_modes(deck.opened.model, count=count).modes, deck.scene)
-
-
-def _state(settings: ModelSection | None, opened: Opened) -> tuple[Any, ...]:
+def _state(settings: ModelSection, opened: Opened) -> tuple[Any, ...]:
     """What a drawing follows from: the settings of the deck, and its files as they stand."""
     files = [Path(f) for f in opened.model.files]
     stamps = [(f.stat().st_mtime_ns, f.stat().st_size) if f.exists() else None for f in files]

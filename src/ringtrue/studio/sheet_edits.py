@@ -181,9 +181,13 @@ def _redirected(
         cells = {}
         for name in channels:
             if name in motions:  # a force stays
-                axis = _direction(other(motions[name]))
+                axis = other(motions[name])
+                k = int(np.abs(axis).argmax())
+                words = f"{'+' if axis[k] > 0 else '-'}{AXES[k]}"
+                if abs(axis[k]) < ALONG:
+                    words = " ".join(f"{x:.9g}" for x in (np.round(axis, 9) + 0.0).tolist())
                 cells[line[name]] = {
-                    "direction": axis,
+                    "direction": words,
                     "azimuth": "",
                     "elevation": "",
                     "channel": name,
@@ -205,11 +209,3 @@ def _lines(sheet: SensorSheet, table: SheetTable) -> dict[str, int]:
     if len(lines) != len(sheet.channels):
         raise ConfigError("the sensor sheet was edited outside of the studio since: try again")
     return {c.id: i for c, i in zip(sheet.channels, lines, strict=True)}
-
-
-def _direction(axis: Float) -> str:
-    """As a sheet has it: `-X`, or a vector."""
-    k = int(np.abs(axis).argmax())
-    if abs(axis[k]) > ALONG:
-        return f"{'+' if axis[k] > 0 else '-'}{AXES[k]}"
-    return " ".join(f"{x:.9g}" for x in (np.round(axis, 9) + 0.0).tolist())

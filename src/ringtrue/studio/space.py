@@ -9,8 +9,8 @@ import numpy as np
 from nicegui import ui
 
 from ringtrue.core.modes import ModeSet
-from ringtrue.studio.decks import DrawnDeck, deck_path, deck_units
-from ringtrue.studio.session import StudioSession, new_study
+from ringtrue.studio.decks import DrawnDeck, deck_units
+from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame
 from ringtrue.studio.viewer_element import Viewer
 
@@ -53,29 +53,11 @@ def move(viewer: Viewer, modes: ModeSet | None, k: int | None) -> None:
     viewer.show(mode=name).play(True)
 
 
-def no_deck(session: StudioSession) -> None:
-    """What a screen shows where there is no study of a deck."""
+def no_deck() -> None:
+    """What a screen shows where the study has no deck."""
     with ui.column().classes("w-full items-center q-pa-xl gap-2"):
         ui.icon("view_in_ar").classes("text-4xl opacity-40")
-        path = deck_path(session)
-        if session.config is None and path is not None:
-            ui.label("There is no study of this deck yet.")
-            begin_study(session)
-        else:
-            ui.label("The study has no deck: name one under [model] of study.toml.")
-
-
-def begin_study(session: StudioSession) -> None:
-    """Write a study.toml that names the deck that was opened."""
-    path = deck_path(session)
-    if path is None or session.config is not None:
-        return
-    name = path.name
-    ui.button(
-        "Begin a study",
-        icon="note_add",
-        on_click=lambda: session.edit(f"study of {name}", new_study({"deck": name})),
-    ).props("dense no-caps no-wrap unelevated").mark("begin-study")
+        ui.label("The study has no deck: name one under [model] of study.toml.")
 
 
 def length_unit(session: StudioSession) -> str:

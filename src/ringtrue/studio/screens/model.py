@@ -27,7 +27,6 @@ from ringtrue.studio.decks import (
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import fact, frame, heading, inspector, run_button
 from ringtrue.studio.space import (
-    begin_study,
     deck_view,
     highlighted,
     length_unit,
@@ -85,7 +84,7 @@ class _ModelScreen:
         self.holder.clear()
         if deck is None:
             with self.holder:
-                no_deck(session)
+                no_deck()
             return
         self.deck = deck
         with self.holder:
@@ -139,10 +138,7 @@ class _ModelScreen:
                 ui.button(icon="play_arrow", on_click=self.play).props("flat dense round").tooltip(
                     "Play or stop, blank"
                 ).mark("play")
-            if self.session.config is None:
-                begin_study(self.session)
-            else:
-                run_button(self.session, "model", "Solve the deck")
+            run_button(self.session, "model", "Solve the deck")
 
     @property
     def modes(self) -> ModeSet | None:
@@ -256,7 +252,6 @@ class _ModelScreen:
         }
         pick = ui.select(names, value=now, on_change=lambda e: self.set_units(str(e.value)))
         pick.props("dense options-dense outlined").classes("w-full").mark("units")
-        pick.set_enabled(self.session.config is not None)
         for f in check.implausible[now][:2]:
             ui.label(f.text).classes("text-xs text-warning")
 
@@ -368,10 +363,9 @@ class _ModelScreen:
                 _small("Hide", "visibility_off", self.hide)
                 _small("Isolate", "filter_center_focus", self.isolate)
                 _small("Fly to", "zoom_in", self._fly)
-            if self.session.config is not None:
-                ui.button("Candidate region", icon="add_location_alt", on_click=self.ask).props(
-                    "dense no-caps unelevated"
-                ).classes("q-mt-xs").mark("candidate")
+            ui.button("Candidate region", icon="add_location_alt", on_click=self.ask).props(
+                "dense no-caps unelevated"
+            ).classes("q-mt-xs").mark("candidate")
         if self.hidden:
             with ui.row().classes("w-full items-center justify-between"):
                 ui.label(f"{len(self.hidden)} elements are hidden").classes("text-sm")

@@ -106,7 +106,7 @@ def build(session: StudioSession) -> None:
     config = session.config
     if config is None or config.model is None:
         frame().follow(frame().rebuild, session.on_documents)
-        no_deck(session)
+        no_deck()
         return
     if session.stage("model") is None:
         frame().follow(frame().rebuild, session.on_results)

@@ -84,7 +84,7 @@ class _WhereScreen:
             return
         with self.holder:
             if deck is None:
-                no_deck(self.session)
+                no_deck()
                 return
             self.deck = deck
             self._bar()
