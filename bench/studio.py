@@ -128,6 +128,8 @@ def _pictured(address: str) -> tuple[float, int]:
     ):
         page.call("Page.navigate", url=address)
         page.until("document.readyState === 'complete'")
+        page.call("Page.navigate", url="about:blank")  # a page in motion takes seconds to leave
+        page.until("location.href === 'about:blank' && document.readyState === 'complete'")
         begin = time.perf_counter()
         page.call("Page.navigate", url=f"{parts.scheme}://{parts.netloc}/correlation")
         drawn = "!!document.querySelector('.js-plotly-plot .hm') && !!document.querySelector('td')"

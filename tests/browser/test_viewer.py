@@ -203,3 +203,14 @@ def test_views_move_on_one_clock_and_are_coloured_by_fields(page: chromium.Page)
     png = page.evaluate("view.snapshot().then((b) => b.type)")
     page.evaluate("other.destroy()")
     assert (png, page.evaluate("document.getElementById('b').children.length")) == ("image/png", 0)
+
+
+def test_without_webgl_the_view_says_what_it_needs(page: chromium.Page) -> None:
+    page.call(
+        "Page.addScriptToEvaluateOnNewDocument",
+        source="HTMLCanvasElement.prototype.getContext = () => null;",
+    )
+    page.call("Page.reload")
+    said = "document.querySelector('.info')?.textContent ?? ''"
+    assert page.until(f"({said}).includes('WebGL 2')", 20)
+    page.evaluate("view.show({isolate: {element: [11]}, clip: null}); view.fly(); 0")

@@ -121,9 +121,9 @@ def test_shapes_are_drawn_on_the_geometry() -> None:
     model = rt.read_sensors(DATA / "2411 and 2414.uff").model
     z = tuple(c for c in model.channels if c.endswith("+Z"))
     modes = ModeSet(np.array([5.0]), np.array([0.01]), np.ones((len(z), 1)), z)
-    view = drawn_modes(model, modes).payload
-    assert len(view["test"]["names"]) == 441
-    assert view["test"]["line"]
+    test = drawn_modes(model, modes).payload["scene"]["test"]
+    assert len(test["names"]) == 441
+    assert test["lines"].shape == (840, 2)
 
 
 @data_here

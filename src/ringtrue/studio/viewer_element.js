@@ -53,7 +53,8 @@ export default {
       this.$el.ringtrueView = this.view;
     },
     // One change after the other: what is shown needs what is fetched before.
-    later() { this.work = this.work.then(() => this.gone || this.apply()); },
+    // What was replaced before it was fetched is gone: the change that replaced it follows.
+    later() { this.work = this.work.then(() => this.gone || this.apply()).catch((error) => console.warn(error)); },
     async apply() {
       const { view, known } = this, change = {};
       for (const [name, value] of Object.entries(this.state)) {
@@ -63,7 +64,7 @@ export default {
       if (this.gone) return;
       known.state = { ...known.state, ...change };
       if (Object.keys(change).length) view.show(change);
-      if (known.playing !== this.playing && known.playing !== undefined | this.playing) {
+      if (known.playing !== this.playing && (known.playing !== undefined || this.playing)) {
         if (this.playing) view.play();
         else view.pause();
       }

@@ -15,6 +15,7 @@ export class Clock {
     this.playing = true;
     this.last = undefined;
     const tick = (t) => {
+      if (!this.listeners.size) this.playing = false; // its views have ended
       if (!this.playing) return;
       if (this.last !== undefined) this.phase += Math.min(t - this.last, 100) / 1000 * 2 * Math.PI * this.pace;
       this.last = t;

@@ -39,7 +39,7 @@ class Figure {
     this.modeBox = make("select", { onchange: () => this.setMode(), ariaLabel: "Mode" });
     const step = (d) => () => { const n = this.modeBox.length; this.modeBox.selectedIndex = (this.modeBox.selectedIndex + d + n) % n; this.setMode(); };
     const playing = button("Play", "Play or pause", () => this.play(!this.playing));
-    this.clock.on(() => { const text = this.playing ? "Pause" : "Play"; if (playing.textContent !== text) playing.textContent = text; });
+    this.view.endings.push(this.clock.on(() => { const text = this.playing ? "Pause" : "Play"; if (playing.textContent !== text) playing.textContent = text; }));
     const amplitude = make("input", { type: "range", min: 0, max: 3, step: 0.02, value: 1, ariaLabel: "Amplitude", oninput: () => this.view.show({ amplitude: +amplitude.value }) });
     const video = button("WebM", "Save two cycles as a video", () => this.record(video));
     this.bar.append(this.stageBox, this.modeBox, button("‹", "Previous mode", step(-1)), button("›", "Next mode", step(1)), playing, video, make("label", {}, "Amplitude ", amplitude));

@@ -116,6 +116,7 @@ export function context() {
   const canvas = document.createElement("canvas");
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: true, preserveDrawingBuffer: true });
   if (!gl) return null;
+  canvas.addEventListener("webglcontextlost", () => shared.lost && shared.lost());
   shared = { canvas, gl, mesh: compile(gl, MESH, MESH_PAINT), line: compile(gl, LINE, FLAT_PAINT), point: compile(gl, POINT, FLAT_PAINT) };
   shared.none = texture(gl, new Float32Array(1), 1);
   shared.noInts = texture(gl, new Int16Array(3), 3);

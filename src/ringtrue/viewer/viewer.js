@@ -52,7 +52,7 @@ export function mount(element, scene, options = {}) { return new View(element, s
 class View extends Picture {
   constructor(element, scene, options) {
     super();
-    Object.assign(this, { element, options, listeners: {}, kept: { model: new Map(), test: new Map() }, fields: new Map(), coarse: 0 });
+    Object.assign(this, { element, options, listeners: {}, kept: { model: new Map(), test: new Map() }, fields: new Map(), coarse: 0, endings: [] });
     this.state = { ...REST, theme: options.theme || "light" };
     this.ctx = context();
     this.clock = options.clock || new Clock();
@@ -61,9 +61,10 @@ class View extends Picture {
     this.home();
     views.add(this);
     if (!this.ctx) return;
+    this.ctx.lost = () => { for (const view of views) view.info.textContent = "The graphics card was lost: load the page again."; };
     this.bodies();
     this.pointer = new Pointer(this);
-    this.endings = [this.clock.on(() => this.visible !== false && this.moves && this.draw())];
+    this.endings.push(this.clock.on(() => this.visible !== false && this.moves && this.draw()));
     const seen = new IntersectionObserver(([e]) => { this.visible = e.isIntersecting; if (this.visible) this.draw(); });
     const sized = new ResizeObserver(() => this.draw());
     seen.observe(element);
@@ -399,7 +400,7 @@ class View extends Picture {
     this.gone = true;
     views.delete(this);
     clearTimeout(this.settling);
-    for (const end of this.endings || []) end();
+    for (const end of this.endings) end();
     if (this.pointer) this.pointer.destroy();
     for (const body of [this.body, this.wire, this.rest, this.arrows]) if (body) body.destroy();
     this.element.replaceChildren();

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 from nicegui import ui
@@ -130,6 +129,11 @@ class _UpdateScreen:
                 leading_events=True,
             ).mark(f"factor-{name}")
             value = ui.label("1.000").classes("text-sm rt-value w-12 text-right")
+        words = f"{parameter.lower:g} to {parameter.upper:g}"
+        if name in (known := self._intervals()):
+            low_end, high_end = known[name]
+            words += f"; updated: {low_end:.4f} to {high_end:.4f}"
+        ui.label(words).classes("text-xs opacity-60 rt-value pl-[124px] -mt-2")
         self.sliders[name] = (slider, value)
 
     def try_factor(self, name: str, factor: float) -> None:
@@ -204,12 +208,17 @@ class _UpdateScreen:
                 else:
                     ui.label("No deck is delivered yet.").classes("text-sm opacity-70")
 
-    def _parameter_rows(self, best: SetResult) -> list[dict[str, object]]:
+    def _intervals(self) -> dict[str, tuple[float, float]]:
+        """Of the factors that were updated, where they are stored."""
         known: UncertaintyStage | None = self.session.stage("uncertainty")
-        intervals: dict[str, Any] = {}
-        if known is not None:
-            p = known.posterior
-            intervals = dict(zip(p.parameters.names, p.interval.tolist(), strict=True))
+        if known is None:
+            return {}
+        p = known.posterior
+        each = zip(p.parameters.names, p.interval.tolist(), strict=True)
+        return {name: (low, high) for name, (low, high) in each}
+
+    def _parameter_rows(self, best: SetResult) -> list[dict[str, object]]:
+        intervals = self._intervals()
         rows: list[dict[str, object]] = []
         for k, name in enumerate(best.parameters):
             low, high = intervals.get(name, (np.nan, np.nan))
