@@ -43,4 +43,4 @@ def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -
     more = f" and {rows.size - 1} more" if rows.size > 1 else ""
     text = f"{card} {table.ids[first]}{more}: {what}"
     ids = tuple(table.ids[rows].tolist())
-    return [Finding(severity, text, file or "", line or 0, card, ids)]
+    return [Finding(severity, text, file or "", line or 0, card=card, ids=ids)]
