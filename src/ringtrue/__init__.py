@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from ringtrue.api.candidates import region_parameters
+    from ringtrue.api.checking import check_deck
     from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
         TestedModel,
@@ -48,8 +50,10 @@ if TYPE_CHECKING:
         write_deck,
     )
     from ringtrue.api.reduction import reduce_model
+    from ringtrue.api.sensors import place_sensors
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.api.trial import trial_model
+    from ringtrue.api.trial_plan import trial_plan
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
     from ringtrue.errors import (
@@ -68,6 +72,8 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
+    "api.candidates": "region_parameters",
+    "api.checking": "check_deck",
     "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
@@ -77,7 +83,9 @@ _PLACES = {  # module -> public names in it
     "api.reduction": "reduce_model",
     "reduction.part": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
+    "api.sensors": "place_sensors",
     "api.trial": "trial_model",
+    "api.trial_plan": "trial_plan",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
     "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",
@@ -111,6 +119,7 @@ __all__ = [
     "UnsupportedError",
     "UpdateSettings",
     "at_factors",
+    "check_deck",
     "correlate",
     "estimate_frfs",
     "example_deck",
@@ -124,6 +133,7 @@ __all__ = [
     "modes_of_test",
     "open_study",
     "parameter",
+    "place_sensors",
     "plan_test",
     "predict",
     "read_deck",
@@ -133,10 +143,12 @@ __all__ = [
     "read_record",
     "read_sensors",
     "reduce_model",
+    "region_parameters",
     "run_study",
     "solve_modes",
     "static",
     "trial_model",
+    "trial_plan",
     "tune_suspension",
     "update",
     "write_deck",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -61,3 +62,15 @@ def visit(
             await scenario(user)
 
     asyncio.run(run())
+
+
+def opened(ran: Path, tmp_path: Path) -> StudioSession:
+    """A copy of it that a test may change."""
+    folder = tmp_path / "frame"
+    shutil.copytree(ran, folder)
+    return StudioSession(folder / "study.toml")
+
+
+def on(screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
+    """Open a screen as a user who then does something."""
+    visit(session, scenario, f"/{screen}")

@@ -672,7 +672,7 @@ def _raising(fault: BaseException) -> Callable[..., None]:
     ("place", "words"),
     [
         ("model.read_deck", ("modes", "a.bdf")),
-        ("model.survey", ("check", "a.bdf")),
+        ("model.check_deck", ("check", "a.bdf")),
         ("respond.read_damped_deck", ("frf", "a.bdf", "--fmax", "9", "--force", "1+Z")),
         ("respond.deflect", ("static", "a.bdf", "--force", "1+Z")),
         ("update.update_study", ("update", "study.toml", "a.json")),

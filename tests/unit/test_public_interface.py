@@ -16,11 +16,11 @@ import ringtrue as rt
 
 FRAME = Path(__file__).parents[3] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
 FUNCTIONS = """
-    at_factors correlate estimate_frfs example_deck fit_damping frf identify_ambient
+    at_factors check_deck correlate estimate_frfs example_deck fit_damping frf identify_ambient
     identify_ambient_setups identify_frfs inspect_file localise modes_of_test open_study parameter
-    plan_test predict read_deck read_deflections read_frfs read_modes
-    read_record read_sensors reduce_model run_study solve_modes static trial_model tune_suspension update write_deck
-    write_modes
+    place_sensors plan_test predict read_deck read_deflections read_frfs read_modes
+    read_record read_sensors reduce_model region_parameters run_study solve_modes
+    static trial_model trial_plan     tune_suspension update write_deck write_modes
 """
 TYPES = """
     Channel CorrelateSettings FrfSet InputError MatrixModel NumericalError ParameterSet PlanSettings

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from nicegui.testing import User
-from test_screens import on, opened, ran
+from simulated import on, opened
 
 import ringtrue as rt
 
-__all__ = ("ran",)  # a fixture
 RECORD = "hammer-303pX"
 
 

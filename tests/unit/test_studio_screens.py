@@ -2,42 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from nicegui import ui
 from nicegui.testing import User
-from simulated import visit
+from simulated import on, opened
 
 import ringtrue as rt
-from ringtrue.demos import frame
 from ringtrue.io.choices import read_choice
-from ringtrue.studio.session import StudioSession
-
-
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study with hammer records alone: two seconds up to its correlation."""
-    folder = tmp_path_factory.mktemp("frame")
-    study = frame.write_study(folder, frame.DEMO, ambient=False)
-    rt.run_study(study, until="correlate")
-    return folder
-
-
-def opened(ran: Path, tmp_path: Path) -> StudioSession:
-    """A copy of it that a test may change."""
-    folder = tmp_path / "frame"
-    shutil.copytree(ran, folder)
-    return StudioSession(folder / "study.toml")
-
-
-def on(screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
-    """Open a screen as a user who then does something."""
-
-    visit(session, scenario, f"/{screen}")
 
 
 def test_a_click_picks_a_pole_and_another_lets_it_go(ran: Path, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_a_study_begins_from_a_deck(tmp_path: Path) -> None:
     async def scenario(user: User) -> None:
         await user.should_see(marker="begin-modes", retries=50)
         user.find(marker="begin").click()
-        await user.should_see("No diagram is stored")
+        await user.should_see(marker="view", retries=50)
 
     visit(session, scenario)
     assert (tmp_path / "study.toml").read_text() == '[model]\ndeck = "tower.bdf"\n'

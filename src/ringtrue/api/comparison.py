@@ -306,6 +306,7 @@ def correlate(
     mass: Float | None = None,
     settings: CorrelateSection | None = None,
     names: tuple[str, str] = ("test", "FE"),
+    mountings: bool = True,
     progress: Progress = quiet,
 ) -> Correlation:
     """Pair the modes of a test with those of a model on their common channels.
@@ -328,6 +329,8 @@ def correlate(
         Gates of MAC and frequency, tolerance, matching of sensors and nodes.
     names : (str, str)
         What the two sets are called in reasons.
+    mountings : bool
+        Try whether sensors that are mounted otherwise explain the test better.
 
     Raises
     ------
@@ -366,7 +369,7 @@ def correlate(
         held = _AtChannels(there, tuple(f"{names[1]}: {g}" for g in missing))
     one, two = _common(reference, held.modes)
     tried = held.readings if isinstance(fe, FeModes | Model) else readings_by_name(one, held.modes)
-    worth_trying = tried is not None and one.channels and not both
+    worth_trying = mountings and tried is not None and one.channels and not both
     mendings = find_mendings(tried, gates) if tried is not None and worth_trying else ()
     notes = (*(f"{names[0]}: {g}" for g in gaps), *held.notes)
     if not one.channels:

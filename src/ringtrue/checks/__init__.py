@@ -13,12 +13,17 @@ Severity = Literal["error", "warning", "info"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One finding; `file` is "" and `line` 0 where it has no place in the deck."""
+    """One finding; `file` is "" and `line` 0 where it has no place in the deck.
+
+    `card` and `ids` are the table and the numbers of the rows that are meant, where it is of some.
+    """
 
     severity: Severity
     text: str
     file: str = ""
     line: int = 0
+    card: str = ""
+    ids: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         """`warning: model.bdf:31: what`."""
@@ -37,4 +42,5 @@ def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -
     file, line = model.place(table, first)
     more = f" and {rows.size - 1} more" if rows.size > 1 else ""
     text = f"{card} {table.ids[first]}{more}: {what}"
-    return [Finding(severity, text, file or "", line or 0)]
+    ids = tuple(table.ids[rows].tolist())
+    return [Finding(severity, text, file or "", line or 0, card=card, ids=ids)]

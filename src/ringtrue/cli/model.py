@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from ringtrue.api.checking import RigidCheck, check_deck
 from ringtrue.api.measurements import write_modes
 from ringtrue.api.models import read_deck, solve_modes
 from ringtrue.checks import Finding
-from ringtrue.checks.deck import check_deck, readable
-from ringtrue.checks.elements import free_edges_in_words, shell_edges
-from ringtrue.checks.materials import (
-    DIRECTIONS,
-    autospc_findings,
-    ground_check,
-    ground_findings,
-    mass_properties,
-    unconstrained,
-)
+from ringtrue.checks.materials import DIRECTIONS
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
 from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import part
 from ringtrue.core.units import UNIT_SYSTEMS
-from ringtrue.decks.nastran.reader import Survey, survey
-from ringtrue.errors import ConfigError, DeckError, RingtrueError, UnsupportedCard
-from ringtrue.fem.assembly import assemble
+from ringtrue.errors import ConfigError
 from ringtrue.io.modes import WRITTEN, dump_modes
-from ringtrue.model.cards import effects
-from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesResult
 from ringtrue.model.superelements import condenses
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
@@ -182,90 +169,42 @@ def check(
 
     Example: ringtrue check wing.bdf --units mm-t-s
     """
-    found = survey(deck)
-    findings = _findings(found, units)
-    unsupported = dict(found.unsupported)
-    model = readable(found.model) if unsupported else found.model
-    rigid: dict[str, Any] = {}
-    if "GRID" in model and len(model["GRID"]):
-        rigid = _rigid_of_readable(model, findings, unsupported)
+    found = check_deck(deck, units=units)
     summary: dict[str, Any] = {
         "deck": str(deck),
         "cards": dict(found.cards),
-        "kept": dict(found.model.kept),
-        "unsupported": unsupported,
-        "missing": {card: list(effects(card)) for card in unsupported},
-        **rigid,
+        "kept": dict(found.kept),
+        "unsupported": dict(found.unsupported),
+        "missing": {card: list(lost) for card, lost in found.missing.items()},
+        **_rigid_json(found.rigid),
     }
     summary["findings"] = [
-        {"severity": f.severity, "text": f.text, "file": f.file, "line": f.line} for f in findings
+        {"severity": f.severity, "text": f.text, "file": f.file, "line": f.line}
+        for f in found.findings
     ]
     if json:
         write_json(summary, json)
     if json != "-":
         _print_check(deck, summary)
-    sound = not unsupported and not any(f.severity == "error" for f in findings)
-    return 0 if sound else 1
+    return 0 if found.sound else 1
 
 
-def _findings(found: Survey, units: str) -> list[Finding]:
-    """What is wrong with the deck, as far as it is read."""
-    partial = bool(found.unsupported)
-    findings = list(check_deck(found.model, units, partial=partial).findings)
-    extra = {(f.file, f.line) for f in findings}
-    return [_lost(f) for f in found.faults if (str(f.path), f.line) not in extra] + findings
-
-
-def _lost(fault: DeckError) -> Finding:
-    place = f"{fault.path}:{fault.line}: " if fault.line else f"{fault.path}: "
-    return Finding("error", str(fault).removeprefix(place), str(fault.path), fault.line or 0)
-
-
-def _rigid_of_readable(
-    model: Model, findings: list[Finding], unsupported: dict[str, str]
-) -> dict[str, Any]:
-    """`_rigid` without the cards that assembly refuses, which are added to the unsupported; nothing
-    where it is not possible, with a finding of the reason unless others say what is wrong.
-    """
-    try:
-        return _rigid(model, findings, partial=bool(unsupported))
-    except UnsupportedCard as e:
-        if e.card not in model:
-            findings.append(Finding("error", str(e)))
-            return {}
-        place = f"{e.path}:{e.line}" if e.line else ""
-        unsupported[e.card] = ": ".join(t for t in (place, e.why) if t)
-        rest = {card: t for card, t in model.tables.items() if card != e.card}
-        return _rigid_of_readable(readable(replace(model, tables=rest)), findings, unsupported)
-    except RingtrueError as e:  # the rest of the check is worth more than the mass
-        if not any(f.severity == "error" for f in findings):
-            findings.append(Finding("error", str(e)))
+def _rigid_json(rigid: RigidCheck | None) -> dict[str, Any]:
+    """Plain values; nothing where the deck cannot be assembled."""
+    if rigid is None:
         return {}
-
-
-def _rigid(model: Model, findings: list[Finding], *, partial: bool) -> dict[str, Any]:
-    """Mass properties, ground check, free edges and what AUTOSPC holds; findings of these are added
-    to the findings, but of what cards that are not read may hold.
-    """
-    held = assemble(model)
-    system = assemble(unconstrained(model))
-    ground = ground_check(system)
-    mass = mass_properties(system)
-    findings += [] if partial else autospc_findings(held)
-    findings += ground_findings(model, ground)
-    free = "" if partial else free_edges_in_words(shell_edges(model))
-    energy = dict(zip(DIRECTIONS, ground.energy.tolist(), strict=True))
+    energy = dict(zip(DIRECTIONS, rigid.ground.energy.tolist(), strict=True))
     return {
-        "mass": mass.mass,
-        "centre_of_gravity": mass.cg.tolist(),
-        "inertia": mass.inertia.tolist(),
+        "mass": rigid.mass.mass,
+        "centre_of_gravity": rigid.mass.cg.tolist(),
+        "inertia": rigid.mass.inertia.tolist(),
         "ground_check": {
             "strain_energy": energy,
-            "relative": ground.relative.tolist(),
-            "ok": ground.ok,
+            "relative": rigid.ground.relative.tolist(),
+            "ok": rigid.ground.ok,
         },
-        "free_edges": free,
-        "autospc": held.autospc.by_components(),
+        "free_edges": rigid.free_edges,
+        "autospc": dict(rigid.autospc),
     }
 
 

@@ -34,21 +34,28 @@ def put(where: Sequence[str], value: Any) -> Change:
         None takes the key out.
     """
 
+    *tables, key = where
+    return put_all(tables, {key: value})
+
+
+def put_all(where: Sequence[str], values: Mapping[str, Any]) -> Change:
+    """Set several keys of a table in one step, as `put` sets one."""
+
     def change(text: str) -> str:
         document = _parsed(text)
-        *tables, key = where
         here: Any = document
-        for name in tables:
+        for name in where:
             if isinstance(here, AoT):
                 here = here[int(name)]
                 continue
             if name not in here:
                 here[name] = tomlkit.table()
             here = here[name]
-        if value is None:
-            here.pop(key, None)
-        else:
-            here[key] = value
+        for key, value in values.items():
+            if value is None:
+                here.pop(key, None)
+            else:
+                here[key] = value
         return tomlkit.dumps(document)
 
     return change

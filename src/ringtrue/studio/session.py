@@ -190,6 +190,13 @@ class StudioSession:
 
     # --- results
 
+    @property
+    def deck(self) -> Opened | None:
+        """The deck of the study; None where it was not read yet, or has changed since."""
+        if self._deck is None or self._deck[0] != self._deck_stamp(self._deck[1]):
+            return None
+        return self._deck[1]
+
     def stage(self, name: str) -> Any:
         """The stored result of a stage; None where it is not stored."""
         return None if self.study is None else self.study.run.results.get(name)
@@ -231,10 +238,7 @@ class StudioSession:
             study = rt.open_study(store) if store.exists() else None
         if self.config is None:
             return study, ()
-        deck = None
-        if self._deck is not None and self._deck[0] == self._deck_stamp(self._deck[1]):
-            deck = self._deck[1]
-        states, session = stage_states(self.path, deck=deck)
+        states, session = stage_states(self.path, deck=self.deck)
         if self.config.model is not None and "initial" in session.__dict__:
             self._deck = (self._deck_stamp(session.initial), session.initial)
         return study, states

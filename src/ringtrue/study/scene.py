@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
@@ -63,6 +65,32 @@ def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float
         triangle_element=quad_of[of_tri, 1],
         line_element=line_of[:, 1],
     )
+
+
+def connected(scene: Scene, elements: Sequence[int]) -> Int:
+    """Elements (e,) of the same groups that nodes join to some elements, these among them.
+
+    Parameters
+    ----------
+    scene : Scene
+    elements : sequence of int
+        Numbers of elements that are drawn.
+    """
+    faces, lines = scene.triangles, scene.lines
+    element = np.r_[scene.triangle_element, scene.line_element]
+    group = np.r_[scene.triangle_group, scene.line_group]
+    # a node once for each group that it is of, so that groups do not join
+    n = scene.node.size
+    ends = np.r_[faces[:, [0, 1]], faces[:, [0, 2]], lines]
+    of = np.r_[scene.triangle_group, scene.triangle_group, scene.line_group]
+    at = ends + n * of[:, None]
+    size = n * max(len(scene.groups), 1)
+    joined = sparse.coo_array((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(size, size))
+    label = connected_components(joined, directed=False)[1]
+    first = np.r_[faces[:, 0], lines[:, 0]] + n * group
+    part = label[first]
+    wanted = np.unique(part[np.isin(element, np.asarray(elements))])
+    return np.unique(element[np.isin(part, wanted)])
 
 
 def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:

@@ -37,10 +37,14 @@ class Screen:
 
 
 SCREENS = (
+    Screen("model", "Model", "view_in_ar", ("model",)),
+    Screen("plan", "Plan", "edit_location_alt", ("plan",)),
+    Screen("sensors", "Sensors", "sensors"),
     Screen("signals", "Signals and impacts", "graphic_eq", ("identify",)),
     Screen("poles", "Poles", "scatter_plot", ("identify",)),
     Screen("frfs", "FRFs", "show_chart"),
     Screen("correlation", "Correlation", "grid_on", ("compare", "correlate")),
+    Screen("where", "Where it is wrong", "my_location", ("localise",)),
     Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final")),
     Screen("verdict", "Verdict and report", "fact_check", ("uncertainty", "damping", "predict")),
 )

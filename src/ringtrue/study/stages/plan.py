@@ -74,7 +74,7 @@ def run(session: Session, progress: Progress) -> PlanStage:
     plan = session.config.plan
     if plan is None:
         raise ConfigError("this stage needs a [plan]")
-    problem = _problem(session, plan)
+    problem = plan_problem(session, plan)
     able = problem.able
     shapes = problem.shapes
     f = problem.frequencies
@@ -154,11 +154,12 @@ def run(session: Session, progress: Progress) -> PlanStage:
     return stage
 
 
-def _problem(session: Session, plan: PlanSection) -> PlanProblem:
+def plan_problem(session: Session, plan: PlanSection, *, stored: bool = False) -> PlanProblem:
     """The candidates that move, and the motion (node, 3, mode) of their nodes.
 
     A candidate is of the first region that names it; boxes and exclusions take candidates away,
-    fixed nodes always stay.
+    fixed nodes always stay. With `stored` the motion is that of the stored modes where all
+    candidates are drawn, and nothing is solved.
     """
     model: ModelStage = session.get("model")
     grid = session.initial.model["GRID"]
@@ -173,7 +174,11 @@ def _problem(session: Session, plan: PlanSection) -> PlanProblem:
     lost = (rows < 0) & np.isin(nodes, plan.fixed)
     if lost.any():
         raise ConfigError(f"[plan] fixed: node {int(nodes[lost][0])} is not in the deck")
-    motion = session.initial.modes(session.first_fmax).modes.shapes[node_rows(session, nodes)]
+    seat = np.searchsorted(model.scene.node, nodes).clip(max=model.scene.node.size - 1)
+    if stored and (model.scene.node[seat] == nodes).all():
+        motion = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[seat]
+    else:
+        motion = session.initial.modes(session.first_fmax).modes.shapes[node_rows(session, nodes)]
     xyz = positions(session.initial.model)[rows] * session.length
     here = np.intersect1d(plan.exclude, nodes).tolist()
     keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
