@@ -68,13 +68,18 @@ class DrawnDeck:
 
     def legend(self, coloring: str) -> list[tuple[int, str, str, int]]:
         """Number, name, colour and count of elements of each property, material or group."""
-        number, count = np.unique(self.numbers(coloring), return_counts=True)
-        names = self.arrays["groups"]
-        label = {"property": "property {}", "material": "material {}"}.get(coloring, "")
+        number, first, count = np.unique(
+            self.numbers(coloring), return_index=True, return_counts=True
+        )
+        region = np.asarray(self.arrays["groups"])[self.numbers("group")[first]].tolist()
         out = []
         for k, (n, size) in enumerate(zip(number.tolist(), count.tolist(), strict=True)):
-            name = label.format(n) if n else f"no {coloring}"
-            out.append((n, name if label else names[n], SOFT[k % len(SOFT)], size))
+            name = f"{coloring} {n}" if n else f"no {coloring}"
+            if coloring == "group":
+                name = region[k]
+            elif coloring == "property" and region[k] != name:
+                name = f"{n}: {region[k]}"
+            out.append((n, name, SOFT[k % len(SOFT)], size))
         return out
 
 

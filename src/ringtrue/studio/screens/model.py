@@ -253,7 +253,7 @@ class _ModelScreen:
         pick = ui.select(names, value=now, on_change=lambda e: self.set_units(str(e.value)))
         pick.props("dense options-dense outlined").classes("w-full").mark("units")
         for f in check.implausible[now][:2]:
-            ui.label(f.text).classes("text-xs text-warning")
+            ui.label(f.text).classes("text-xs text-accent")
 
     def set_units(self, name: str) -> None:
         """State the unit system of the deck."""

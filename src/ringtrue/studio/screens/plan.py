@@ -252,7 +252,7 @@ class _PlanScreen:
                 k = int(np.argmin(trial.reach))
                 reach = f"mode {trial.worst_excited}, {100 * trial.reach[k]:.0f} %"
                 _figure("excited worst", reach, not trial.missed.any())
-                _figure("information left if a point fails", f"{100 * trial.left_by_loss:.2g} %")
+                _figure("left if one fails", f"{100 * trial.left_by_loss:.2g} %")
             ui.space()
             run_button(self.session, "plan", "Choose points")
         if self.problem:
@@ -512,9 +512,9 @@ class _PlanScreen:
 
 
 def _figure(name: str, value: str, good: bool = True) -> None:
-    with ui.column().classes("gap-0"):
-        ui.label(name).classes("rt-head no-wrap")
-        ui.label(value).classes("text-sm rt-value no-wrap" + ("" if good else " text-warning"))
+    with ui.column().classes("gap-0 whitespace-nowrap"):
+        ui.label(name).classes("rt-head")
+        ui.label(value).classes("text-sm rt-value" + ("" if good else " text-accent"))
 
 
 def _button(text: str, icon: str, does: Any) -> None:
