@@ -21,6 +21,7 @@ from ringtrue.correlation.orthogonality import OrthogonalityTest
 from ringtrue.correlation.pairing import Pairing, track
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
+from ringtrue.signal.impacts import ImpactReport
 from ringtrue.study import results as r
 from ringtrue.updating.prediction import Bands, RunUp, Unbalance
 from ringtrue.updating.uncertainty import Posterior
@@ -557,9 +558,11 @@ def study() -> dict[str, object]:
         records=records,
         ambient_records=tuple(found),
         frfs=frfs,
-        rejected_hits=(
-            "point 112+Z hit 3: double hit at 0.18 s",
-            "point 131+X hit 1: overload on 141+Y",
+        hits=(
+            ImpactReport(
+                "point 112+Z", "112+Z", 41.0, 880.0, 4e-3, False, ("double hit at 0.18 s",)
+            ),
+            ImpactReport("point 131+X", "131+X", 8.0, 910.0, 4e-3, False, ("overload on 141+Y",)),
         ),
         synthesis_error=RNG.uniform(0.03, 0.2, (150, 3)),
     )

@@ -17,6 +17,7 @@ from record_files import write_history
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.records import read_record
+from ringtrue.study.hammer_records import rejected_hits
 from ringtrue.study.run import run_study
 from ringtrue.study.stages.identify import IdentifyStage
 from ringtrue.virtual.sensors import simulate
@@ -120,7 +121,7 @@ def test_a_hit_is_left_out_by_hand(tmp_path: Path) -> None:
     assert [h.accepted for h in found.hits if h.source == name] == [True, False, True]
     assert [r.hits for r in found.records] == [(2, 3), (3, 3)]
     assert found.frfs.averages.tolist() == [2.0, 3.0]
-    assert "left out by hand: two taps" in found.rejected_hits[0]
+    assert "left out by hand: two taps" in rejected_hits(found.hits)[0]
     assert found.hammer is not None
     assert "confirmed by hand" not in found.hammer.reasons[0]
     (tmp_path / "choice.toml").write_text(entry.replace("pX", "pZ"))

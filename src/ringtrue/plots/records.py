@@ -22,7 +22,7 @@ from ringtrue.plots.style import (
     rule,
     thinned_log,
 )
-from ringtrue.signal.overview import Envelope, Spectrogram
+from ringtrue.signal.overview import Extremes, Spectrogram
 from ringtrue.study.record_hits import HitSignals
 
 KEPT, LEFT_OUT = "#0b7a75", "#c0392b"  # hits
@@ -44,7 +44,7 @@ class MarkedHit:
 
 def signals(
     channels: Sequence[Channel],
-    seen: Envelope,
+    seen: Extremes,
     *,
     rate: float,
     shown: tuple[float, float],
@@ -56,7 +56,7 @@ def signals(
     Parameters
     ----------
     channels : sequence of Channel
-    seen : Envelope
+    seen : Extremes
         Of these channels.
     rate : float, Hz
     shown : (float, float), s
@@ -86,7 +86,7 @@ def signals(
     return fig
 
 
-def _path(seen: Envelope, k: int, size: int, rate: float) -> tuple[float, float, Float]:
+def _path(seen: Extremes, k: int, size: int, rate: float) -> tuple[float, float, Float]:
     """One line through the extremes of each bin: its first time, its step, its values."""
     start = float(seen.first[0]) / rate
     if size == 1:
@@ -96,7 +96,7 @@ def _path(seen: Envelope, k: int, size: int, rate: float) -> tuple[float, float,
 
 
 def _mark_clipped(
-    fig: go.Figure, seen: Envelope, k: int, on: str, *, level: float, rate: float
+    fig: go.Figure, seen: Extremes, k: int, on: str, *, level: float, rate: float
 ) -> None:
     """Marks where a channel reaches the level at which it is clipped."""
     for y in (seen.low[k], seen.high[k]):
@@ -107,7 +107,7 @@ def _mark_clipped(
             fig.data[-1].update(name="clipped", hovertemplate="%{x:.6g} s: clipped<extra></extra>")
 
 
-def _lost(seen: Envelope, size: int, rate: float) -> list[dict[str, object]]:
+def _lost(seen: Extremes, size: int, rate: float) -> list[dict[str, object]]:
     """Where samples are missing, as shaded parts."""
     lost: Bool = np.asarray(seen.lost.any(axis=0))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(np.int8)))

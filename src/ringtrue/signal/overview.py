@@ -22,7 +22,7 @@ SEGMENTS = 160  # of a spectrum, spread over the part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Envelope(FrozenArrays):
+class Extremes(FrozenArrays):
     """Part of some signals as a screen shows it.
 
     Attributes
@@ -59,17 +59,17 @@ def _bins(data: Any_, size: int) -> tuple[Float, Float, Bool]:
     return low, high, np.asarray(flags.reshape(channels, count, size).any(axis=2))
 
 
-def extremes(read: Read, samples: int) -> Envelope:
+def extremes(read: Read, samples: int) -> Extremes:
     """The envelope of whole signals in bins of `BLOCK` samples, read once from end to end."""
     spans = [(start, min(start + STEP, samples)) for start in range(0, samples, STEP)]
     parts = [_bins(data, BLOCK) for data in read(spans)]
     low, high, lost = (np.concatenate(x, axis=1) for x in zip(*parts, strict=True))
-    return Envelope(BLOCK * np.arange(low.shape[1]), low, high, lost)
+    return Extremes(BLOCK * np.arange(low.shape[1]), low, high, lost)
 
 
 def envelope(
-    read: Read, start: int, stop: int, *, bins: int, whole: Callable[[], Envelope]
-) -> Envelope:
+    read: Read, start: int, stop: int, *, bins: int, whole: Callable[[], Extremes]
+) -> Extremes:
     """Samples `start` to `stop`, as they are where these are few, else their extremes in about
     `bins` bins.
 
@@ -86,7 +86,7 @@ def envelope(
         (data,) = read([(start, stop)])
         size = max(1, -(-length // bins)) if length > 2 * bins else 1
         low, high, lost = _bins(data, size)
-        return Envelope(start + size * np.arange(low.shape[1]), low, high, lost)
+        return Extremes(start + size * np.arange(low.shape[1]), low, high, lost)
     known = whole()
     a = start // BLOCK
     b = min(-(-stop // BLOCK), known.first.size)
@@ -94,7 +94,7 @@ def envelope(
     low = _bins(known.low[:, a:b], size)[0]
     high = _bins(known.high[:, a:b], size)[1]
     lost = _bins(np.where(known.lost[:, a:b], np.nan, 0.0), size)[2]
-    return Envelope(BLOCK * (a + size * np.arange(low.shape[1])), low, high, lost)
+    return Extremes(BLOCK * (a + size * np.arange(low.shape[1])), low, high, lost)
 
 
 def spectra(

@@ -19,7 +19,7 @@ from ringtrue.io.records import read_record, read_runs, record_info, record_part
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import check_channels
 from ringtrue.signal.overview import (
-    Envelope,
+    Extremes,
     Spans,
     Spectrogram,
     envelope,
@@ -56,7 +56,7 @@ class RecordView:
     starts: tuple[int, ...]
     _rows: Callable[[Sequence[int], Spans], Iterator[Any_]]
     _factor: Float
-    _known: dict[str, Envelope] = field(default_factory=dict)
+    _known: dict[str, Extremes] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:
@@ -89,20 +89,20 @@ class RecordView:
         for data in self._rows(at, spans):
             yield data if (factor == 1).all() else data * factor[:, None].astype(data.dtype)
 
-    def envelope(self, ids: Sequence[str], start: int, stop: int, bins: int = 1000) -> Envelope:
+    def envelope(self, ids: Sequence[str], start: int, stop: int, bins: int = 1000) -> Extremes:
         """Samples `start` to `stop` at the size of a screen, as `signal.overview.envelope`."""
 
-        def whole() -> Envelope:
+        def whole() -> Extremes:
             parts = [self._extremes(i) for i in ids]
             low, high, lost = (
                 np.concatenate([getattr(p, name) for p in parts])
                 for name in ("low", "high", "lost")
             )
-            return Envelope(parts[0].first, low, high, lost)
+            return Extremes(parts[0].first, low, high, lost)
 
         return envelope(partial(self.parts, ids), start, stop, bins=bins, whole=whole)
 
-    def _extremes(self, channel: str) -> Envelope:
+    def _extremes(self, channel: str) -> Extremes:
         """The envelope of a whole channel, read once."""
         if channel not in self._known:
             self._known[channel] = extremes(partial(self.parts, [channel]), self.samples)

@@ -418,7 +418,6 @@ class IdentifyStage:
     channel_notes : tuple of Note
         On channels of given FRFs, and on those that are not used.
     synthesis_error : (out, in) float64, relative
-    rejected_hits : tuple of str
     hits : tuple of ImpactReport
         Of all records with a hammer; `source` is the name of the record.
     """
@@ -434,7 +433,6 @@ class IdentifyStage:
     frf_notes: tuple[str, ...] = ()
     channel_notes: tuple[Note, ...] = ()
     synthesis_error: Float = field(default_factory=lambda: np.zeros((0, 0)))
-    rejected_hits: tuple[str, ...] = ()
     hits: tuple[ImpactReport, ...] = ()
 
     @property

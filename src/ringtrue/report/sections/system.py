@@ -38,6 +38,7 @@ from ringtrue.report.parts import (
     signs,
 )
 from ringtrue.study.config_sections import InstrumentSection
+from ringtrue.study.hammer_records import rejected_hits
 from ringtrue.study.results import ModelStage, RecordSummary
 
 
@@ -292,6 +293,6 @@ def frf_section(data: Stages) -> Section | None:
             "over the band)."
         )
         blocks.append(Text(text))
-    if hits := ident.rejected_hits:
+    if hits := rejected_hits(ident.hits):
         blocks.append(Fold(f"Rejected hits ({len(hits)})", [Items([signs(h) for h in hits])]))
     return Section("frfs", "Frequency response functions", blocks)

@@ -35,7 +35,7 @@ SAME_S = 0.05  # an entry of a choice means the hit as near as that
 MOST = 4  # responses that are shown
 
 
-class Impacts:
+class ImpactPanel:
     """The hits of one record on one page."""
 
     def __init__(

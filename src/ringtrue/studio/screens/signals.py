@@ -16,7 +16,7 @@ from ringtrue.errors import RingtrueError
 from ringtrue.plots import records as figures
 from ringtrue.studio import theme
 from ringtrue.studio.records import records_of
-from ringtrue.studio.screens.impacts import Impacts
+from ringtrue.studio.screens.impacts import ImpactPanel
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import fact, frame, heading, inspector
 from ringtrue.study.record_hits import place_of
@@ -55,7 +55,7 @@ class _SignalsScreen:
         self.what = SIGNALS
         self.seen: tuple[Float, Float, int] | None = None  # the spectra that are shown
         self._wanted = 0
-        self._impacts: Impacts | None = None
+        self._impacts: ImpactPanel | None = None
 
     @property
     def record(self) -> str:
@@ -127,7 +127,7 @@ class _SignalsScreen:
             elif self.view is None:
                 ui.spinner(size="lg").classes("self-center q-ma-xl")
             elif self.what == IMPACTS:
-                self._impacts = Impacts(self.session, self.records, self.record, self.view)
+                self._impacts = ImpactPanel(self.session, self.records, self.record, self.view)
                 self._impacts.build()
             else:
                 self._plots()

@@ -56,7 +56,6 @@ from ringtrue.study.hammer_records import (
     forced_frfs,
     full_scale,
     read_file,
-    rejected_hits,
     renamed,
 )
 from ringtrue.study.log import Logged, SensorType, read_log
@@ -535,7 +534,6 @@ def _identified(
         frf_notes=(*notes, *result.notes) if test.frfs else (),
         channel_notes=result.channel_notes if test.frfs else (),
         synthesis_error=result.synthesis_error,
-        rejected_hits=rejected_hits(made.hits),
         hits=made.hits,
     )
 
