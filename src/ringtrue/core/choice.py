@@ -68,6 +68,9 @@ class Merge:
             )
 
 
+SAME_HIT_S = 0.05  # so near a time in a choice must be to the hit that it means
+
+
 @dataclass(frozen=True, slots=True)
 class Hit:
     """A hit of a hammer that is kept or left out, whatever the checks say of it, and why.

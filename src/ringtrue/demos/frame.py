@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.modes import ModalModel, Norm
+from ringtrue.core.modes import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.sensor_mapping import observe
@@ -115,22 +115,23 @@ def modal(folder: Path, test: TestModel, truth: str = "") -> ModalModel:
     poles = omega * (-DAMPING + 1j * np.sqrt(1 - DAMPING**2))
     none = np.zeros((len(test.channels),) * 2, dtype=np.complex128)
     return ModalModel(
-        poles,
-        seen,
-        seen.T / (2j * poles.imag[:, None]),
-        none,
-        none,
-        tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
-        tuple(Channel(c, "force", "N") for c in test.channels),
-        "receptance",
-        Norm.UNSCALED,
+        poles=poles,
+        shapes=seen,
+        participation=seen.T / (2j * poles.imag[:, None]),
+        lower=none,
+        upper=none,
+        outputs=tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
+        inputs=tuple(Channel(c, "force", "N") for c in test.channels),
+        kind="receptance",
     )
 
 
 def _channels(test: TestModel) -> list[RecordChannel]:
     at = dict(zip(test.channels, test.at.tolist(), strict=True))
     return [
-        RecordChannel(c, at[c], "acceleration", "m/s^2", 1.0, 10.0, "accelerometer")
+        RecordChannel(
+            c, at[c], "acceleration", "m/s^2", sensitivity=1.0, range=10.0, sensor="accelerometer"
+        )
         for c in test.channels
     ]
 
@@ -184,7 +185,9 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
         records = []
         for reference, volts in zip(REFERENCES, hits, strict=True):
             name = f"hammer-{reference.replace('+', 'p')}.h5"
-            force = RecordChannel(f"F:{reference}", 0, "force", "N", 1e-3, 10.0, "hammer")
+            force = RecordChannel(
+                f"F:{reference}", 0, "force", "N", sensitivity=1e-3, range=10.0, sensor="hammer"
+            )
             write_record(
                 folder / name,
                 volts * np.r_[1e-3, np.ones(len(table))][:, None],

@@ -15,7 +15,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.channels import FORCES, input_id
-from ringtrue.core.choice import Hit
+from ringtrue.core.choice import SAME_HIT_S, Hit
 from ringtrue.core.signals import Impacts, TimeHistory, pad_rows
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.channel_checks import clipping_levels, mostly_overloaded, overloaded
@@ -277,9 +277,6 @@ def check_impacts(
             )
         )
     return tuple(reports)
-
-
-SAME_HIT_S = 0.05  # so near a time in a choice must be to the hit that it means
 
 
 def record_names(source: str) -> tuple[str, str]:

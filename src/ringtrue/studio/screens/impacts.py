@@ -10,7 +10,7 @@ from nicegui import run, ui
 from nicegui.events import GenericEventArguments
 
 from ringtrue.core.channels import FORCES, MOTIONS
-from ringtrue.core.choice import Hit
+from ringtrue.core.choice import SAME_HIT_S, Hit
 from ringtrue.core.signals import Channel
 from ringtrue.errors import RingtrueError
 from ringtrue.plots import records as figures
@@ -31,7 +31,6 @@ from ringtrue.study.record_hits import hit_signals, kept_frfs
 from ringtrue.study.record_views import RecordView
 from ringtrue.study.results import IdentifyStage, ImpactReport
 
-SAME_S = 0.05  # an entry of a choice means the hit as near as that
 MOST = 4  # responses that are shown
 
 
@@ -159,7 +158,7 @@ class ImpactPanel:
     def _entry(self, hit: ImpactReport) -> int | None:
         """Number of the entry of the choice that means a hit."""
         for k, decision in enumerate(self.records.decisions):
-            near = abs(decision.time - hit.time) <= SAME_S
+            near = abs(decision.time - hit.time) <= SAME_HIT_S
             if near and decision.record == hit.source:
                 return k
         return None

@@ -26,7 +26,7 @@ from ringtrue.study.results import IdentifyStage
 AT_FIRST = 3  # channels that are shown
 MOST = 8
 LINES = 2048  # of a spectrum, where no resolution is asked for
-RESOLUTIONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+RESOLUTIONS = tuple(float(f"{m}e{e}") for e in range(-3, 1) for m in (1, 2, 5))  # Hz
 SIGNALS, IMPACTS = "signals", "impacts"
 
 
