@@ -9,10 +9,6 @@ model.
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import ringtrue
 from ringtrue.demos.lsf import demo, twin
 from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.shapes import mac, mpc, realise
@@ -154,25 +149,3 @@ def test_only_the_changed_fields_differ(example: Example) -> None:
         assert (different > 0) == (path.name in changed)
         lines += different
     assert 0 < lines <= len(final.changes)
-
-
-def test_the_chain_needs_no_truth(example: Example, tmp_path: Path) -> None:
-    package = tmp_path / "ringtrue"
-    shutil.copytree(
-        Path(ringtrue.__file__).parent,
-        package,
-        ignore=shutil.ignore_patterns("demos", "__pycache__"),
-    )
-    before = (example.folder / "summary.json").read_text()
-    run = [sys.executable, "-c", "from ringtrue.cli.main import main; main()", "run"]
-    run += [str(example.folder / "study.toml"), "--from", "identify", "--until", "compare"]
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        run, env=environment, capture_output=True, text=True, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    again = json.loads((example.folder / "summary.json").read_text())
-    first = json.loads(before)
-    for a, b in zip(again["ambient_vs_hammer"], first["ambient_vs_hammer"], strict=True):
-        assert a["frequency_test_hz"] == pytest.approx(b["frequency_test_hz"], rel=1e-6)
-        assert a["mac_percent"] == pytest.approx(b["mac_percent"], rel=1e-6)
