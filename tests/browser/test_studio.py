@@ -59,6 +59,10 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
         urllib.request.urlopen(bare)
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=address)
+        assert page.until("document.body?.innerText.includes('Poles')")
+        page.evaluate(
+            "[...document.querySelectorAll('.q-item')].find((e) => e.innerText.includes('Poles')).click()"
+        )
         assert page.until("!!document.querySelector('.js-plotly-plot')?._fullData?.length")
         place = page.evaluate(POLE)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
@@ -72,8 +76,10 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
             )
             page.until("new Promise((done) => setTimeout(() => done(true), 300))")
         assert page.until("document.body.innerText.includes('picked')", 30)
-        page.call("Page.navigate", url=bare)  # the cookie is enough; the pick is shown again
-        assert page.until("document.body.innerText.includes('order " + str(place["order"]) + "')")
+        page.call(
+            "Page.navigate", url=f"{bare}poles"
+        )  # the cookie is enough; the pick is shown again
+        assert page.until("document.body?.innerText.includes('order " + str(place["order"]) + "')")
         assert page.complaints() == []
         elsewhere = [u for u in page.requests() if not u.startswith((bare, "data:", "blob:", "ws"))]
         assert elsewhere == []
