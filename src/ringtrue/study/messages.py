@@ -15,6 +15,7 @@ from ringtrue.study.acceptance import in_both
 from ringtrue.study.placing import seat_words
 from ringtrue.study.results import (
     CompareStage,
+    ConditionsStage,
     ConfigurationsStage,
     CorrelateStage,
     Evidence,
@@ -63,6 +64,9 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         if identify.hammer is not None:
             modes.append(f"{len(identify.hammer)} modes of the {identify.source}")
         out += ["; ".join(modes) or "no mode", *identify.merge_notes, *_at_fault(identify)]
+    conditions: ConditionsStage | None = r.get("conditions")
+    if conditions is not None:
+        out += [sentence(note) for note in conditions.notes]
     if correlate is not None:
         out += [m.text for m in correlate.sensors.mendings]
         others: ConfigurationsStage | None = r.get("configurations")

@@ -14,6 +14,7 @@ from ringtrue.core.notes import Note
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.conditions import ConditionSlopes, TemperatureDrift
 from ringtrue.correlation.frf import FrfComparison
 from ringtrue.correlation.measures import CompleteCorrelation
 from ringtrue.correlation.pairing import Tracks
@@ -105,6 +106,29 @@ class CompareStage:
 
     table: CorrelationTable
     evidence: Evidence | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionsStage:
+    """What differs between the records of a test: days, temperatures, levels.
+
+    Attributes
+    ----------
+    slopes : ConditionSlopes
+        Of the merged ambient modes.
+    drift : TemperatureDrift, optional
+        None where no record shows one.
+    scatter : float
+        Relative standard deviation with which a test repeats frequencies on another day; NaN where
+        none was repeated.
+    notes : tuple of Note
+        What was found.
+    """
+
+    slopes: ConditionSlopes
+    drift: TemperatureDrift | None
+    scatter: float
+    notes: tuple[Note, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,9 +412,27 @@ class IdentifiedModes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedRecord(IdentifiedModes):
-    """Modes of one record."""
+    """Modes of one record, or of a test.
+
+    Attributes
+    ----------
+    record : str
+    date : str
+        As the log has it.
+    temperature : float, °C
+        NaN where the log has none.
+    level : (m,) float64, m/s
+        RMS velocity at the frequency of each mode, over all channels; NaN where their quantity is
+        not known.
+    merged : (m,) int64
+        Which mode of all ambient records each is.
+    """
 
     record: str = ""
+    date: str = ""
+    temperature: float = float("nan")
+    level: Float = field(default_factory=lambda: np.zeros(0))
+    merged: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -414,7 +456,8 @@ class IdentifyStage:
     frf_notes : tuple of str
         Of FRFs that were given; those of hammer records are with the records.
     channel_notes : tuple of Note
-        On channels of given FRFs, and on those that are not used.
+        On channels of given FRFs, on those that are not used, and on those that read otherwise in
+        one setup.
     synthesis_error : (out, in) float64, relative
     rejected_hits : tuple of str
     """
