@@ -14,6 +14,7 @@ from ringtrue.core.notes import Note
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.conditions import ConditionSlopes, TemperatureDrift
 from ringtrue.correlation.frf import FrfComparison
 from ringtrue.correlation.measures import CompleteCorrelation
@@ -190,11 +191,14 @@ class SensorPlacement:
         Other mountings of the sensors that explain the test better.
     alignment : str
         How the test was laid onto the deck, in words.
+    rigid : tuple of Suspect
+        Channels that contradict the rigid-body motion of the others.
     """
 
     seats: tuple[Seat, ...] = ()
     mendings: tuple[Mending, ...] = ()
     alignment: str = ""
+    rigid: tuple[Suspect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,6 +30,7 @@ CONCRETE_PER_K = -0.5e-3
 JOINTS_PER_K = -1.5e-3
 GROUTED = 2.5  # stiffness of the anchors that the analyst took, over that of bolts alone
 GAIN_TOLERANCE = 0.05  # of a gain: two calibrations and the difference of days
+MAC_LEAST = 80.0  # %, mean: channels at fault stay in the test
 SLIP = 3.5e-7  # m, of the anchors that soften
 FRAME = ("columns", "girders", "cross beams", "braces", "brackets")
 VESSEL = ("vessel shell", "vessel heads", "vessel rings")
@@ -125,18 +126,16 @@ def softening(seed: int) -> tuple[SofteningRegion, ...]:
 def plant(seed: int, plan: CampaignPlan) -> ChannelFaults:
     """Channels at fault; drawn by seed among those of the plan.
 
-    One of the ambient test on the foundation is reversed, two of one setup of the hammer test are
-    swapped on the sheet, and the gain of a driving point is 6 dB wrong in one setup.
+    Of the test of the foundation one is reversed, and two of different directions are swapped on
+    the sheet; the gain of a driving point is 6 dB wrong in one setup of the hammer test.
     """
     rng = np.random.default_rng([seed, 7])
     rest = [c for c in plan.foundation if c not in plan.references]
-    turned = str(rng.choice(rest))
-    setup = plan.setups[int(rng.integers(len(plan.setups)))]
-    others = [c for c in setup if c not in (*plan.references, turned)]
-    swapped = tuple(str(c) for c in rng.choice(others, size=2, replace=False))
+    turned, first = (str(c) for c in rng.choice(rest, size=2, replace=False))
+    others = [c for c in rest if c != turned and c[-1] != first[-1]]
     return ChannelFaults(
         reversed=turned,
-        swapped=swapped,
+        swapped=(first, str(rng.choice(others))),
         scaled=str(rng.choice(plan.references)),
         setup=int(rng.integers(len(plan.setups))),
         gain=float(rng.choice((0.5, 2.0))),
@@ -205,7 +204,7 @@ def contents() -> StudyContents:
         ("drive mounts", springs(MACHINES, 0, "K1,K2,K3")),
     ]
     regions["end walls"].remove(S.CONCRETE["end walls"] + ZONE)  # there is none in the middle
-    return StudyContents(tuple(candidates), regions, remodelled=False)
+    return StudyContents(tuple(candidates), regions, remodelled=False, mac=MAC_LEAST)
 
 
 def hard(seed: int) -> WorkedExample:

@@ -70,11 +70,14 @@ class StudyContents:
         Property numbers of what is drawn.
     remodelled : bool
         Whether the missing braces were found on site.
+    mac : float, %
+        Least mean subspace MAC that is accepted.
     """
 
     candidates: tuple[Region, ...]
     regions: Mapping[str, list[int]]
     remodelled: bool = True
+    mac: float = 93.0
 
 
 def contents() -> StudyContents:
@@ -185,7 +188,7 @@ def write_study(b: Builder, folder: Path, seed: int, contents: StudyContents) ->
         "[correlate]",
         "accept_pairs = 18",
         "accept_mean_percent = 2.0",
-        "accept_mean_mac = 93.0",
+        f"accept_mean_mac = {contents.mac}",
         "",
         *(_remodelling(b, folder) if contents.remodelled else ()),
         "# Regions whose stiffness is uncertain: each a candidate, none chosen here",
