@@ -19,13 +19,15 @@ SHEET = TestModel(
 )
 
 
-def measured(seed: int = 0, bends: float = 0.0) -> np.ndarray:
-    """(24, 6) readings with noise of 1 %, and `bends` of a motion that is not rigid."""
+def measured(seed: int = 0, bends: float = 0.0, turns: float = 1.0) -> np.ndarray:
+    """(24, 6) readings with noise of 1 %, `bends` of a motion that is not rigid, and rotations of
+    the size `turns`.
+    """
     rng = np.random.default_rng(seed)
     arm = (XYZ - XYZ.mean(axis=0)).repeat(3, axis=0)
     axes = np.tile(np.eye(3), (8, 1))
     motions = np.concatenate([axes, np.cross(arm, axes)], axis=1)
-    shapes = motions @ rng.normal(size=(6, 6))
+    shapes = motions @ (rng.normal(size=(6, 6)) * np.repeat([1.0, turns], 3)[:, None])
     return np.asarray(shapes + (0.01 + bends) * rng.normal(size=shapes.shape))
 
 
@@ -50,6 +52,17 @@ def test_two_swapped_channels_and_a_gain_are_named_together() -> None:
         ("2+Y", "swapped", "6+Z"),
         ("6+Z", "swapped", "2+Y"),
         ("4+X", "scaled", ""),
+    }
+
+
+def test_a_reversed_channel_that_moves_like_a_swapped_one_is_no_round_of_three() -> None:
+    shapes = measured(5, turns=0.15)
+    shapes[0] *= -1  # 1+X, in nearly all as 3+X
+    shapes[[6, 13]] = shapes[[13, 6]]
+    assert set(judged(shapes)) == {
+        ("1+X", "reversed", ""),
+        ("3+X", "swapped", "5+Y"),
+        ("5+Y", "swapped", "3+X"),
     }
 
 
