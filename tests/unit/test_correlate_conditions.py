@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ringtrue.correlation.conditions import (
-    RepeatedModes,
-    condition_slopes,
-    day_scatter,
-    temperature_drift,
-)
+from ringtrue.correlation.conditions import RepeatedModes, condition_slopes, day_scatter
 
 MODES, STATED = 12, 1e-4
 DAYS = ("mon",) * 4 + ("wed",) * 2 + ("fri",) * 4
@@ -20,11 +17,11 @@ LEVEL = np.array([0.0, 1.2, 1.6, 0.9, 0.0, 1.2, 0.1, 1.3, 1.5, 1.0])
 
 
 def records(per_kelvin: float, per_decade: float, seed: int, noise: float = 1.0) -> RepeatedModes:
-    """Mode 3 alone depends on the level; each mode has its own part of the drift."""
+    """Each mode has its own part of both, mode 3 none of the dependence on the level."""
     rng = np.random.default_rng(seed)
     f = np.linspace(10.0, 40.0, MODES)
     own = per_kelvin * rng.uniform(0.3, 1.7, MODES)
-    bent = np.where(np.arange(MODES) == 3, per_decade, 0.0)
+    bent = np.where(np.arange(MODES) == 3, 0.0, per_decade * rng.uniform(0.3, 1.7, MODES))
     off = np.outer(WARM - 8.0, own) + np.outer(LEVEL, bent)
     frequency = f * np.exp(off + noise * STATED * rng.standard_normal((10, MODES)))
     frequency[4, 7] = np.nan  # not found
@@ -38,35 +35,40 @@ def records(per_kelvin: float, per_decade: float, seed: int, noise: float = 1.0)
 
 
 def test_drift_and_dependence_on_the_level_are_found_and_kept_apart() -> None:
-    found = condition_slopes(records(-3e-4, -2e-3, 1))
-    drift = temperature_drift(found)
-    assert drift is not None
-    assert drift.proven
-    assert drift.per_kelvin == pytest.approx(-3e-4, abs=3 * drift.std)
-    assert np.flatnonzero(found.bent).tolist() == [3]
-    assert found.per_decade[3] == pytest.approx(-2e-3, abs=4 * found.per_decade_std[3])
-    assert found.decades[3] == pytest.approx(1.6)
+    found = condition_slopes(records(-3e-4, -5e-4, 1))
+    for common, wanted in ((found.drift, -3e-4), (found.dependence, -5e-4)):
+        assert common is not None
+        assert common.proven
+        assert common.modes == MODES
+        assert common.value == pytest.approx(wanted, abs=3 * common.std)
+    assert found.bent.sum() >= 8
+    assert not found.bent[3]
+    np.testing.assert_allclose(found.decades, 1.6)
 
 
 def test_chance_is_seldom_taken_for_either() -> None:
     slopes = [condition_slopes(records(0.0, 0.0, seed, noise=2.0)) for seed in range(100)]
-    assert sum(s.bent.any() for s in slopes) <= 5
-    assert sum(bool(d and d.proven) for d in map(temperature_drift, slopes)) <= 5
+    for name in ("drift", "dependence"):
+        assert sum(getattr(s, name).proven for s in slopes) <= 5
     assert np.median([s.scatter for s in slopes]) == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_record_that_reads_one_mode_wrong_proves_nothing() -> None:
+    seen = records(0.0, 0.0, 4)
+    wrong = seen.frequency.copy()
+    wrong[0, 5] *= 1.006
+    found = condition_slopes(replace(seen, frequency=wrong))
+    assert not found.bent[5]
+    assert found.dependence is not None
+    assert not found.dependence.proven
 
 
 def test_without_temperatures_or_levels_nothing_is_said() -> None:
     seen = records(-3e-4, -2e-3, 1)
-    unknown = RepeatedModes(
-        frequency=seen.frequency,
-        std=seen.std,
-        level=np.full((10, MODES), np.nan),
-        temperature=np.full(10, np.nan),
-        place=seen.place,
-    )
+    unknown = replace(seen, level=np.full((10, MODES), np.nan), temperature=np.full(10, np.nan))
     found = condition_slopes(unknown)
     assert not found.bent.any()
-    assert temperature_drift(found) is None
+    assert found.drift is found.dependence is None
 
 
 def test_days_differ_by_drift_and_scatter_of_the_same_kind_of_record() -> None:

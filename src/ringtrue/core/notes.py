@@ -121,8 +121,9 @@ SENTENCES = {
         "{modes} modes, between {cold:.3g} and {warm:.3g} °C; {what}"
     ),
     "amplitude dependent": (
-        "{subject}: the frequency depends on the level of vibration, most at {frequency:.4g} Hz: "
-        "{percent:+.2g} ± {std:.1g} % over {decades:.2g} decades: joints that slip or open"
+        "{subject}: frequencies depend on the level of vibration, {mean:+.2g} ± {mean_std:.1g} % a "
+        "decade in the mean of {modes} modes, most at {frequency:.4g} Hz: {percent:+.2g} ± "
+        "{std:.1g} % over {decades:.2g} decades: joints that slip or open"
     ),
     "days differ": (
         "{subject}: frequencies repeat to {percent:.2g} % (1 sigma, {modes} modes) from {first} to "

@@ -2,8 +2,8 @@
 
 For each mode ln f = c + a·T + b·log10(v), by weighted least squares over the records: T is the
 temperature, v the level of the mode. Records of the same channels share c, since their levels
-compare. What all modes do with the temperature is the mean of their a with the variance between
-them (DerSimonian and Laird 1986).
+compare. What all modes do with the temperature, or the level, is the mean of their a, or b, with
+the variance between them (DerSimonian and Laird 1986).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ConditionSlopes(FrozenArrays):
         Range of the levels within records of the same channels.
     scatter : float
         Deviations from the fit over the stated standard deviations, robust; these were widened by
-        it where it is above 1.
+        it, or by the RMS of the mode's own where this is larger, but not made smaller.
     """
 
     per_kelvin: Float
@@ -72,31 +72,41 @@ class ConditionSlopes(FrozenArrays):
 
     @property
     def bent(self) -> Bool:
-        """(m,) modes whose frequency depends on the level; `CHANCE` that one seems to."""
-        z = np.abs(self.per_decade) / self.per_decade_std
-        count = max(int(np.isfinite(z).sum()), 1)
-        return np.nan_to_num(z) > stats.norm.isf(CHANCE / 2 / count)
+        """(m,) modes whose frequency depends on the level, each by itself, with `CHANCE`."""
+        z = np.nan_to_num(np.abs(self.per_decade) / self.per_decade_std)
+        return np.asarray(z > stats.norm.isf(CHANCE / 2))
+
+    @property
+    def drift(self) -> CommonSlope | None:
+        """What all modes do with the temperature, a kelvin; None where no record shows it."""
+        return common_slope(self.per_kelvin, self.per_kelvin_std)
+
+    @property
+    def dependence(self) -> CommonSlope | None:
+        """What all modes do with the level, a decade; None where no record shows it."""
+        return common_slope(self.per_decade, self.per_decade_std)
 
 
 @dataclass(frozen=True, slots=True)
-class TemperatureDrift:
-    """What all modes do with the temperature.
+class CommonSlope:
+    """What all modes do with a condition.
 
     Attributes
     ----------
-    per_kelvin, std : float, 1/K
+    value, std : float
+        Relative change of the frequency a unit of the condition.
     modes : int
     """
 
-    per_kelvin: float
+    value: float
     std: float
     modes: int
 
     @property
     def proven(self) -> bool:
-        """Whether chance makes it in few of `CHANCE` cases, by Student's t of the modes."""
+        """Whether chance makes as much in less than `CHANCE`, by Student's t of the modes."""
         limit = stats.t.isf(CHANCE / 2, max(self.modes - 1, 1))
-        return self.modes >= FEWEST and abs(self.per_kelvin) > limit * self.std
+        return self.modes >= FEWEST and abs(self.value) > limit * self.std
 
 
 def condition_slopes(seen: RepeatedModes) -> ConditionSlopes:
@@ -104,7 +114,8 @@ def condition_slopes(seen: RepeatedModes) -> ConditionSlopes:
     fits = [_fit(seen, m) for m in range(seen.frequency.shape[1])]
     z = np.concatenate([np.zeros(0), *(f.z for f in fits)])
     scatter = 1.4826 * float(np.median(np.abs(z))) if z.size else 0.0
-    wide = max(scatter, 1.0)
+    own = [float(np.sqrt(np.mean(f.z**2))) if f.z.size else 1.0 for f in fits]
+    wide = np.maximum(max(scatter, 1.0), own)[:, None]
     slope = np.array([f.slope for f in fits]).reshape(-1, 2)
     std = wide * np.array([f.std for f in fits]).reshape(-1, 2)
     decades = np.array([f.decades for f in fits])
@@ -165,20 +176,20 @@ def _fit(seen: RepeatedModes, mode: int) -> _ModeFit:
     return _ModeFit(slope, std, z, float(ranges[1]))
 
 
-def temperature_drift(slopes: ConditionSlopes) -> TemperatureDrift | None:
-    """The mean of all modes; None where no record shows one."""
-    known = np.isfinite(slopes.per_kelvin)
+def common_slope(slope: Float, std: Float) -> CommonSlope | None:
+    """The mean of all modes (m,), by their variance and that between them; None without one."""
+    known = np.isfinite(slope)
     n = int(known.sum())
     if not n:
         return None
-    a = slopes.per_kelvin[known]
-    variance = slopes.per_kelvin_std[known] ** 2
+    a = slope[known]
+    variance = std[known] ** 2
     w = 1 / variance
     mean = float(w @ a / w.sum())
     excess = float(w @ (a - mean) ** 2) - (n - 1)
     between = max(excess, 0.0) / max(float(w.sum() - (w @ w) / w.sum()), 1e-300)
     w = 1 / (variance + between)
-    return TemperatureDrift(float(w @ a / w.sum()), float(1 / np.sqrt(w.sum())), n)
+    return CommonSlope(float(w @ a / w.sum()), float(1 / np.sqrt(w.sum())), n)
 
 
 def day_scatter(

@@ -15,7 +15,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.channel_faults import Suspect
-from ringtrue.correlation.conditions import ConditionSlopes, TemperatureDrift
+from ringtrue.correlation.conditions import ConditionSlopes
 from ringtrue.correlation.frf import FrfComparison
 from ringtrue.correlation.measures import CompleteCorrelation
 from ringtrue.correlation.pairing import Tracks
@@ -117,8 +117,6 @@ class ConditionsStage:
     ----------
     slopes : ConditionSlopes
         Of the merged ambient modes.
-    drift : TemperatureDrift, optional
-        None where no record shows one.
     scatter : float
         Relative standard deviation with which a test repeats frequencies on another day; NaN where
         none was repeated.
@@ -127,7 +125,6 @@ class ConditionsStage:
     """
 
     slopes: ConditionSlopes
-    drift: TemperatureDrift | None
     scatter: float
     notes: tuple[Note, ...]
 

@@ -72,12 +72,15 @@ class StudyContents:
         Whether the missing braces were found on site.
     mac : float, %
         Least mean subspace MAC that is accepted.
+    rigid : int
+        Least number of rigid-body modes that are paired.
     """
 
     candidates: tuple[Region, ...]
     regions: Mapping[str, list[int]]
     remodelled: bool = True
     mac: float = 93.0
+    rigid: int = 6
 
 
 def contents() -> StudyContents:

@@ -9,12 +9,11 @@ import numpy as np
 from ringtrue.core.iterate import Progress
 from ringtrue.core.notes import Note
 from ringtrue.correlation.conditions import (
+    CommonSlope,
     ConditionSlopes,
     RepeatedModes,
-    TemperatureDrift,
     condition_slopes,
     day_scatter,
-    temperature_drift,
 )
 from ringtrue.study.results import (
     CompareStage,
@@ -35,15 +34,14 @@ def run(session: Session, progress: Progress) -> ConditionsStage | None:
         return None
     seen = repeated_modes(records, len(found.ambient))
     slopes = condition_slopes(seen)
-    drift = temperature_drift(slopes)
     kinds = [x.excitation for x in found.records[: len(records)]]
     scatter, modes = day_scatter(seen, [r.date for r in records], kinds)
     notes = [
-        *_drift(drift, found, session.get("compare")),
+        *_drift(slopes.drift, found, session.get("compare")),
         *_amplitude(slopes, found),
         *_days(scatter, modes, sorted({r.date for r in records if r.date})),
     ]
-    return ConditionsStage(slopes, drift, scatter, tuple(notes))
+    return ConditionsStage(slopes, scatter, tuple(notes))
 
 
 def repeated_modes(records: Sequence[IdentifiedRecord], count: int) -> RepeatedModes:
@@ -66,17 +64,17 @@ def repeated_modes(records: Sequence[IdentifiedRecord], count: int) -> RepeatedM
 
 
 def _drift(
-    drift: TemperatureDrift | None, found: IdentifyStage, compare: CompareStage | None
+    drift: CommonSlope | None, found: IdentifyStage, compare: CompareStage | None
 ) -> list[Note]:
     """Of a drift with the temperature that is proven, and what it explains between the tests."""
     if drift is None or not drift.proven:
         return []
     warm = [r.temperature for r in found.ambient_records]
     what = "parts stiffen or tighten as they warm"
-    if drift.per_kelvin < 0:
+    if drift.value < 0:
         what = "concrete, grout and pads soften as they warm"
     values: dict[str, float | int | str] = {
-        "percent": 100 * drift.per_kelvin,
+        "percent": 100 * drift.value,
         "std": 100 * drift.std,
         "modes": drift.modes,
         "cold": float(np.nanmin(warm)),
@@ -94,27 +92,31 @@ def _drift(
         "percent": 100 * float(np.median(compare.table.fe_hz / compare.table.test_hz - 1)),
         "modes": len(compare.table),
         "temperature": kelvin,
-        "drift": 100 * drift.per_kelvin * kelvin,
+        "drift": 100 * drift.value * kelvin,
     }
     return [*notes, Note("tests differ", "information", found.source, between)]
 
 
 def _amplitude(slopes: ConditionSlopes, found: IdentifyStage) -> list[Note]:
-    """Of modes whose frequency depends on the level."""
-    bent = np.flatnonzero(slopes.bent)
-    if not bent.size:
+    """That frequencies depend on the level, and of which modes that is proven by themselves."""
+    common = slopes.dependence
+    if common is None or not common.proven:
         return []
-    change = slopes.per_decade * slopes.decades
-    most = bent[np.argmax(np.abs(change[bent]))]
-    names = ", ".join(str(k + 1) for k in bent.tolist())
+    change = np.nan_to_num(slopes.per_decade * slopes.decades)
+    bent = slopes.bent & (np.sign(change) == np.sign(common.value))
+    names = ", ".join(str(k + 1) for k in np.flatnonzero(bent).tolist())
+    most = int(np.argmax(np.abs(change) * (bent if bent.any() else 1.0)))
     values: dict[str, float | int | str] = {
+        "mean": 100 * common.value,
+        "mean_std": 100 * common.std,
+        "modes": common.modes,
         "frequency": float(found.ambient.modes.frequencies[most]),
         "percent": 100 * float(change[most]),
         "std": 100 * float(slopes.per_decade_std[most] * slopes.decades[most]),
         "decades": float(slopes.decades[most]),
     }
-    plural = "s" if bent.size > 1 else ""
-    return [Note("amplitude dependent", "warning", f"ambient mode{plural} {names}", values)]
+    subject = f"ambient modes {names}" if names else "ambient modes"
+    return [Note("amplitude dependent", "warning", subject, values)]
 
 
 def _days(scatter: float, modes: int, dates: Sequence[str]) -> list[Note]:
