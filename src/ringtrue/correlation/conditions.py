@@ -96,17 +96,20 @@ class CommonSlope:
     value, std : float
         Relative change of the frequency a unit of the condition.
     modes : int
+    evidence : float
+        Sum of their values over their deviations, over the root of their number (Stouffer 1949):
+        normal if no mode does anything.
     """
 
     value: float
     std: float
     modes: int
+    evidence: float
 
     @property
     def proven(self) -> bool:
-        """Whether chance makes as much in less than `CHANCE`, by Student's t of the modes."""
-        limit = stats.t.isf(CHANCE / 2, max(self.modes - 1, 1))
-        return self.modes >= FEWEST and abs(self.value) > limit * self.std
+        """Whether chance makes as much in less than `CHANCE`."""
+        return self.modes >= FEWEST and abs(self.evidence) > stats.norm.isf(CHANCE / 2)
 
 
 def condition_slopes(seen: RepeatedModes) -> ConditionSlopes:
@@ -189,7 +192,12 @@ def common_slope(slope: Float, std: Float) -> CommonSlope | None:
     excess = float(w @ (a - mean) ** 2) - (n - 1)
     between = max(excess, 0.0) / max(float(w.sum() - (w @ w) / w.sum()), 1e-300)
     w = 1 / (variance + between)
-    return CommonSlope(float(w @ a / w.sum()), float(1 / np.sqrt(w.sum())), n)
+    return CommonSlope(
+        value=float(w @ a / w.sum()),
+        std=float(1 / np.sqrt(w.sum())),
+        modes=n,
+        evidence=float((a / std[known]).sum() / np.sqrt(n)),
+    )
 
 
 def day_scatter(
