@@ -94,7 +94,9 @@ class Seed:
 def damping(store: Store, seed: int) -> tuple[float, ...]:
     """Merged ambient modes below RIGID against the complex modes of the twin."""
     plan, found = store.load("plan"), store.load("identify")
-    poles = twin.make_twin(seed, plan.sensors.test, plan.excitation.references).modal.poles
+    poles = twin.make_twin(
+        twin.as_built(seed), plan.sensors.test, plan.excitation.references
+    ).modal.poles
     f, zeta = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     low = found.ambient.modes.frequencies < RIGID
     built = zeta[np.abs(found.ambient.modes.frequencies[low, None] - f).argmin(axis=1)]

@@ -70,6 +70,7 @@ RUNS = {  # name of the results: script and its options
     "global_optimum": "bench/global_optimum.py",
     "uncertainty": "bench/uncertainty.py",
     "facility": "bench/facility.py",
+    "hard_facility": "bench/hard_facility.py",
     "kernels": "bench/kernels.py",
     "durability": "bench/durability.py",
     "viewer": "bench/viewer.py",

@@ -25,6 +25,7 @@ import facility
 import form_coverage
 import form_patterns
 import global_optimum
+import hard_facility
 import identification_ambient
 import identification_hammer
 import identification_peers
@@ -252,6 +253,18 @@ TRUE = system.truth(system.SIXTEEN).frequencies
 FREE = np.r_[np.zeros(6), np.linspace(10.0, 40.0, 24)]
 SEED = facility.Seed(
     18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0
+)
+HARD = hard_facility.HardSeed(
+    first_pairs=19,
+    first_mean=4.0,
+    pairs=21,
+    mean=1.2,
+    largest=4.0,
+    mac=88.0,
+    apart=0.2,
+    macs=(60.0, 100.0),
+    planted={"1+Z reversed": True, "no other channel": True},
+    seconds=300.0,
 )
 SUMMARY: dict[str, Any] = {
     "initial": [],
@@ -527,6 +540,24 @@ JUDGED: list[
         ],
     ),
     ("facility", facility.orthogonal, (10.0,), [(40.0,)]),
+    (
+        "hard_facility",
+        hard_facility.bars,
+        (HARD,),
+        [
+            (replace(HARD, pairs=10),),
+            (replace(HARD, mean=2.1),),
+            (replace(HARD, largest=6.2),),
+            (replace(HARD, apart=0.01),),
+            (replace(HARD, apart=0.8),),
+        ],
+    ),
+    (
+        "hard_facility",
+        hard_facility.all_named,
+        ([HARD] * 4,),
+        [([*[HARD] * 4, replace(HARD, planted={"1+Z reversed": False})],)],
+    ),
     (
         "results_files",
         results_files.same_modes,

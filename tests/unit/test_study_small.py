@@ -276,7 +276,7 @@ def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> N
         small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
     )
     run = run_study(small_study.write_study(tmp_path, toml, ambient=ambient, hammer=hammer))
-    assert set(run.results) == {"identify", "compare", "provenance"}
+    assert set(run.results) == {"identify", "compare", "conditions", "provenance"}
     found = run.results["identify"]
     modes = (found.ambient if ambient else found.hammer).modes
     assert len(modes) == 9

@@ -12,6 +12,7 @@ from ringtrue.core.modes import ModalModel
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.demos.lsf.campaign import CampaignPlan
+from ringtrue.virtual.joints import SofteningJoints
 from ringtrue.virtual.measurements import HammerPlan
 
 MASS = 1.6e6  # kg
@@ -25,6 +26,7 @@ class MadeUp:
     jump_points: tuple[str, ...] = ("902+Z", "903+Z", "904+Z")
     sledge_points: tuple[str, ...] = ("905+Z", "906+Z")
     machine_points: tuple[str, ...] = ("907+Z", "907+X")
+    joints: SofteningJoints | None = None
 
 
 def made_up(seed: int = 1, points: int = 16) -> MadeUp:

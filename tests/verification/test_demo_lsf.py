@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from ringtrue.demos.lsf import demo, twin
+from ringtrue.demos.lsf import example as worked
 from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.shapes import mac, mpc, realise
 from ringtrue.study.store import Store
@@ -38,14 +39,14 @@ class Example:
 def example(tmp_path_factory: pytest.TempPathFactory) -> Example:
     folder = tmp_path_factory.mktemp("lsf")
     made: list[Twin] = []
-    keep = demo.make_twin
+    keep = worked.make_twin
 
     def kept(*args: Any, **kwargs: Any) -> Twin:
         made.append(keep(*args, **kwargs))
         return made[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo, "make_twin", kept)
+        patch.setattr(worked, "make_twin", kept)
         result = demo.run_demo(folder, fast=True)
     return Example(folder, result, json.loads((folder / "summary.json").read_text()), made[0])
 

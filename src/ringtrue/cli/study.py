@@ -57,6 +57,14 @@ def demo(
         int,
         typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise."),
     ] = 0,
+    hard: Annotated[
+        bool,
+        typer.Option(
+            "--hard",
+            help="The harder one: days of other temperatures, joints that slip, channels at "
+            "fault, regions that cut across what is wrong.",
+        ),
+    ] = False,
     fast: Annotated[bool, typer.Option("--fast", help="Shorter records.")] = False,
     json: Json = None,
 ) -> int:
@@ -69,7 +77,7 @@ def demo(
     from ringtrue.demos.lsf.demo import run_demo
 
     with progress("large spinning facility") as show:
-        result = run_demo(folder, seed, fast=fast, progress=show)
+        result = run_demo(folder, seed, hard=hard, fast=fast, progress=show)
     if json:
         write_json(_summary(folder), json)
     if json == "-":

@@ -136,6 +136,28 @@ SENTENCES = {
         "channel {subject}: coherence {values}, {usual:.2f} of the others: does not move, has a "
         "loose cable or is dead"
     ),
+    "channel gain": (
+        "channel {subject}: reads {factor:.3g} times in setup {setup} what it reads in the "
+        "{others} others, of all inputs and at all lines: gain, unit or cable there? Undone"
+    ),
+    "temperature drift": (
+        "{subject}: frequencies change by {percent:+.2g} ± {std:.1g} % a kelvin, the mean of "
+        "{modes} modes, between {cold:.3g} and {warm:.3g} °C; {what}"
+    ),
+    "amplitude dependent": (
+        "{subject}: frequencies depend on the level of vibration, {mean:+.2g} ± {mean_std:.1g} % a "
+        "decade in the mean of {modes} modes, most at {frequency:.4g} Hz: {percent:+.2g} ± "
+        "{std:.1g} % over {decades:.2g} decades: joints that slip or open"
+    ),
+    "days differ": (
+        "{subject}: frequencies repeat to {percent:.2g} % (1 sigma, {modes} modes) from {first} to "
+        "{last}: none is known better"
+    ),
+    "tests differ": (
+        "{subject}: frequencies are {percent:+.2g} % off those of the ambient records (median of "
+        "{modes} modes); {temperature:.3g} K of difference make {drift:+.2g} %, and the level of "
+        "vibration, or what else differs, the rest"
+    ),
     "channel strain": "channel {subject}: measures strain, not used",
     "decay record": "decays behind {decays} impacts, the first from {first:.4g} s on",
     "decay mode": (

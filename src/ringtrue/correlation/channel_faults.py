@@ -209,9 +209,10 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     )
     found += _mis_scaled(y, b, error, factor=factor, which=positive)
     poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * LIMITS.gain / 4))
-    # 500: channels that are tried against each other, the worst of them
-    found += _swapped(y, b, error, at=poor[np.argsort(-error[poor], kind="stable")][:500])
     need = usual * LIMITS.gain
+    # 500: channels that are tried against each other, the worst of them
+    worst = poor[np.argsort(-error[poor], kind="stable")][:500]
+    found += _swapped(y, b, error, at=worst, turned=turned[worst] + need)
     grave = [f for f in found if f.gain > (need / 2 if f.fault == "dead" else need)]
     return max(grave, key=lambda f: (f.gain, -f.i), default=None)
 
@@ -234,9 +235,13 @@ def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) ->
     ]
 
 
-def _swapped(y: Float, b: Float, error: Float, at: Int) -> list[ChannelFault]:
+def _swapped(y: Float, b: Float, error: Float, at: Int, turned: Float) -> list[ChannelFault]:
     """The best exchange of two of the rows `at`, and the best one round three, some of them
     reversed, too.
+
+    One round three must gain more than the exchange of two of them with the third reversed, by what
+    a fault must gain: these are met more often, and two of the three may move nearly the same.
+    `turned` (r,) is what reversing each gains, and that.
     """
     if at.size < 2:
         return []
@@ -250,7 +255,14 @@ def _swapped(y: Float, b: Float, error: Float, at: Int) -> list[ChannelFault]:
     few = left[:MOST_THREES, :MOST_THREES]
     out = []
     for gain, order in (_pair(left, error[at]), _three(few, error[at])):
-        if gain > 0:
+        simpler = 0.0
+        if len(order) == 3:
+            now = error[at]
+            for k in range(3):
+                p, q, third = (order[(k + step) % 3] for step in range(3))
+                exchange = now[p] + now[q] - left[p, q] - left[q, p]
+                simpler = max(simpler, exchange + turned[third])
+        if gain > simpler:
             moved = [
                 (p, q, float(np.sign(cross[p, q])))
                 for p, q in zip(order, (*order[1:], order[0]), strict=True)

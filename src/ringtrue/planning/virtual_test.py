@@ -25,7 +25,13 @@ from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.impacts import HammerSettings
 from ringtrue.virtual.excitation import Pulses, pulse_spectrum
-from ringtrue.virtual.measurements import HammerPlan, SimulatedImpacts, hammer_record, strike
+from ringtrue.virtual.measurements import (
+    Background,
+    HammerPlan,
+    SimulatedImpacts,
+    hammer_record,
+    strike,
+)
 from ringtrue.virtual.sensors import (
     FORCE_CELL,
     ICP,
@@ -541,7 +547,7 @@ def _record(
 ) -> TimeHistory:
     hammer, rate = impacts.plan, impacts.rate
     samples = 2 * int(np.ceil(0.5 * (float(impacts.times[-1]) + hammer.block + hammer.rest) * rate))
-    background = white(len(model.inputs), conditions.background, samples, rate, rng)
+    background = Background(white(len(model.inputs), conditions.background, samples, rate, rng))
     volts, _, _ = hammer_record(
         model, impacts, chain, background=background, samples=samples, rng=rng
     )

@@ -21,14 +21,15 @@ from ringtrue.core.digits import MISSING as MISSING
 from ringtrue.core.digits import number as number
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.table import repeatability
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.study.acceptance import Acceptance as Acceptance
 from ringtrue.study.acceptance import AcceptanceCheck
 from ringtrue.study.conclusion import Conclusion
 from ringtrue.study.config_sections import StudyInfo
+from ringtrue.study.findings import repeats
 from ringtrue.study.results import (
     CompareStage,
+    ConditionsStage,
     ConfigurationsStage,
     ConfiguredStage,
     CorrelateStage,
@@ -313,6 +314,7 @@ class Stages:
     plan: PlanStage | None = None
     identify: IdentifyStage | None = None
     compare: CompareStage | None = None
+    conditions: ConditionsStage | None = None
     correlate: CorrelateStage | None = None
     configurations: ConfigurationsStage | None = None
     localise: LocaliseStage | None = None
@@ -356,7 +358,7 @@ class Stages:
     @property
     def repeats(self) -> float:
         """How far one test repeats the frequencies of another, relative; NaN where there is one."""
-        return repeatability(self.compare.table if self.compare is not None else None)
+        return repeats(self.compare, self.conditions)
 
     @property
     def computed(self) -> Float:

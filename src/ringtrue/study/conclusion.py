@@ -15,6 +15,7 @@ import numpy as np
 from ringtrue.core.arrays import Int
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import Acceptance, AcceptanceCheck, in_both
+from ringtrue.study.findings import suspected
 from ringtrue.study.results import (
     CompareStage,
     CorrelateStage,
@@ -306,9 +307,7 @@ def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Q
     compare: CompareStage | None = results.get("compare")
     if compare is None or not len(compare.table):
         out.append(Question("not repeated"))
-    last: FinalStage | CorrelateStage | None = results.get("final") or results.get("correlate")
-    if last is not None and last.evidence is not None and last.evidence.measures.suspects:
-        names = dict.fromkeys(s.channel for s in last.evidence.measures.suspects)
+    if names := dict.fromkeys(s.channel for s, _ in suspected(results)):
         out.append(Question("channels suspected", {"channels": ", ".join(names)}))
     final: FinalStage | None = results.get("final")
     if final is not None and final.evidence is not None and final.evidence.frfs is not None:

@@ -56,6 +56,8 @@ class _Details(_Entry):
     """What a record says of itself, or its test for all of its records."""
 
     rate_hz: float | None = Field(default=None, gt=0)
+    date: str = ""
+    temperature_c: float | None = Field(default=None, gt=-273.15)
     channels: list[str] = []
     setup: int | str = ""
     reference: str | None = None
@@ -110,6 +112,11 @@ class Logged(LogRecord):
     path: Path
     test: str
     kind: str
+
+    @property
+    def temperature(self) -> float:
+        """°C; NaN where none was noted down."""
+        return float("nan") if self.temperature_c is None else self.temperature_c
 
     @property
     def name(self) -> str:

@@ -10,14 +10,16 @@ import numpy as np
 from ringtrue.core.arrays import Float
 from ringtrue.core.digits import plus_minus, with_error
 from ringtrue.core.notes import sentence
+from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
+from ringtrue.study.findings import suspected
 from ringtrue.study.placing import seat_words
 from ringtrue.study.results import (
     CompareStage,
+    ConditionsStage,
     ConfigurationsStage,
     CorrelateStage,
-    Evidence,
     FinalStage,
     IdentifyStage,
     LocaliseStage,
@@ -63,6 +65,9 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         if identify.hammer is not None:
             modes.append(f"{len(identify.hammer)} modes of the {identify.source}")
         out += ["; ".join(modes) or "no mode", *identify.merge_notes, *_at_fault(identify)]
+    conditions: ConditionsStage | None = r.get("conditions")
+    if conditions is not None:
+        out += [sentence(note) for note in conditions.notes]
     if correlate is not None:
         out += [m.text for m in correlate.sensors.mendings]
         others: ConfigurationsStage | None = r.get("configurations")
@@ -98,8 +103,7 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         proposed = localise.proposal.members if localise is not None else ()
         if best.name == "proposal" and localise is not None and not proposed:
             out.append(NO_CHANGE)
-    last = final or correlate
-    out += _suspects(last.evidence if last is not None else None, r.get("compare"))
+    out += _suspects(suspected(r), r.get("compare"))
     return tuple(filter(None, out))
 
 
@@ -241,16 +245,15 @@ def worse_frequencies(before: Float, after: Float) -> str:
     )
 
 
-def _suspects(evidence: Evidence | None, tests: CompareStage | None) -> list[str]:
-    """Channels that contradict the model, and others that ambient and hammer test do not agree
-    on.
+def _suspects(found: Sequence[tuple[Suspect, str]], tests: CompareStage | None) -> list[str]:
+    """Channels that contradict the model or the others, and those that ambient and hammer test do
+    not agree on.
     """
-    found = evidence.measures.suspects if evidence is not None else ()
-    out = [f"channel {s.channel} looks {s.fault}: {s.message}" for s in found]
+    out = [f"channel {s.channel} looks {s.fault}{where}: {s.message}" for s, where in found]
     more = (
         tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
     )
-    named = {s.channel for s in found}
+    named = {s.channel for s, _ in found}
     out += [
         f"channel {s.channel} looks {s.fault} in the ambient against the hammer test: {s.message}"
         for s in more

@@ -14,6 +14,8 @@ from ringtrue.core.notes import Note
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.channel_faults import Suspect
+from ringtrue.correlation.conditions import ConditionSlopes
 from ringtrue.correlation.frf import FrfComparison
 from ringtrue.correlation.measures import CompleteCorrelation
 from ringtrue.correlation.pairing import Tracks
@@ -109,6 +111,26 @@ class CompareStage:
     evidence: Evidence | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionsStage:
+    """What differs between the records of a test: days, temperatures, levels.
+
+    Attributes
+    ----------
+    slopes : ConditionSlopes
+        Of the merged ambient modes.
+    scatter : float
+        Relative standard deviation with which a test repeats frequencies on another day; NaN where
+        none was repeated.
+    notes : tuple of Note
+        What was found.
+    """
+
+    slopes: ConditionSlopes
+    scatter: float
+    notes: tuple[Note, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class RemodelStep:
     """The deck after one step of the remodelling against the test."""
@@ -168,11 +190,14 @@ class SensorPlacement:
         Other mountings of the sensors that explain the test better.
     alignment : str
         How the test was laid onto the deck, in words.
+    rigid : tuple of Suspect
+        Channels that contradict the rigid-body motion of the others.
     """
 
     seats: tuple[Seat, ...] = ()
     mendings: tuple[Mending, ...] = ()
     alignment: str = ""
+    rigid: tuple[Suspect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -390,9 +415,27 @@ class IdentifiedModes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedRecord(IdentifiedModes):
-    """Modes of one record."""
+    """Modes of one record, or of a test.
+
+    Attributes
+    ----------
+    record : str
+    date : str
+        As the log has it.
+    temperature : float, °C
+        NaN where the log has none.
+    level : (m,) float64, m/s
+        RMS velocity at the frequency of each mode, over all channels; NaN where their quantity is
+        not known.
+    merged : (m,) int64
+        Which mode of all ambient records each is.
+    """
 
     record: str = ""
+    date: str = ""
+    temperature: float = float("nan")
+    level: Float = field(default_factory=lambda: np.zeros(0))
+    merged: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -416,7 +459,8 @@ class IdentifyStage:
     frf_notes : tuple of str
         Of FRFs that were given; those of hammer records are with the records.
     channel_notes : tuple of Note
-        On channels of given FRFs, and on those that are not used.
+        On channels of given FRFs, on those that are not used, and on those that read otherwise in
+        one setup.
     synthesis_error : (out, in) float64, relative
     hits : tuple of ImpactReport
         Of all records with a hammer; `source` is the name of the record.

@@ -11,9 +11,10 @@ import numpy as np
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import complete_json
 from ringtrue.correlation.sensor_mounting import mendings_json
-from ringtrue.correlation.table import CorrelationTable, repeatability, table_significance
+from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.exciters import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
+from ringtrue.study.findings import findings_json, repeats
 from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,
@@ -184,6 +185,8 @@ def summarise(run: StudyRun) -> dict[str, Any]:
             out["remodelling"] = [asdict(s) for s in correlate.remodelling.history]
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
     out |= _configured(r)
+    if found := findings_json(r):
+        out["findings"] = found
     out["evidence"] = _all_evidence(r)
     out["acceptance"] = {
         "limits": [
@@ -198,8 +201,7 @@ def summarise(run: StudyRun) -> dict[str, Any]:
 
 def _repeats(r: Mapping[str, Any]) -> float:
     """How far one test repeats the frequencies of another, relative; NaN where there is one."""
-    compare: CompareStage | None = r.get("compare")
-    return repeatability(compare.table if compare is not None else None)
+    return repeats(r.get("compare"), r.get("conditions"))
 
 
 def _sensors(placement: SensorPlacement) -> dict[str, Any]:

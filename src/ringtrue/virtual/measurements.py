@@ -20,6 +20,7 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.record_table import RecordChannel
 from ringtrue.virtual.excitation import Ambient, Pulses, ambient_forces, input_psd, pulse_spectrum
+from ringtrue.virtual.joints import SofteningJoints
 from ringtrue.virtual.sensors import (
     Chain,
     Sensor,
@@ -266,11 +267,27 @@ def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
     return np.asarray(first[:, None] + np.arange(round(plan.block * rate)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """What else acts during a hammer test.
+
+    Attributes
+    ----------
+    forces : (in, line) complex128
+        Spectra of all that shakes the structure besides the hammer.
+    joints : SofteningJoints, optional
+        Of the structure, where it is not linear.
+    """
+
+    forces: Complex
+    joints: SofteningJoints | None = None
+
+
 def hammer_record(
     model: ModalModel,
     impacts: SimulatedImpacts,
     chain: Chain,
-    background: Complex,
+    background: Background,
     samples: int,
     rng: np.random.Generator,
 ) -> tuple[Any_, Complex, Complex]:
@@ -282,8 +299,7 @@ def hammer_record(
         Its outputs are the channels of the setup; accelerations.
     chain : Chain
         Of the force and then the responses.
-    background : (in, line) complex128
-        Spectra of all that shakes the structure besides the hammer.
+    background : Background
     samples : int
         Of the continuous signal that the blocks are cut from.
 
@@ -291,14 +307,19 @@ def hammer_record(
     -------
     volts : (1 + r, attempt·sample) float32
     signal, noise : (r, line) complex128, V
-        Spectra of the hammer's part and of all the rest, over the continuous signal.
+        Spectra of the hammer's part (and of all that joints make of both) and of all the rest, over
+        the continuous signal.
     """
     rate = impacts.rate
     freqs = lines(samples, rate)
-    force = pulse_spectrum(impacts.pulses, background.shape[0], samples, rate)
-    still = np.zeros((1, freqs.size))  # the force cell feels the hammer alone
-    signal = np.vstack([force.sum(axis=0), response_spectrum(model, force, freqs)])
-    noise = np.vstack([still, response_spectrum(model, background, freqs)])
+    others = background.forces
+    force = pulse_spectrum(impacts.pulses, others.shape[0], samples, rate)
+    felt = force.sum(axis=0)  # by the force cell: the hammer alone
+    if background.joints is not None:
+        force = background.joints.with_forces(force + others, samples, rate) - others
+    signal = np.vstack([felt, response_spectrum(model, force, freqs)])
+    still = np.zeros((1, freqs.size))
+    noise = np.vstack([still, response_spectrum(model, others, freqs)])
     chain.to_volts(signal, rate)
     chain.to_volts(noise, rate)
     noise += chain.noise(samples, rate, rng)
@@ -320,6 +341,8 @@ class AmbientTest:
     rate : float, Hz
     poles : (m,) complex128, rad/s
         The modes that signal-to-noise ratios are taken at.
+    joints : SofteningJoints, optional
+        Of the structure, where it is not linear.
     """
 
     model: ModalModel
@@ -327,6 +350,7 @@ class AmbientTest:
     site: Ambient
     rate: float
     poles: Complex
+    joints: SofteningJoints | None = None
 
     def forces(self, samples: int, rng: np.random.Generator) -> Complex:
         """(in, line) spectra of the ambient excitation."""
@@ -385,6 +409,8 @@ def ambient_record(
     forces = test.forces(samples, rng)
     for pulses in events:
         forces += pulse_spectrum(pulses, forces.shape[0], samples, test.rate)
+    if test.joints is not None:
+        forces = test.joints.with_forces(forces, samples, test.rate)
     signal = response_spectrum(test.model, forces, freqs, quantity=test.chain.sensors[0].motion)
     volts, noise = record_volts(signal, test.chain, samples, test.rate, rng)
     strength = resonance_power(signal, test.poles, samples, test.rate)

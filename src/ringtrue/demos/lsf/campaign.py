@@ -5,17 +5,15 @@ of the truth.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 from zlib import crc32
 
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.modes import ModalModel
-from ringtrue.core.testmodel import TestModel
+from ringtrue.demos.lsf.circumstances import DATE, Circumstances, Day, TwinView
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
 from ringtrue.virtual.excitation import (
@@ -29,6 +27,7 @@ from ringtrue.virtual.excitation import (
 )
 from ringtrue.virtual.measurements import (
     AmbientTest,
+    Background,
     HammerPlan,
     ambient_record,
     clean_energy,
@@ -47,7 +46,6 @@ from ringtrue.virtual.sensors import (
     GEOPHONE,
     ICP,
     Chain,
-    at_outputs,
     in_band,
     ratio_db,
     resonance_power,
@@ -56,32 +54,12 @@ from ringtrue.virtual.sensors import (
 log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
-EXCITATIONS = ("ambient", "jumping", "drop", "sledge")
-DATE = "2024-05-13"
 # m/s rms, bounds of the site's ground motion
 QUIET = 0.3e-6
 LOUD = 3e-6
 # Hz, between them the modes that the ratio is taken over
 FMAX = 95.0
 GEOPHONE_FMIN = 2.5
-
-
-class TwinView(Protocol):
-    """What the campaign may know of the structure."""
-
-    @property
-    # outputs: channels of `test`; inputs: force points and `ground…` columns
-    def modal(self) -> ModalModel: ...
-    @property
-    def test(self) -> TestModel: ...
-    @property
-    def drop_points(self) -> tuple[str, ...]: ...
-    @property
-    def jump_points(self) -> tuple[str, ...]: ...
-    @property
-    def sledge_points(self) -> tuple[str, ...]: ...
-    @property
-    def machine_points(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +143,7 @@ class CampaignSummary:
 
 
 def run_campaign(
-    twin: TwinView,
+    twin: TwinView | Circumstances,
     plan: CampaignPlan,
     out_dir: str | Path,
     seed: int,
@@ -178,7 +156,8 @@ def run_campaign(
 
     Parameters
     ----------
-    twin : TwinView
+    twin : TwinView or Circumstances
+        The structure, measured on one day without faults, or more than that.
     plan : CampaignPlan
     out_dir : path
     seed : int
@@ -191,9 +170,11 @@ def run_campaign(
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     report = progress or (lambda fraction, text: None)
-    crew = _Crew(twin, plan.shortened() if fast else plan, folder, seed)
-    tests = {name: crew.prepare(name) for name in ("foundation", "frame")}
-    jobs = [(name, kind) for name in tests for kind in EXCITATIONS]
+    here = twin if isinstance(twin, Circumstances) else Circumstances({DATE: twin})
+    crew = _Crew(here, plan.shortened() if fast else plan, folder, seed)
+    kinds = here.ambient_tests()
+    tests = {name: crew.prepare(name) for name in kinds}
+    jobs = [(name, kind) for name in tests for kind in kinds[name]]
     ambient = {}
     for i, (name, kind) in enumerate(jobs):
         report(0.6 * i / len(jobs), f"record {name}-{kind}")
@@ -206,7 +187,7 @@ def run_campaign(
         hammer[name] = crew.hammer_record(setup, reference)
     by_test = {name: ambient[f"{name}-ambient"] for name in tests}
     by_test["hammer"] = float(np.median(list(hammer.values())))
-    _paperwork(twin, crew.plan, folder)
+    _paperwork(here, crew.plan, folder)
     log.info(
         "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
     )
@@ -226,7 +207,7 @@ def run_campaign(
 class _Crew:
     """Who measures: the structure, the plan, the folder for the records, and the seed."""
 
-    twin: TwinView
+    here: Circumstances
     plan: CampaignPlan
     folder: Path
     seed: int
@@ -247,19 +228,21 @@ class _Crew:
             sensor = GEOPHONE
             rate = self.plan.rate_b
             fmin = GEOPHONE_FMIN
-        model = at_outputs(self.twin.modal, channels)
+        model = self.here.seen(name, channels)
+        twin = self.here.at(name)
         test = AmbientTest(
             model=model,
             chain=Chain.draw((sensor,) * len(channels), self.rng(f"{name} sensors")),
-            site=Ambient(points=self.pushed(), machine=next(iter(self.twin.machine_points), None)),
+            site=Ambient(points=self.pushed(), machine=next(iter(twin.machine_points), None)),
             rate=rate,
             poles=in_band(model.poles, fmin, min(FMAX, 0.4 * rate)),
+            joints=twin.joints,
         )
         return scaled_to_snr(test, self.plan.snr_db, (QUIET, LOUD))
 
     def pushed(self) -> tuple[str, ...]:
         """Where air and machines push: up to 16 of the force points, evenly chosen."""
-        twin = self.twin
+        twin = self.here.at("hammer")
         points = [*twin.machine_points, *twin.drop_points, *twin.sledge_points]
         points = list(dict.fromkeys([*points, *self.plan.references]))
         chosen = np.unique(np.linspace(0, len(points) - 1, 16).round().astype(int))
@@ -269,13 +252,14 @@ class _Crew:
         """Write one record; returns its ratio at resonance, dB."""
         rng = self.rng(f"{name}-{kind}")
         plan = self.plan
-        samples = _even(plan.duration_a if name == "foundation" else plan.duration_b, test.rate)
-        events = _events(kind, self.twin, plan.spacing, samples / test.rate, rng)
+        samples = _even(plan.duration_b if name == "frame" else plan.duration_a, test.rate)
+        events = _events(kind, self.here.at(name), plan.spacing, samples / test.rate, rng)
         volts, snr = ambient_record(test, events, samples, rng)
         ids = [c.id for c in test.model.outputs]
-        table = record_channels(self.twin.test, ids, test.chain.sensors, DATE)
+        date = self.here.day(name).date
+        table = record_channels(self.here.at(name).test, ids, test.chain.sensors, date)
         path = self.folder / f"{name}-{kind}.h5"
-        write_record(path, volts, test.rate, table, source=f"{name}, {kind}, {DATE}")
+        write_record(path, volts, test.rate, table, source=f"{name}, {kind}, {date}")
         return snr
 
     def hammer_record(self, setup: int, reference: str) -> float:
@@ -285,7 +269,7 @@ class _Crew:
         rate = self.plan.rate_c
         channels = self.plan.setups[setup]
         rng = self.rng(name)
-        model = at_outputs(self.twin.modal, channels)
+        model = self.here.seen("hammer", channels, setup)
         inputs = [c.id for c in model.inputs]
         sensors = (FORCE_CELL, *(ICP,) * len(channels))
         chain = Chain.draw(sensors, self.rng(f"hammer setup {setup}"))
@@ -294,12 +278,16 @@ class _Crew:
         samples = _even(float(blows.times[-1]) + hammer.block + hammer.rest, rate)
         quiet = scale_site(Ambient(points=self.pushed()), QUIET)
         forces = ambient_forces(inputs, quiet, samples, rate, rng)
+        background = Background(forces, self.here.at("hammer").joints)
         volts, signal, noise = hammer_record(
-            model, blows, chain, background=forces, samples=samples, rng=rng
+            model, blows, chain, background=background, samples=samples, rng=rng
         )
-        table = record_channels(self.twin.test, [reference, *channels], chain.sensors, DATE)
+        date = self.here.day("hammer").date
+        table = record_channels(
+            self.here.at("hammer").test, [reference, *channels], chain.sensors, date
+        )
         table[0] = replace(table[0], id=f"F:{reference}")
-        source = f"hammer at {reference}, {DATE}"
+        source = f"hammer at {reference}, {date}"
         write_record(self.folder / f"{name}.h5", volts, rate, table, source=source)
         poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
         in_one_block = samples / (hammer.block * rate) * clean_energy(blows)
@@ -332,42 +320,51 @@ def hammer_name(setup: int, reference: str) -> str:
     return f"hammer-{setup + 1}-{reference.replace('+', 'p').replace('-', 'm')}"
 
 
-def _paperwork(twin: TwinView, plan: CampaignPlan, folder: Path) -> None:
+def _paperwork(here: Circumstances, plan: CampaignPlan, folder: Path) -> None:
     """Sheets, lines and log."""
+    test = here.at("hammer").test
     hammer = list(dict.fromkeys(c for s in plan.setups for c in s))
     every = list(dict.fromkeys([*plan.foundation, *plan.frame, *plan.references, *hammer]))
-    write_sheet(folder / "sensors.csv", twin.test, every)
+    write_sheet(folder / "sensors.csv", test, every)
     for name, channels, sensor in (
         ("foundation", plan.foundation, ACCELEROMETER),
         ("frame", plan.frame, GEOPHONE),
         ("hammer", hammer, ICP),
     ):
-        write_sheet(folder / f"sensors-{name}.csv", twin.test, channels, [sensor] * len(channels))
-    write_lines(folder / "lines.csv", twin.test)
+        write_sheet(folder / f"sensors-{name}.csv", test, channels, [sensor] * len(channels))
+    write_lines(folder / "lines.csv", test)
     ambient = [
-        _ambient_log(name, rate, plan)
-        for name, rate in (("foundation", plan.rate_a), ("frame", plan.rate_b))
+        _ambient_log(name, kinds, plan, here.day(name))
+        for name, kinds in here.ambient_tests().items()
     ]
     write_log(
         folder / "campaign.json",
-        [*ambient, _hammer_log(plan)],
+        [*ambient, _hammer_log(plan, here.day("hammer"))],
         [ACCELEROMETER, GEOPHONE, ICP, FORCE_CELL],
     )
 
 
-def _ambient_log(name: str, rate: float, plan: CampaignPlan) -> dict[str, object]:
-    records = [{"file": f"{name}-{kind}.h5", "excitation": kind} for kind in EXCITATIONS]
+def _dated(name: str, kind: str, day: Day) -> dict[str, object]:
+    """What the log says of a test and of its day."""
+    out: dict[str, object] = {"name": name, "kind": kind, "date": day.date}
+    if day.temperature is not None:
+        out["temperature_c"] = day.temperature
+    return out
+
+
+def _ambient_log(
+    name: str, kinds: Sequence[str], plan: CampaignPlan, day: Day
+) -> dict[str, object]:
+    records = [{"file": f"{name}-{kind}.h5", "excitation": kind} for kind in kinds]
     head = {
-        "name": name,
-        "kind": "ambient",
-        "date": DATE,
-        "rate_hz": rate,
-        "sheet": f"sensors-{name}.csv",
+        **_dated(name, "ambient", day),
+        "rate_hz": plan.rate_b if name == "frame" else plan.rate_a,
+        "sheet": "sensors-frame.csv" if name == "frame" else "sensors-foundation.csv",
     }
     return {**head, "event_spacing_s": list(plan.spacing), "records": records}
 
 
-def _hammer_log(plan: CampaignPlan) -> dict[str, object]:
+def _hammer_log(plan: CampaignPlan, day: Day) -> dict[str, object]:
     records = [
         {
             "file": f"{hammer_name(i, r)}.h5",
@@ -379,7 +376,7 @@ def _hammer_log(plan: CampaignPlan) -> dict[str, object]:
         for i in range(len(plan.setups))
         for r in plan.references
     ]
-    head = {"name": "hammer", "kind": "hammer", "date": DATE, "rate_hz": plan.rate_c}
+    head = {**_dated("hammer", "hammer", day), "rate_hz": plan.rate_c}
     blocks = {
         "block_samples": round(plan.hammer.block * plan.rate_c),
         "pretrigger_samples": round(plan.hammer.pretrigger * plan.rate_c),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ringtrue.decks.nastran.writer import format_card
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.facility import VARIANTS, Builder, Value
+from ringtrue.demos.lsf.facility import VARIANTS, ZONE, Builder, Value
 from ringtrue.demos.lsf.spec import FRAME, SITE, VESSEL, Spec
 
 CYLINDER = 20  # the vessel's frame
@@ -105,11 +106,12 @@ def properties(b: Builder) -> Iterable[str]:
     used = {f[1] for _, card, f in b.cards if card in _WITH_PROPERTY}
     for region, base in {**S.CONCRETE, **S.STEEL}.items():
         yield f"$ {region}\n"
-        for v in range(VARIANTS if b.spec.scatter else 1):
-            pid = base + 1000 * v
-            factor = 1.0
+        variants = range(VARIANTS if b.spec.scatter else 1)
+        for zone, v in product(range(b.spec.zones), variants):
+            pid = base + ZONE * zone + 1000 * v
+            factor = b.spec.zone_factor(region, zone)
             if b.spec.scatter:
-                factor = float(np.exp(b.spec.scatter * rng.standard_normal()))
+                factor *= float(np.exp(b.spec.scatter * rng.standard_normal()))
             if pid not in used:
                 continue
             yield _property(b.spec, region, pid, pid)

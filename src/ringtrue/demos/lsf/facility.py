@@ -26,6 +26,7 @@ BASES = {
     "site": 600_000,
 }
 VARIANTS = 5  # materials a region with scatter is split into
+ZONE = 10_000  # between the property numbers of zones of a region
 
 
 @dataclass(eq=False)
@@ -54,6 +55,7 @@ class Builder:
     def __post_init__(self) -> None:
         self.rng = self.spec.rng
         self._node_at: dict[tuple[int, ...], int] = {}
+        self._position: dict[int, int] = {}
         self._last_node = dict(BASES)
         self._last_element = dict(BASES)
 
@@ -65,6 +67,7 @@ class Builder:
         self._last_node[self.part] += 1
         number = self._last_node[self.part]
         self.xyz.append((x, y, z))
+        self._position[number] = len(self.ids)
         self.ids.append(number)
         self.part_of_node.append(self.part)
         if not new:
@@ -78,7 +81,7 @@ class Builder:
 
     def place(self, node: int) -> Vector:
         """Where a node is."""
-        return self.xyz[self.ids.index(node)]
+        return self.xyz[self._position[node]]
 
     def nearest(self, part: str, point: Sequence[float], k: int = 1) -> list[int]:
         """The k nodes of a part that are nearest to a point."""
@@ -91,31 +94,40 @@ class Builder:
         self._last_element[self.part] += 1
         self.cards.append((self.part, card, (self._last_element[self.part], *fields)))
 
-    def property(self, region: str) -> int:
-        """A property number of the region: one of its variants where the stiffness scatters."""
-        base = {**S.CONCRETE, **S.STEEL}[region]
+    def property(self, region: str, nodes: Sequence[int]) -> int:
+        """A property number of the region where these nodes are: one of its variants where the
+        stiffness scatters.
+        """
+        base = {**S.CONCRETE, **S.STEEL}[region] + ZONE * self._zone(region, nodes)
         if not self.spec.scatter:
             return base
         return base + 1000 * int(self.rng.integers(VARIANTS))
 
+    def _zone(self, region: str, nodes: Sequence[int]) -> int:
+        """Where the middle of some nodes is."""
+        if self.spec.zones == 1:
+            return 0
+        x, y, z = np.mean([self.place(n) for n in nodes], axis=0).tolist()
+        return self.spec.zone(region, (x, y, z))
+
     def elements(self, card: str, region: str, nodes: Int) -> None:
         """Elements of a region with nodes (..., k)."""
         for row in nodes.reshape(-1, nodes.shape[-1]).tolist():
-            self.element(card, self.property(region), *row)
+            self.element(card, self.property(region, row), *row)
 
     def beams(
         self, card: str, region: str, nodes: Int, v: Vector, tail: Sequence[Value] = ()
     ) -> None:
         """Beam elements along a line of nodes (n,), with orientation v and further fields."""
         for ends in pairwise(nodes.tolist()):
-            self.element(card, self.property(region), *ends, *v, *tail)
+            self.element(card, self.property(region, ends), *ends, *v, *tail)
 
     def bush(self, region: str, a: int, b: int | None, cid: int | None = 0) -> None:
         """A CBUSH; its own property where bushes differ."""
-        pid = S.BUSHES[region]
+        pid = S.BUSHES[region] + ZONE * self._zone(region, [a])
         factor = 1.0
         if self.spec.bush_scatter:
-            pid = pid * 100 + 1 + sum(r == region for r, _, _ in self.bushes)
+            pid = S.BUSHES[region] * 100 + 1 + sum(r == region for r, _, _ in self.bushes)
             factor = float(np.exp(self.spec.bush_scatter * self.rng.standard_normal()))
         self.bushes.append((region, pid, factor))
         self.connect(pid, (a, b), cid)

@@ -276,6 +276,60 @@ class Spec:
         """The generator of the scatter within regions."""
         return np.random.default_rng([self.seed, 77])
 
+    @property
+    def zones(self) -> int:
+        """Zones that regions are divided into: each has properties of its own."""
+        return 1
+
+    def zone(self, region: str, place: tuple[float, float, float]) -> int:
+        """The zone of a part of a region that is at a place, m."""
+        return 0
+
+    def zone_factor(self, region: str, zone: int) -> float:
+        """On the stiffness of a region in a zone."""
+        return 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Where a region is divided.
+
+    Attributes
+    ----------
+    axis : int
+        0, 1, 2: along x, y, z.
+    at : tuple of float, m
+        Ascending.
+    factors : tuple of float
+        On the stiffness in each zone; none: 1 in all.
+    """
+
+    axis: int
+    at: tuple[float, ...]
+    factors: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ZonedSpec(Spec):
+    """A facility some of whose regions are divided."""
+
+    cuts: Mapping[str, Cut] = field(default_factory=dict)
+
+    @property
+    def zones(self) -> int:
+        """Of the region with most of them."""
+        return 1 + max((len(cut.at) for cut in self.cuts.values()), default=0)
+
+    def zone(self, region: str, place: tuple[float, float, float]) -> int:
+        """Counted along the axis."""
+        cut = self.cuts.get(region)
+        return sum(place[cut.axis] > x for x in cut.at) if cut else 0
+
+    def zone_factor(self, region: str, zone: int) -> float:
+        """As given."""
+        cut = self.cuts.get(region)
+        return cut.factors[zone] if cut and zone < len(cut.factors) else 1.0
+
 
 SHELL = {"vessel shell": 0.060, "vessel heads": 0.090, "drive deck": 0.100}
 SECTIONS = {

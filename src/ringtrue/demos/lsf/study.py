@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from ringtrue.decks.nastran.writer import format_card
@@ -51,6 +53,40 @@ def candidates() -> list[tuple[str, list[str]]]:
         if r != "air springs"
     ]
     return modulus + bush
+
+
+Region = tuple[str, list[str]]  # name and targets
+
+
+@dataclass(frozen=True, slots=True)
+class StudyContents:
+    """What the study file says of the deck.
+
+    Attributes
+    ----------
+    candidates : tuple of (str, list of str)
+        Name and targets of each candidate region.
+    regions : mapping of str to list of int
+        Property numbers of what is drawn.
+    remodelled : bool
+        Whether the missing braces were found on site.
+    mac : float, %
+        Least mean subspace MAC that is accepted.
+    rigid : int
+        Least number of rigid-body modes that are paired.
+    """
+
+    candidates: tuple[Region, ...]
+    regions: Mapping[str, list[int]]
+    remodelled: bool = True
+    mac: float = 93.0
+    rigid: int = 6
+
+
+def contents() -> StudyContents:
+    """Those of the first example."""
+    regions = {r: [pid] for r, pid in (S.CONCRETE | S.STEEL | S.BUSHES).items()}
+    return StudyContents(tuple(candidates()), regions)
 
 
 def braces(b: Builder) -> str:
@@ -104,11 +140,21 @@ def _toml_list(values: list[int]) -> str:
     return "[" + ", ".join(map(str, values)) + "]"
 
 
-def write_study(b: Builder, folder: Path, seed: int) -> Path:
-    """Write study.toml and the remodelling cards."""
+def _remodelling(b: Builder, folder: Path) -> list[str]:
+    """The section on the missing braces, whose cards are written."""
     (folder / "remodel").mkdir(parents=True, exist_ok=True)
     (folder / BRACES).write_text(braces(b))
-    regions = {r: [pid] for r, pid in (S.CONCRETE | S.STEEL | S.BUSHES).items()}
+    return [
+        "[remodel]",
+        'file = "deck/frame.bdf"',
+        f'cards = "{BRACES}"',
+        f'reason = "{_REASON}"',
+        "",
+    ]
+
+
+def write_study(b: Builder, folder: Path, seed: int, contents: StudyContents) -> Path:
+    """Write study.toml and the remodelling cards, if there are any."""
     lines = [
         "# A validation campaign: deck, tests, and what is uncertain",
         "[study]",
@@ -122,7 +168,7 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         'units = "SI"',
         "fmax = 54.0",
         "[model.regions]",
-        *(f'"{name}" = {_toml_list(pids)}' for name, pids in regions.items()),
+        *(f'"{name}" = {_toml_list(pids)}' for name, pids in contents.regions.items()),
         "",
         "[plan]",
         "fmax = 38.0",
@@ -145,16 +191,12 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         "[correlate]",
         "accept_pairs = 18",
         "accept_mean_percent = 2.0",
-        "accept_mean_mac = 93.0",
+        f"accept_mean_mac = {contents.mac}",
         "",
-        "[remodel]",
-        'file = "deck/frame.bdf"',
-        f'cards = "{BRACES}"',
-        f'reason = "{_REASON}"',
-        "",
+        *(_remodelling(b, folder) if contents.remodelled else ()),
         "# Regions whose stiffness is uncertain: each a candidate, none chosen here",
     ]
-    for name, targets in candidates():
+    for name, targets in contents.candidates:
         lines += ["[[candidate]]", f'name = "{name}"', f"targets = {json.dumps(targets)}"]
     for name, field in (
         ("air springs, vertical", "K3"),
@@ -176,7 +218,7 @@ def write_study(b: Builder, folder: Path, seed: int) -> Path:
         'axis = "X"',
         "[predict.springs]",
         *(
-            f'"{name}" = {_toml_list([S.BUSHES[r] for r in group])}'
+            f'"{name}" = {_toml_list([p for r in group for p in contents.regions[r]])}'
             for name, group in _SPRINGS.items()
         ),
     ]

@@ -31,6 +31,7 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.virtual.joints import SofteningJoints
 
 VERSION = 1
 
@@ -193,6 +194,8 @@ class Twin:
     mass : float, kg
     real_modes : ModeSet
         Undamped modes at the channels: the truth that tests and `best_possible_percent` refer to.
+    joints : SofteningJoints, optional
+        Seen by the inputs of `modal`; None where the structure is linear.
     """
 
     modal: ModalModel
@@ -204,6 +207,25 @@ class Twin:
     dof: int
     mass: float
     real_modes: ModeSet
+    joints: SofteningJoints | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SofteningRegion:
+    """Bushes whose stiffness falls with amplitude.
+
+    Attributes
+    ----------
+    region : str
+    share : float
+        Of the stiffness that is lost at large amplitudes.
+    slip : float, m
+        As `SofteningJoints` has it.
+    """
+
+    region: str
+    share: float
+    slip: float
 
 
 def _extra_points() -> tuple[TestModel, dict[str, tuple[str, ...]]]:
@@ -269,73 +291,126 @@ def _damped(system: System, real: ModeSet) -> damped.ComplexModes:
     return damped.complex_modes((2 * np.pi * real.frequencies) ** 2, viscous, structural)
 
 
+def _joint_rows(
+    model: Model, dofs: DofSet, regions: Sequence[SofteningRegion]
+) -> tuple[Float, Float, Float, tuple[str, ...]]:
+    """Vertical extensions of bushes as rows (j, dof), what they lose (j,), N/m, their slip (j,), m,
+    and names.
+    """
+    bush = model["CBUSH"]
+    prop = model["PBUSH"]
+    region = bush["PID"] // 100  # bushes of the twin have properties of their own
+    at = np.flatnonzero(np.isin(region, [S.BUSHES[s.region] for s in regions]))
+    of = {S.BUSHES[s.region]: s for s in regions}
+    mine = [of[pid] for pid in region[at].tolist()]
+    rows = np.zeros((at.size, len(dofs)))
+    vertical = np.full(at.size, 3)
+    rows[np.arange(at.size), dofs.find(bush["GA"][at], vertical)] = -1.0
+    rows[np.arange(at.size), dofs.find(bush["GB"][at], vertical)] = 1.0
+    share = np.array([s.share for s in mine])
+    loss = share * prop["K3"][prop.find(bush["PID"][at])]
+    names = tuple(f"joint {eid}" for eid in bush["EID"][at].tolist())
+    return rows, loss, np.array([s.slip for s in mine]), names
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """The as-built model as its modes and static responses have it.
+
+    Attributes
+    ----------
+    real : ModeSet
+        Undamped, at all degrees of freedom.
+    lossy : ComplexModes
+        In their basis.
+    load, static : (in, dof) and (dof, in) float64
+        Unit forces and the motions under them.
+    ground : (m, 6) complex128
+        Modal forces of the ground.
+    inputs : tuple of str
+        Of the forces, then of the ground.
+    """
+
+    real: ModeSet
+    lossy: damped.ComplexModes
+    load: Float
+    static: Float
+    ground: Complex
+    inputs: tuple[str, ...]
+
+    def seen(self, look: Callable[[Any_], Any_], ids: Sequence[str]) -> ModalModel:
+        """The modal model at outputs `ids` that `look` reads of motions (dof, k)."""
+        shapes = self.real.shapes @ self.lossy.shapes
+        squared = (2 * np.pi * self.real.frequencies[:, None]) ** 2
+        low = (self.load @ self.real.shapes).T / squared
+        flexibility = look(self.static) - look(self.real.shapes) @ low
+        rigid = np.zeros((len(ids), self.ground.shape[1]))
+        upper = np.concatenate([flexibility, rigid], axis=1)
+        return ModalModel(
+            poles=self.lossy.poles,
+            shapes=look(shapes),
+            participation=np.concatenate([(self.load @ shapes).T, self.ground], axis=1),
+            lower=np.zeros(upper.shape, dtype=np.complex128),
+            upper=upper.astype(np.complex128),
+            outputs=tuple(Channel(c, "acceleration", "m/s^2") for c in ids),
+            inputs=tuple(Channel(c, "force", "N") for c in self.inputs),
+            kind="receptance",
+            norm=Norm.MODAL_A,
+        )
+
+
 def make_twin(
-    seed: int,
+    built: Spec,
     test: TestModel,
     references: Sequence[str],
+    *,
+    softening: Sequence[SofteningRegion] = (),
     progress: Callable[[float, str], None] | None = None,
 ) -> Twin:
     """Build the as-built model, solve it, and keep what can be seen at the channels.
 
     Parameters
     ----------
-    seed : int
+    built : Spec
+        The facility as it stands.
     test : TestModel
         All channels of the campaign.
     references : sequence of str
         Channel ids that are hammer points as well.
+    softening : sequence of SofteningRegion
+        Bushes that are not linear.
+    progress : callable, optional
     """
-    tell = progress or (lambda fraction, text: None)
-    tell(0.0, "as-built model")
+    report = progress or (lambda fraction, text: None)
+    report(0.0, "as-built model")
     with tempfile.TemporaryDirectory() as folder:
-        model = read_deck(deck.write(facility.build(as_built(seed)), Path(folder), "LSF as built"))
+        model = read_deck(deck.write(facility.build(built), Path(folder), "LSF as built"))
     # it was made with these shells, and stays as it is
     model = replace(model, params={**model.params, "RESBEND": "NO"})
     extra, kinds = _extra_points()
-    grid = model["GRID"].ids
-    xyz = positions(model)
+    at = model["GRID"].ids, positions(model)
     with EmbeddedSolver().open(model) as analysis:
-        tell(0.2, "as-built modes")
+        report(0.2, "as-built modes")
         real = analysis.modes(ModesRequest(band=(-1.0, FMAX))).modes
-        tell(0.7, "as-built damping")
+        report(0.7, "as-built damping")
         lossy = _damped(analysis.system, real)
-        see = observe(test, grid, xyz, analysis.dofs, tolerance=0.6, method="rigid")
-        push = observe(extra, grid, xyz, analysis.dofs, tolerance=0.6)
+        see = observe(test, *at, analysis.dofs, tolerance=0.6, method="rigid")
+        push = observe(extra, *at, analysis.dofs, tolerance=0.6)
         hits = [test.channels.index(r) for r in references]
-        load = np.concatenate([see.matrix[hits].toarray(), push.matrix.toarray()])
-        static = analysis.static(load.T)  # (dof, in)
+        stretch, loss, slip, names = _joint_rows(model, analysis.dofs, softening)
+        load = np.concatenate([see.matrix[hits].toarray(), push.matrix.toarray(), stretch])
+        static = analysis.static(load.T)
+        ground, grounds = _participation(real.shapes @ lossy.shapes, model, analysis.dofs)
         dof = analysis.system.stiffness.shape[0]
         mass = mass_properties(analysis.system).mass
-    shapes = real.shapes @ lossy.shapes
-    outputs = see(shapes)
-    inputs = load @ shapes
-    ground, ground_names = _participation(shapes, model, analysis.dofs)
-    flexibility = see(static) - see(real.shapes) @ (
-        (load @ real.shapes).T / (2 * np.pi * real.frequencies[:, None]) ** 2
-    )
-    names = (*references, *extra.channels, *ground_names)
-    upper = np.concatenate([flexibility, np.zeros((len(test.channels), len(ground_names)))], axis=1)
-    modal = ModalModel(
-        poles=lossy.poles,
-        shapes=outputs,
-        participation=np.concatenate([inputs.T, ground], axis=1),
-        lower=np.zeros(upper.shape, dtype=np.complex128),
-        upper=upper.astype(np.complex128),
-        outputs=tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels),
-        inputs=tuple(Channel(c, "force", "N") for c in names),
-        kind="receptance",
-        norm=Norm.MODAL_A,
-    )
-    seen = ModeSet(
-        frequencies=real.frequencies,
-        damping=lossy.damping,
-        shapes=see(real.shapes),
-        labels=test.channels,
-        norm=Norm.MASS,
-        source="as built",
-    )
+    inputs = (*references, *extra.channels, *names, *grounds)
+    solved = _Solved(real=real, lossy=lossy, load=load, static=static, ground=ground, inputs=inputs)
+    joints = None
+    if names:
+        forces = np.array([inputs.index(n) for n in names])
+        joints = SofteningJoints(solved.seen(lambda x: stretch @ x, names), forces, loss, slip)
     return Twin(
-        modal=modal,
+        modal=solved.seen(see, test.channels),
         test=test,
         drop_points=kinds["drop"],
         jump_points=kinds["jump"],
@@ -343,5 +418,13 @@ def make_twin(
         machine_points=kinds["machine"],
         dof=int(dof),
         mass=float(mass),
-        real_modes=seen,
+        real_modes=ModeSet(
+            frequencies=real.frequencies,
+            damping=lossy.damping,
+            shapes=see(real.shapes),
+            labels=test.channels,
+            norm=Norm.MASS,
+            source="as built",
+        ),
+        joints=joints,
     )

@@ -1,4 +1,4 @@
-"""Shapes of modes of known poles, read from the correlations of a record.
+"""Shapes of modes of known poles, read from the correlations of a record, and how much they move.
 
 The correlations of responses under white forces are free decays of the modes,
 
@@ -16,13 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.channels import DERIVATIVE
+from ringtrue.core.signals import TimeHistory
 from ringtrue.identification.ambient.pipeline import WeighedRecord
 from ringtrue.identification.ambient.record_bands import BandSums
 from ringtrue.identification.ambient.record_checks import CommonMotion
 from ringtrue.identification.ambient.ssi_cov import block_power
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.stabilisation import unit
-from ringtrue.signal.spectra import block_weights
+from ringtrue.signal.spectra import Welch, block_weights, detrend, psd
 
 REACH = 0.5  # of the limits of a band: poles beyond it have no part in its correlations
 
@@ -127,3 +129,37 @@ def _shapes(residue: Complex, by_block: Complex, scale: Any_) -> tuple[Complex, 
     psi = left[:, :, 0].T
     scale = np.broadcast_to(scale, psi.shape)
     return unit(psi * scale), var.modulus_std(psi * scale, change * scale.T[:, :, None])
+
+
+def mode_levels(history: TimeHistory, frequency: Float, damping: Float) -> Float:
+    """(m,) RMS velocity within the half-power bandwidth of each mode, over the channels that are
+    motions, m/s.
+
+    Parameters
+    ----------
+    history : TimeHistory
+        SI; samples that were lost are bridged.
+    frequency, damping : (m,) float64, Hz and fraction of critical
+
+    Returns
+    -------
+    (m,) float64
+        NaN where no channel is a motion.
+    """
+    order = [DERIVATIVE.get(c.quantity) for c in history.channels]
+    motions = [i for i, n in enumerate(order) if n is not None]
+    if not motions or not frequency.size:
+        return np.full(frequency.shape, np.nan)
+    width = np.maximum(damping * frequency, 1e-3 * frequency)
+    # four lines of a spectrum at least
+    resolution = max(float(width.min()) / 2, 4 / history.duration)
+    data = detrend(history.data[motions])
+    chosen = tuple(history.channels[i] for i in motions)
+    freqs, density = psd(TimeHistory(data, history.rate, chosen), Welch(resolution))
+    omega = 2 * np.pi * np.maximum(freqs, freqs[1])
+    power = [n or 0 for n in order if n is not None]
+    velocity = density * omega ** (2.0 * (1 - np.array(power)[:, None]))
+    mean = velocity.mean(axis=0)
+    step = float(freqs[1])
+    near = np.abs(freqs[:, None] - frequency) <= np.maximum(width, step)
+    return np.asarray(np.sqrt((mean[:, None] * near).sum(axis=0) * step))

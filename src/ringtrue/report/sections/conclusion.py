@@ -56,7 +56,7 @@ QUESTIONS = {
         "Repeat one setup on another day and at another force level.",
     ),
     "channels suspected": (
-        "The channels {channels} contradict the model.",
+        "The channels {channels} contradict the model or the other channels.",
         "Check their direction, cable and calibration, and measure them again.",
     ),
     "FRFs worse": (

@@ -186,6 +186,10 @@ def initial(data: Stages) -> Section | None:
     if c is None:
         return None
     body: list[Block] = [Text(sentence(m.text)) for m in c.sensors.mendings]
+    body += [
+        Text(f"Channel {s.channel} looks {s.fault} in the rigid-body modes: {s.message}.")
+        for s in c.sensors.rigid
+    ]
     if c.sensors.alignment:
         body.append(Text(sentence(c.sensors.alignment)))
     if c.notes:

@@ -46,6 +46,9 @@ def section(data: Stages) -> Section | None:
         )
     if len(ident.ambient_records) > 1:
         blocks.append(_by_record(data))
+    if data.conditions is not None and data.conditions.notes:
+        between = [sentence(note_sentence(n)) for n in data.conditions.notes]
+        blocks.append(Items(between, "Days, temperatures and levels"))
     return Section("identification", "Identified modes", blocks)
 
 

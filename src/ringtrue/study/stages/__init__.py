@@ -10,6 +10,7 @@ from typing import Any
 from ringtrue.core.iterate import Progress
 from ringtrue.study.session import Session
 from ringtrue.study.stages import (
+    conditions,
     correlate,
     damping,
     final,
@@ -114,6 +115,13 @@ STAGES = (
         sections=("test",),
         settings=("correlate",),
         needs=("identify",),
+    ),
+    Stage(
+        name="conditions",
+        title="days, temperatures and levels",
+        run=conditions.run,
+        sections=("test",),
+        needs=("identify", "compare"),
     ),
     Stage(
         name="correlate",

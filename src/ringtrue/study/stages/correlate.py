@@ -16,6 +16,7 @@ from ringtrue.core.side_by_side import side_by_side
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
+from ringtrue.correlation.rigid_redundancy import rigid_suspects
 from ringtrue.correlation.sensor_mounting import find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.decks.nastran.editor import unified_diff
@@ -124,6 +125,11 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
     if config.remodel and last is not None:
         first = evidence(reference, initial, before.pairing, config)
     sheet = None if config.frequency_only else found.test
+    rigid = rigid_table(reference, initial, config)
+    sensors = sensor_placement(session, session.initial, sheet, test)
+    if sheet is not None:  # of modes that the deck has as well: no part that hangs softly
+        soft = reference.rigid.take(rigid.pairing.a)
+        sensors = replace(sensors, rigid=rigid_suspects(soft, sheet))
     pairing = after.pairing  # the frequency gate keeps some from a similar mode of the deck
     unpaired = zip(pairing.unpaired_a, pairing.reasons_a, pairing.gated_a, strict=True)
     notes = (
@@ -139,13 +145,13 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
         reference=reference,
         initial=before,
         remodelled=after,
-        rigid_initial=rigid_table(reference, initial, config),
+        rigid_initial=rigid,
         fe_initial=initial,
         fe_remodelled=remodelled,
         evidence_initial=first,
         evidence=last,
         remodelling=_remodelling(session, reference, initial),
-        sensors=sensor_placement(session, session.initial, sheet, test),
+        sensors=sensors,
         expanded=_expanded(session, reference, progress),
         notes=notes,
     )

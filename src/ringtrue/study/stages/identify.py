@@ -28,7 +28,7 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.ambient.setups import identified_setup
-from ringtrue.identification.ambient.shape_reading import RecordCorrelations
+from ringtrue.identification.ambient.shape_reading import RecordCorrelations, mode_levels
 from ringtrue.identification.common.diagram import SpectrumAccount
 from ringtrue.identification.common.joined_shapes import with_joined_shapes
 from ringtrue.identification.common.merging import Contribution, join_candidates, merge_modes
@@ -42,6 +42,7 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
+from ringtrue.signal.setup_gains import SetupGain, setup_gains, without_gains
 from ringtrue.signal.spectra import (
     Geophone,
     Welch,
@@ -300,6 +301,9 @@ def ambient(
                 others=result.others,
                 account=result.account,
                 record=record.name,
+                date=record.date,
+                temperature=record.temperature,
+                level=mode_levels(first.history, result.modes.frequencies, result.modes.damping),
             )
         )
         correlations.append(setup.correlations)
@@ -377,12 +381,15 @@ class FrfsOfRecords:
     setups : tuple of FrfSet
     records : tuple of RecordSummary
     hits : tuple of ImpactReport
+    channel_notes : tuple of Note
+        On channels that read otherwise in one setup.
     """
 
     frfs: FrfSet
     setups: tuple[FrfSet, ...]
     records: tuple[RecordSummary, ...] = ()
     hits: tuple[ImpactReport, ...] = ()
+    channel_notes: tuple[Note, ...] = ()
 
 
 def frfs_of_records(
@@ -416,8 +423,30 @@ def frfs_of_records(
             )
         )
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
+    setups = join_by_setup(columns)
+    gains = setup_gains(setups)
+    if gains:
+        columns = [without_gains(c, gains, setups) for c in columns]
+        setups = join_by_setup(columns)
     frfs, _ = exchange_by_reciprocity(join_frfs(columns))
-    return FrfsOfRecords(frfs, join_by_setup(columns), tuple(shown), found.hits)
+    label = {
+        tuple(c.id for c in s.outputs): str(record.setup) or record.name
+        for s in setups
+        for record, (runs, _) in zip(reversed(records), reversed(read), strict=True)
+        if {c.id for c in s.outputs} <= {c.id for c in runs[0].channels}
+    }
+    gained = [_gain_note(g, label[tuple(c.id for c in setups[g.setup].outputs)]) for g in gains]
+    return FrfsOfRecords(frfs, setups, tuple(shown), found.hits, tuple(gained))
+
+
+def _gain_note(gain: SetupGain, setup: str) -> Note:
+    """That a channel reads otherwise in one setup."""
+    values: dict[str, float | int | str] = {
+        "setup": setup,
+        "factor": gain.factor,
+        "others": gain.others,
+    }
+    return Note("channel gain", "warning", gain.channel, values)
 
 
 def acquisitions(
@@ -527,12 +556,20 @@ def _identified(
         records_of_frfs[0] = replace(first, notes=notes_of_both, channel_notes=result.channel_notes)
     return replace(
         stage,
-        hammer=IdentifiedModes(result.modes, result.uncertainty, result.reasons, result.diagrams),
+        hammer=IdentifiedRecord(
+            modes=result.modes,
+            uncertainty=result.uncertainty,
+            reasons=result.reasons,
+            diagrams=result.diagrams,
+            record=HAMMER,
+            date=forced[0].date if forced else "",
+            temperature=forced[0].temperature if forced else float("nan"),
+        ),
         source=f"{forced[0].kind} test" if forced else "FRFs",
         records=(*stage.records, *records_of_frfs),
         frfs=frfs,
         frf_notes=(*notes, *result.notes) if test.frfs else (),
-        channel_notes=result.channel_notes if test.frfs else (),
+        channel_notes=result.channel_notes if test.frfs else made.channel_notes,
         synthesis_error=result.synthesis_error,
         hits=made.hits,
     )
@@ -572,4 +609,10 @@ def _with_ambient(
         others=join_candidates([r.others for r in found], merged.modes),
         account=account,
     )
-    return replace(stage, ambient=ambient_modes, merge_notes=merged.notes)
+    went = [np.full(len(modes), -1, dtype=np.int64) for modes, _, _ in parts]
+    for column, given in enumerate(merged.provenance):
+        for c in given:
+            went[c.position][c.mode] = column
+    rows = iter(went)
+    records = tuple(replace(r, merged=next(rows)) if len(r) else r for r in found)
+    return replace(stage, ambient=ambient_modes, ambient_records=records, merge_notes=merged.notes)
