@@ -58,11 +58,7 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(bare)
     with chromium.page(tmp_path / "profile") as page:
-        page.call("Page.navigate", url=address)
-        assert page.until("document.body?.innerText.includes('Poles')")
-        page.evaluate(
-            "[...document.querySelectorAll('.q-item')].find((e) => e.innerText.includes('Poles')).click()"
-        )
+        page.call("Page.navigate", url=address.replace("/?", "/poles?"))
         assert page.until("!!document.querySelector('.js-plotly-plot')?._fullData?.length")
         place = page.evaluate(POLE)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
