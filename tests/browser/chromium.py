@@ -113,7 +113,7 @@ class Page:
 
 
 @contextmanager
-def page(profile: Path) -> Iterator[Page]:
+def page(profile: Path, *flags: str) -> Iterator[Page]:
     """A browser with a profile of its own, ended with the block."""
     binary = find()
     assert binary is not None
@@ -127,6 +127,7 @@ def page(profile: Path) -> Iterator[Page]:
         str(out_write),
         binary,
         *FLAGS,
+        *flags,
         f"--user-data-dir={profile}",
     ]
     quiet = subprocess.DEVNULL
