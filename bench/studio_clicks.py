@@ -43,6 +43,8 @@ from clicks import key, mouse, studio
 KEYS = ("n", "p", "a", "r", " ", "Enter", "Escape", "Delete", "ArrowRight", "Tab")
 CTRL = 2
 WIDE, HIGH = 1280, 713
+# NiceGUI asks plotly to fit a plot that was hidden meanwhile, and does not wait for its refusal
+NO_FAULT = "Resize must be passed a displayed plot div element"
 SETTLED = "new Promise((done) => setTimeout(() => done(true), 250))"
 # What can be clicked: in the frame of the page, or on its screen, a dialog, a menu.
 PLACES = """((inFrame) => [...document.querySelectorAll('button,.q-item,.q-tab,td,.cursor-pointer,.q-field,.q-slider,canvas,.nsewdrag')]
@@ -231,8 +233,11 @@ class Hands:
     def listen(self, page: chromium.Page) -> None:
         """Count exceptions of the page."""
         for event in page.events:
-            if event.get("method") == "Runtime.exceptionThrown":
-                print(json.dumps(event["params"]["exceptionDetails"])[:600])
+            if event.get("method") != "Runtime.exceptionThrown":
+                continue
+            text = json.dumps(event["params"]["exceptionDetails"])
+            if NO_FAULT not in text:
+                print(text)
                 self.found.errors += 1
         page.events.clear()
 
