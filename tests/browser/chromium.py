@@ -39,8 +39,9 @@ def find() -> str | None:
 class Page:
     """One page; collects the events of the protocol."""
 
-    def __init__(self, to: int, back: int) -> None:
-        self.to, self.back, self.buffer, self.last, self.session = to, back, b"", 0, ""
+    def __init__(self, to: int, back: int, buffer: bytearray | None = None) -> None:
+        self.to, self.back, self.last, self.session = to, back, 0, ""
+        self.buffer = bytearray() if buffer is None else buffer  # of all tabs
         self.events: list[dict[str, Any]] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
@@ -48,6 +49,10 @@ class Page:
         ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+
+    def tab(self) -> Page:
+        """Another page of the same browser; events come to the one that is called."""
+        return Page(self.to, self.back, self.buffer)
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         """Send a command and wait for its answer."""
@@ -73,7 +78,8 @@ class Page:
             if not piece:
                 raise ConnectionError("the browser has gone")
             self.buffer += piece
-        text, self.buffer = self.buffer.split(b"\0", 1)
+        text, _, rest = self.buffer.partition(b"\0")
+        self.buffer[:] = rest
         return dict(json.loads(text))
 
     def evaluate(self, expression: str) -> Any:
@@ -113,7 +119,7 @@ class Page:
 
 
 @contextmanager
-def page(profile: Path) -> Iterator[Page]:
+def page(profile: Path, *flags: str) -> Iterator[Page]:
     """A browser with a profile of its own, ended with the block."""
     binary = find()
     assert binary is not None
@@ -127,6 +133,7 @@ def page(profile: Path) -> Iterator[Page]:
         str(out_write),
         binary,
         *FLAGS,
+        *flags,
         f"--user-data-dir={profile}",
     ]
     quiet = subprocess.DEVNULL

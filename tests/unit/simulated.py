@@ -58,8 +58,13 @@ def visit(
         async with user_simulation(root=lambda: page(session)) as user:
             watch(session)
             await session.refresh()
-            await user.open(address)
-            await scenario(user)
+            client = await user.open(address)
+            try:
+                await scenario(user)
+            finally:
+                # its outbox may miss that it is cancelled (asyncio.wait_for of Python 3.11 does,
+                # when something is sent at that moment), and would be waited for without end
+                client.outbox.stop()
 
     asyncio.run(run())
 

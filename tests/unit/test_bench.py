@@ -43,6 +43,7 @@ import pytest
 import records
 import results_files
 import studio
+import studio_clicks
 import uncertainty
 import updating
 import viewer
@@ -94,6 +95,7 @@ RECORD = ambient_families.Outcome(
     mac=np.ones(5),
     missing=0,
 )
+CLICKED = studio_clicks.Clicked(actions=30, edits=3, outside=2, reloads=2, kills=1)
 STATED = np.linspace(0.0, 1.0, 500)
 PICTURE = viewer.Drawn(20.0, 0.5, 300.0, np.arange(40), np.arange(40), 12)
 FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
@@ -642,6 +644,15 @@ JUDGED: list[
         studio.states_itself,
         (1e-5, 8e-6, 1e-3),
         [(1e-4, 8e-6, 1e-3), (1e-5, 8e-6, 0.1), (np.nan, 8e-6, 1e-3)],
+    ),
+    (
+        "studio_clicks",
+        studio_clicks.nothing_lost,
+        (CLICKED,),
+        [
+            (replace(CLICKED, **{n: v}),)
+            for n, v in (("faults", 1), ("errors", 1), ("lost", 1), ("broken", 1), ("edits", 0))
+        ],
     ),
 ]
 

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from nicegui.testing import User
 from simulated import on, opened
 
 import ringtrue as rt
+from ringtrue.io.choices import read_choice
 
 RECORD = "hammer-303pX"
 
@@ -92,3 +94,56 @@ def test_any_frf_is_shown_with_its_frac(ran: Path, tmp_path: Path) -> None:
         assert (session.selection.mode, session.selection.frequency) == (1, f)
 
     on("frfs", session, scenario)
+
+
+def test_a_hit_is_left_out_and_taken_back(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+
+    async def scenario(user: User) -> None:
+        await user.should_see(marker="signals", retries=200)
+        (what,) = user.find(marker="what").elements
+        what.set_value("impacts")
+        await user.should_see(marker="hit", retries=200)
+        user.find(marker="leave-out").click()
+        user.find(marker="reason").type("struck twice")
+        user.find(marker="write").click()
+        (hit,) = read_choice(session.path.with_name("choice.toml")).hits
+        assert (hit.record, hit.keep, hit.reason) == (RECORD, False, "struck twice")
+        await user.should_see("Hit 2 of 3", retries=100)
+        user.find(marker="hits").trigger("rowClick", [None, {"id": 0}, 0])
+        await user.should_see("left out: struck twice", retries=100)
+        user.find(marker="keep").click()
+        assert not read_choice(session.path.with_name("choice.toml")).hits
+
+    on("signals", session, scenario)
+
+
+def test_what_a_rejected_mode_explained_is_missed(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+    f = float(rt.open_study(ran).stage("identify").hammer.modes.frequencies[2])
+
+    def missed(shown: dict[str, Any]) -> float:
+        """Of the sum of FRFs at the mode that is rejected, dB."""
+        measured, fitted = (t["y"][np.argmin(np.abs(t["x"] - f))] for t in shown["data"][:2])
+        return float(measured - fitted)
+
+    async def scenario(user: User) -> None:
+        await shows(user, "fit", lambda s: abs(missed(s)) < 1)
+        session.select(record="hammer", frequency=f, order=0)
+        user.find(marker="reject").click()
+        user.find(marker="reason").type("a crane")
+        user.find(marker="write").click()
+        await shows(user, "fit", lambda s: missed(s) > 10)
+
+    on("poles", session, scenario)
+
+
+def test_a_scenario_that_fails_ends(ran: Path, tmp_path: Path) -> None:
+    async def scenario(user: User) -> None:
+        await user.should_see(marker="signals", retries=200)
+        (what,) = user.find(marker="what").elements
+        what.set_value("impacts")  # something is sent while the page ends
+        raise AssertionError("on purpose")
+
+    with pytest.raises(AssertionError, match="on purpose"):
+        on("signals", opened(ran, tmp_path), scenario)

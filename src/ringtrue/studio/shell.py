@@ -12,6 +12,8 @@ from weakref import WeakKeyDictionary
 from nicegui import Client, Event, app, ui
 from nicegui.events import KeyEventArguments
 
+# a page names its modules when it is loaded, also where its first screen has no 3D view
+import ringtrue.studio.viewer_element  # noqa: F401
 from ringtrue.errors import RingtrueError
 from ringtrue.studio import theme
 from ringtrue.studio.screens import BEGIN, SCREENS, Screen

@@ -3,7 +3,7 @@ import { Clock, figure, mount, unpack } from "ringtrue-viewer";
 
 const block = async (address) => {
   const answer = await fetch(address, { credentials: "same-origin" });
-  if (!answer.ok) throw new Error(`${address}: ${answer.status} ${answer.statusText}`);
+  if (answer.status !== 200) throw new Error(`${address}: ${answer.status} ${answer.statusText}`);
   return unpack(await answer.arrayBuffer());
 };
 

@@ -30,10 +30,10 @@ _users: Counter[str] = Counter()  # elements that show a block
 
 @app.get(ROUTE + "{key}")
 def block(key: str) -> Response:
-    """The bytes of a scene or a shape."""
+    """The bytes of a scene or a shape; no content where what showed it has gone meanwhile."""
     found = _blocks.get(ROUTE + key)
     if found is None:
-        return Response(status_code=404)
+        return Response(status_code=204)
     kept = {"Cache-Control": "private, max-age=86400, immutable"}
     return Response(found, media_type="application/octet-stream", headers=kept)
 
