@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,21 @@ class ShapeView:
             return
         fe = (skin, k) if skin is not None and k < len(skin) else None
         self._show(Shown(state, "", "", fe=fe, test=(test, t), seen=(seen, k)))
+
+    def tried(self, skin: ModeSet, seen: tuple[ModeSet, int], test: tuple[ModeSet, int]) -> None:
+        """Show a mode that is tried, `skin` on the drawing and `seen` at the channels, in the phase
+        of a test mode: it keeps its sign while a factor moves.
+        """
+        modes, k = seen
+        here = {c: i for i, c in enumerate(modes.channels)}
+        other, t = test
+        both = [(here[c], i) for i, c in enumerate(other.channels) if c in here]
+        rows = np.array(both, dtype=np.int64).reshape(-1, 2)
+        overlap = np.vdot(other.shapes[rows[:, 1], t].real, modes.shapes[rows[:, 0], k])
+        turn = -1.0 if overlap < 0 else 1.0
+        fe = replace(skin, shapes=turn * skin.shapes)
+        at = replace(modes, shapes=turn * modes.shapes)
+        self._show(Shown("", "", "", fe=(fe, 0), test=test, seen=(at, k)))
 
     def _show(self, shown: Shown) -> None:
         state: dict[str, Any] = {"mode": None}
