@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,52 @@ def test_a_mode_is_rejected_with_a_reason(ran: Path, tmp_path: Path) -> None:
     assert reject.frequency == float(found.modes.frequencies[2])
 
 
+def test_two_modes_are_merged_with_a_reason(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+    there = rt.open_study(ran).stage("identify").hammer.diagram.modes.frequencies
+    near = float(there[np.argsort(np.abs(there - there[2]))[1]])
+
+    async def scenario(user: User) -> None:
+        user.find(marker="diagram").trigger(
+            "plotly_click", {"points": [{"x": 1.7, "y": 40.1, "customdata": 2}]}
+        )
+        await user.should_see(marker="merge")
+        (select,) = user.find(marker="merge").elements
+        assert isinstance(select, ui.select)
+        assert next(iter(select.options)) == near
+        select.value = near
+        user.find(marker="reason").type("one mode, split by the stabilisation")
+        user.find(marker="write").click()
+        await user.should_see(marker="unmerge")
+        (merge,) = read_choice(session.path.with_name("choice.toml")).merges
+        assert merge.frequencies == tuple(sorted((near, float(there[2]))))
+        assert merge.reason == "one mode, split by the stabilisation"
+        user.find(marker="unmerge").click()
+
+    on("poles", session, scenario)
+    assert not read_choice(session.path.with_name("choice.toml")).merges
+
+
+def test_the_difference_of_shapes_names_the_worst_channel(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+    stage = rt.open_study(ran).stage("correlate")
+    test, fe = stage.reference.elastic, stage.fe_initial
+    at = [fe.channels.index(c) for c in test.channels]
+    a, b = test.shapes[:, 0], fe.shapes[at, 0]
+    scale = np.linalg.lstsq(a[:, None], b.astype(a.dtype), rcond=None)[0]
+    off = np.abs(a * scale - b) / np.abs(b).max()
+
+    async def scenario(user: User) -> None:
+        session.select(pair=(0, 0))
+        (toggle,) = user.find(marker="arrangement").elements
+        assert isinstance(toggle, ui.toggle)
+        toggle.value = "difference"
+        worst = f"worst channel {test.channels[int(off.argmax())]}, {100 * off.max():.1f} %"
+        await user.should_see(worst)
+
+    on("correlation", session, scenario)
+
+
 def test_a_pair_is_locked_in_the_matrix(ran: Path, tmp_path: Path) -> None:
     session = opened(ran, tmp_path)
     table = rt.open_study(ran).pairs("initial")
@@ -108,7 +155,8 @@ def test_a_factor_that_is_tried_moves_the_modes(ran: Path, tmp_path: Path) -> No
         (plot,) = user.find(marker="trial-frf").elements
         assert isinstance(plot, ui.plotly)
         curve = next(d for d in plot.figure["data"] if d["name"] == "trial")
-        np.testing.assert_allclose(curve["y"], np.abs(frf.data[:, 0, 0]), rtol=1e-6)
+        drawn = np.frombuffer(base64.b64decode(curve["y"]["bdata"]), dtype=np.float32)
+        np.testing.assert_allclose(drawn, np.abs(frf.data[:, 0, 0]), rtol=1e-6)
         user.find(marker="modes").trigger("rowClick", [{}, {"id": 3}, 2])
         await user.should_see("Test mode 3")
         session.select(region="columns 1")

@@ -132,6 +132,11 @@ def at_test_points(test: TestModel, shown: Shown) -> Complex:
     return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
 
 
+def difference_at_points(test: TestModel, modes: ModeSet) -> Complex:
+    """(point, 3) displacements of a difference of shapes (`shape_difference`), in its own scale."""
+    return np.asarray(_at_points(test, modes, modes.shapes[:, 0]))
+
+
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
     out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
     if scene is not None and shown.fe is not None:

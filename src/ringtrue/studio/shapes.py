@@ -10,7 +10,8 @@ from nicegui import ui
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.plots.scene import Shown, at_nodes, at_test_points
+from ringtrue.correlation.paired_shapes import ShapeDifference, shape_difference
+from ringtrue.plots.scene import Shown, at_nodes, at_test_points, difference_at_points
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame
 from ringtrue.studio.viewer_element import Viewer
@@ -76,6 +77,24 @@ class ShapeView:
             return
         fe = (skin, k) if skin is not None and k < len(skin) else None
         self._show(Shown(state, "", "", fe=fe, test=(test, t), seen=(seen, k)))
+
+    def difference(self, state: str, pair: tuple[int, int]) -> ShapeDifference | None:
+        """Show the points of the test moved by what a test mode and an FE mode differ in, over the
+        model at rest.
+        """
+        stage: CorrelateStage | None = self.session.stage("correlate")
+        if stage is None or self.test is None:
+            return None
+        seen, _ = fe_modes(self.session, stage, state)
+        test = stage.reference.elastic
+        t, k = pair
+        if t >= len(test) or k >= len(seen):
+            return None
+        found = shape_difference(test, t, seen, k)
+        points = difference_at_points(self.test, found.modes)
+        self.viewer.shapes(SHAPE, points.real, points.imag, on="test")
+        self.viewer.show(color="group", mode=None, test=SHAPE)
+        return found
 
     def tried(self, skin: ModeSet, seen: tuple[ModeSet, int], test: tuple[ModeSet, int]) -> None:
         """Show a mode that is tried, `skin` on the drawing and `seen` at the channels, in the phase
