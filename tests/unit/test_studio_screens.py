@@ -13,6 +13,7 @@ from simulated import on, opened
 
 import ringtrue as rt
 from ringtrue.demos import frame
+from ringtrue.errors import DataError
 from ringtrue.io.choices import read_choice
 
 
@@ -194,7 +195,7 @@ def test_trials_have_the_objective_shapes_and_frfs(ran: Path) -> None:
     at = [c.id for c in whole.outputs].index("103+Y"), [c.id for c in whole.inputs].index("303+X")
     # the deck's static responses are in the basis
     np.testing.assert_allclose(one.data[:, 0, 0], whole.data[:, *at], rtol=1e-3)
-    with pytest.raises(rt.DataError, match=r"no FRF 1\+X / 303\+X at channels of the sheet"):
+    with pytest.raises(DataError, match=r"no FRF 1\+X / 303\+X at channels of the sheet"):
         model.frf({}, "1+X", "303+X")
 
 

@@ -22,6 +22,7 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.response import flexibility, with_responses
 from ringtrue.study.config import read_config
 from ringtrue.study.evidence import like_measured
@@ -126,9 +127,9 @@ class TrialModel:
             If the test has no such FRF at channels of its sheet.
         """
         measured = self._measured(output, input_)
-        model = self._model.model
+        model = self._responding
         x = self._point(factors)
-        lam, y = self._coordinates(x)
+        lam, y = model.coordinates(x)
         rows = [self._session.own.rows([c]) for c in (output, input_)]
         out, into = (model.basis.observe[r] @ y for r in rows)
         rest = flexibility(model, x, *rows) - (out / (lam - model.shift)) @ into.T
@@ -148,6 +149,15 @@ class TrialModel:
         at, sign = analysis.dofs.align(labels)
         rows = sparse.csr_array(analysis.system.transform)[at]
         return sparse.csr_array(rows.multiply(sign[:, None])), labels
+
+    @cached_property
+    def _responding(self) -> ReducedModel:
+        """The reduced model with the static responses to what was excited in its basis."""
+        own = self._session.own
+        measured = measured_frfs(own)
+        inputs = own.rows([c.id for c in measured.inputs] if measured is not None else [])
+        nominal = np.zeros(len(self.parameters))
+        return with_responses(self._model.model, inputs, nominal)[0]
 
     @cached_property
     def _problem(self) -> Problem:
@@ -223,9 +233,4 @@ def trial_model(study: str | Path, *, progress: Progress = quiet) -> TrialModel:
         raise DataError(f"{session.store.path}: no correlation in it: run the study as far")
     if not len(session.parameters):
         raise ConfigError(f"{path}: no [[candidate]] whose factor could be tried")
-    model = session.own.model(progress)
-    if (measured := measured_frfs(session.own)) is not None:
-        inputs = session.own.rows([c.id for c in measured.inputs])
-        nominal = np.zeros(len(model.parameters))
-        model = replace(model, model=with_responses(model.model, inputs, nominal)[0])
-    return TrialModel(session, model)
+    return TrialModel(session, session.own.model(progress))

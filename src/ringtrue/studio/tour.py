@@ -58,7 +58,8 @@ PLACED = """(() => {
   card.style.left = Math.max(12, Math.min(box.right + 14, wide)) + 'px';
   card.style.top = Math.max(56, Math.min(box.top < 56 ? box.bottom + 14 : box.top, high)) + 'px';
 })()"""
-CLEARED = """document.querySelectorAll('.rt-pointed').forEach((e) => e.classList.remove('rt-pointed'));
+CLEARED = """
+document.querySelectorAll('.rt-pointed').forEach((e) => e.classList.remove('rt-pointed'));
 localStorage.setItem('%s', 'yes');"""
 
 
