@@ -12,6 +12,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.paired_shapes import ShapeDifference, shape_difference
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.opened import PairedShapes
@@ -132,9 +133,12 @@ def at_test_points(test: TestModel, shown: Shown) -> Complex:
     return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
 
 
-def difference_at_points(test: TestModel, modes: ModeSet) -> Complex:
-    """(point, 3) displacements of a difference of shapes (`shape_difference`), in its own scale."""
-    return np.asarray(_at_points(test, modes, modes.shapes[:, 0]))
+def difference_at_points(
+    test: TestModel, shape: tuple[ModeSet, int], seen: tuple[ModeSet, int]
+) -> tuple[ShapeDifference, Complex]:
+    """The difference of a test mode and an FE mode, from 0, and as (point, 3) displacements."""
+    found = shape_difference(*shape, *seen)
+    return found, np.asarray(_at_points(test, found.modes, found.modes.shapes[:, 0]))
 
 
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:

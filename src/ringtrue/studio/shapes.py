@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import ui
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.paired_shapes import ShapeDifference, shape_difference
 from ringtrue.plots.scene import Shown, at_nodes, at_test_points, difference_at_points
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame
 from ringtrue.studio.viewer_element import Viewer
 from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, ModelStage, Scene
 from ringtrue.viewer.scene import model_arrays, test_arrays
+
+if TYPE_CHECKING:
+    from ringtrue.correlation.paired_shapes import ShapeDifference
 
 SHAPE = "shown"  # the one shape that a view keeps
 
@@ -90,8 +92,7 @@ class ShapeView:
         t, k = pair
         if t >= len(test) or k >= len(seen):
             return None
-        found = shape_difference(test, t, seen, k)
-        points = difference_at_points(self.test, found.modes)
+        found, points = difference_at_points(self.test, (test, t), (seen, k))
         self.viewer.shapes(SHAPE, points.real, points.imag, on="test")
         self.viewer.show(color="group", mode=None, test=SHAPE)
         return found

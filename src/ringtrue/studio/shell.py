@@ -57,12 +57,15 @@ class Frame:
         The column on the right; cleared when the screen changes.
     pages : element
         What holds the screen; None while the first one is built.
+    screen : str
+        The one that is shown.
     keys : dict
         What `next`, `previous`, `accept`, `reject` and `play` do.
     """
 
     inspector: ui.column
     pages: ui.sub_pages | None = None
+    screen: str = ""
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
     _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
 
@@ -233,6 +236,7 @@ def page(session: StudioSession) -> None:
     def shown(screen: Screen) -> Callable[[], object]:
         def build() -> object:
             frame_.reset()
+            frame_.screen = screen.name
             ui.run_javascript(HERE % screen.name)
             if session.config is not None:
                 return screen.build(session)
@@ -284,9 +288,10 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
     @ui.refreshable
     def entries() -> None:
         for screen in SCREENS:
+            here = "rt-here" if frame().screen == screen.name else ""
             with (
                 ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
-                .classes(f"rt-screen rt-tour-screen-{screen.name} w-full rounded-borders")
+                .classes(f"rt-screen {here} rt-tour-screen-{screen.name} w-full rounded-borders")
                 .props(f"dense clickable data-screen={screen.name}")
                 .mark(f"screen-{screen.name}")
             ):

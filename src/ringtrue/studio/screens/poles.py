@@ -116,7 +116,7 @@ class _PolesScreen:
                 value=self.record,
                 on_change=lambda e: session.select(record=e.value, frequency=None, order=None),
             ).props("dense no-caps unelevated toggle-color=primary").mark("record")
-            ui.label("Click a pole to pick it, a mode to see its evidence.").classes(
+            ui.label("Click a pole to pick it, a mode for its evidence.").classes(
                 "text-sm opacity-70 ellipsis"
             )
             ui.space()

@@ -131,8 +131,8 @@ class _UpdateScreen:
         words = f"{parameter.lower:g} to {parameter.upper:g}"
         if name in (known := self._intervals()):
             low_end, high_end = known[name]
-            words += f"; updated: {low_end:.4f} to {high_end:.4f}"
-        ui.label(words).classes("text-xs opacity-60 rt-value pl-[124px] -mt-2")
+            words += f"; interval {low_end:.4f} to {high_end:.4f}"
+        ui.label(words).classes("text-xs opacity-60 rt-value w-full text-right -mt-2")
         self.sliders[name] = (slider, value)
 
     def try_factor(self, name: str, factor: float) -> None:
