@@ -23,7 +23,7 @@ PAGES = {
     p.name: p.read_text(encoding="utf-8")
     for p in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
 }
-CHOICE = re.compile(r"^\[\[(pick|reject|merge)\]\]", re.MULTILINE)
+CHOICE = re.compile(r"^\[\[(pick|reject|merge|hit)\]\]", re.MULTILINE)
 BASE = {
     "study": '[study]\ntitle = "T"\n',
     "model": '[model]\ndeck = "d.bdf"\n',
@@ -67,7 +67,8 @@ def test_each_screen_of_the_studio_has_its_paragraph_and_pictures() -> None:
 def test_sections_of_a_study_are_taken(page: str, block: str, tmp_path: Path) -> None:
     if CHOICE.search(block):
         (tmp_path / "choice.toml").write_text(block)
-        assert read_choice(tmp_path / "choice.toml").picks
+        choice = read_choice(tmp_path / "choice.toml")
+        assert choice.picks or choice.hits
         return
     given = tomllib.loads(block)
     more = "".join(text for name, text in BASE.items() if name not in given)
