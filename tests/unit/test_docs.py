@@ -49,6 +49,20 @@ def blocks(kind: str) -> list[tuple[str, str]]:
     return out
 
 
+def test_each_screen_of_the_studio_has_its_paragraph_and_pictures() -> None:
+    pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
+    from ringtrue.studio.screens import SCREENS
+
+    text = PAGES["studio.md"]
+    named = re.findall(r"^### (.*)$", text, re.MULTILINE)
+    assert named == [s.title for s in SCREENS]
+    for screen in SCREENS:
+        for theme in ("light", "dark"):
+            picture = ROOT / "docs" / "studio" / f"{screen.name}-{theme}.png"
+            assert f'"studio/{picture.name}"' in text
+            assert picture.stat().st_size <= 120_000
+
+
 @pytest.mark.parametrize(("page", "block"), blocks("toml"))
 def test_sections_of_a_study_are_taken(page: str, block: str, tmp_path: Path) -> None:
     if CHOICE.search(block):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from nicegui.testing import User
 from simulated import on, opened
 
 import ringtrue as rt
+from ringtrue.demos import frame
+from ringtrue.errors import DataError
 from ringtrue.io.choices import read_choice
 
 
@@ -67,6 +70,52 @@ def test_a_mode_is_rejected_with_a_reason(ran: Path, tmp_path: Path) -> None:
     assert reject.frequency == float(found.modes.frequencies[2])
 
 
+def test_two_modes_are_merged_with_a_reason(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+    there = rt.open_study(ran).stage("identify").hammer.diagram.modes.frequencies
+    near = float(there[np.argsort(np.abs(there - there[2]))[1]])
+
+    async def scenario(user: User) -> None:
+        user.find(marker="diagram").trigger(
+            "plotly_click", {"points": [{"x": 1.7, "y": 40.1, "customdata": 2}]}
+        )
+        await user.should_see(marker="merge")
+        (select,) = user.find(marker="merge").elements
+        assert isinstance(select, ui.select)
+        assert next(iter(select.options)) == near
+        select.value = near
+        user.find(marker="reason").type("one mode, split by the stabilisation")
+        user.find(marker="write").click()
+        await user.should_see(marker="unmerge")
+        (merge,) = read_choice(session.path.with_name("choice.toml")).merges
+        assert merge.frequencies == tuple(sorted((near, float(there[2]))))
+        assert merge.reason == "one mode, split by the stabilisation"
+        user.find(marker="unmerge").click()
+
+    on("poles", session, scenario)
+    assert not read_choice(session.path.with_name("choice.toml")).merges
+
+
+def test_the_difference_of_shapes_names_the_worst_channel(ran: Path, tmp_path: Path) -> None:
+    session = opened(ran, tmp_path)
+    stage = rt.open_study(ran).stage("correlate")
+    test, fe = stage.reference.elastic, stage.fe_initial
+    at = [fe.channels.index(c) for c in test.channels]
+    a, b = test.shapes[:, 0], fe.shapes[at, 0]
+    scale = np.linalg.lstsq(a[:, None], b.astype(a.dtype), rcond=None)[0]
+    off = np.abs(a * scale - b) / np.abs(b).max()
+
+    async def scenario(user: User) -> None:
+        session.select(pair=(0, 0))
+        (toggle,) = user.find(marker="arrangement").elements
+        assert isinstance(toggle, ui.toggle)
+        toggle.value = "difference"
+        worst = f"worst channel {test.channels[int(off.argmax())]}, {100 * off.max():.1f} %"
+        await user.should_see(worst)
+
+    on("correlation", session, scenario)
+
+
 def test_a_pair_is_locked_in_the_matrix(ran: Path, tmp_path: Path) -> None:
     session = opened(ran, tmp_path)
     table = rt.open_study(ran).pairs("initial")
@@ -91,7 +140,10 @@ def test_a_pair_is_locked_in_the_matrix(ran: Path, tmp_path: Path) -> None:
 
 def test_a_factor_that_is_tried_moves_the_modes(ran: Path, tmp_path: Path) -> None:
     session = opened(ran, tmp_path)
-    tried = rt.trial_model(ran / "study.toml").at({"columns 1": 0.8}).pairs
+    model = rt.trial_model(ran / "study.toml")
+    tried = model.at({"columns 1": 0.8}).pairs
+    objective = model.objective({"columns 1": 0.8})
+    frf = model.frf({"columns 1": 0.8}, "303+X", "303+X")
 
     async def scenario(user: User) -> None:
         await user.should_see(marker="factor-columns 1", retries=100)
@@ -100,6 +152,14 @@ def test_a_factor_that_is_tried_moves_the_modes(ran: Path, tmp_path: Path) -> No
         assert isinstance(modes, ui.table)
         shown = [row["df"] for row in modes.rows]
         assert shown == [f"{x:+.2f}" for x in tried.deviation_percent]
+        await user.should_see(f"{objective:.4g}")
+        (plot,) = user.find(marker="trial-frf").elements
+        assert isinstance(plot, ui.plotly)
+        curve = next(d for d in plot.figure["data"] if d["name"] == "trial")
+        drawn = np.frombuffer(base64.b64decode(curve["y"]["bdata"]), dtype=np.float32)
+        np.testing.assert_allclose(drawn, np.abs(frf.data[:, 0, 0]), rtol=1e-6)
+        user.find(marker="modes").trigger("rowClick", [{}, {"id": 3}, 2])
+        await user.should_see("Test mode 3")
         session.select(region="columns 1")
         user.find(marker="bound-lower").trigger("change", "0.6")
 
@@ -121,6 +181,22 @@ def test_trials_agree_with_full_solutions(ran: Path) -> None:
         model.at({"column 1": 1.0})
     with pytest.raises(rt.InputError, match=r"allowed are 0\.5 to 2"):
         model.at({"columns 1": 3.0})
+
+
+def test_trials_have_the_objective_shapes_and_frfs(ran: Path) -> None:
+    study = rt.open_study(ran)
+    model = rt.trial_model(ran / "study.toml")
+    truth = {f"columns {k}": factor for k, factor in frame.TRUTH.items()}
+    assert model.objective(truth) < 0.1 * model.objective({})
+    stored = study.stage("model").modes.shapes[:, 2]
+    shape = model.shape({}, 2).shapes[:, 0]
+    np.testing.assert_allclose(shape * np.sign(shape @ stored), stored, atol=1e-6)
+    whole, one = study.model_frfs("initial"), model.frf({}, "103+Y", "303+X")
+    at = [c.id for c in whole.outputs].index("103+Y"), [c.id for c in whole.inputs].index("303+X")
+    # the deck's static responses are in the basis
+    np.testing.assert_allclose(one.data[:, 0, 0], whole.data[:, *at], rtol=1e-3)
+    with pytest.raises(DataError, match=r"no FRF 1\+X / 303\+X at channels of the sheet"):
+        model.frf({}, "1+X", "303+X")
 
 
 def test_names_and_reasons_are_written(ran: Path, tmp_path: Path) -> None:

@@ -119,3 +119,18 @@ def test_a_run_that_fails_says_why(
     monkeypatch.setattr(worker, "signal", lambda *_: None)
     assert worker.main(str(tmp_path / "study.toml")) == worker.FAILED
     assert "tower.bdf" in capsys.readouterr().err
+
+
+def test_the_tour_points_at_screens_and_can_be_closed(tmp_path: Path) -> None:
+    session = written(tmp_path)
+
+    async def scenario(user: User) -> None:
+        await user.should_not_see(marker="tour")
+        user.find(marker="tour-begin").click()
+        await user.should_see("The screens follow a study")
+        user.find(marker="tour-next").click()
+        await user.should_see("Poles: click a pole")
+        user.find(marker="tour-close").click()
+        await user.should_not_see(marker="tour")
+
+    visit(session, scenario)

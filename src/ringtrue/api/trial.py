@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.display import Displayed
+from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.table import CorrelationTable
+from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.response import flexibility, with_responses
 from ringtrue.study.config import read_config
+from ringtrue.study.evidence import like_measured
+from ringtrue.study.model_frfs import damping_of, measured_frfs
+from ringtrue.study.objective import problem_of
 from ringtrue.study.opened import AtChannels
 from ringtrue.study.reference import elastic_table
-from ringtrue.study.results import CorrelateStage
+from ringtrue.study.results import CorrelateStage, ModelStage
+from ringtrue.study.scene import translations
 from ringtrue.study.session import Session
 from ringtrue.study.store import Store
+from ringtrue.updating.problem import Problem
 
 STORE = "study.h5"
 
@@ -48,7 +60,6 @@ class Trial(Displayed):
     pairs: CorrelationTable
 
 
-@dataclass(frozen=True, eq=False)
 class TrialModel:
     """The reduced model of a study over its candidates: a trial takes milliseconds.
 
@@ -58,9 +69,11 @@ class TrialModel:
         The candidates.
     """
 
-    parameters: ParameterSet
-    _session: Session
-    _model: AtChannels
+    def __init__(self, session: Session, model: AtChannels) -> None:
+        self.parameters: ParameterSet = session.parameters
+        self._session = session
+        self._model = model
+        self._last: tuple[bytes, tuple[Float, Float]] | None = None
 
     def at(self, factors: Mapping[str, float]) -> Trial:
         """The model at factors by the names of candidates; the others have 1.
@@ -71,7 +84,9 @@ class TrialModel:
             If there is no such candidate, or a factor is outside of its bounds.
         """
         x = self._point(factors)
-        return self._trial(self._model.modes(x))
+        lam, y = self._coordinates(x)
+        seen = self._model.model.basis.observe[self._model.rows] @ y
+        return self._trial(Linearisation.of_modes(x, frequencies(lam), seen))
 
     def full(self, factors: Mapping[str, float]) -> Trial:
         """The same by a full solution, which takes as long as the modes of the deck."""
@@ -81,6 +96,90 @@ class TrialModel:
     def error(self, factors: Mapping[str, float]) -> float:
         """An estimate of the largest relative frequency error of `at`."""
         return self._model.model.error(self._point(factors))
+
+    def objective(self, factors: Mapping[str, float]) -> float:
+        """J: the objective of the updating over all candidates, with the settings of [update]."""
+        return self._problem.cost(self._point(factors))
+
+    def shape(self, factors: Mapping[str, float], mode: int) -> ModeSet:
+        """One mode, from 0, at the translations of the nodes that are drawn, X Y Z node by node."""
+        lam, y = self._coordinates(self._point(factors))
+        if not 0 <= mode < lam.size:
+            raise ConfigError(f"mode {mode}: allowed are 0 to {lam.size - 1}")
+        free = self._model.model.basis.vectors @ y[:, mode]
+        at, labels = self._drawn
+        return ModeSet(
+            frequencies=frequencies(lam[[mode]]),
+            damping=np.zeros(1),
+            shapes=np.asarray(at @ free)[:, None],
+            labels=labels,
+            norm=Norm.MASS,
+            source="reduced model",
+        )
+
+    def frf(self, factors: Mapping[str, float], output: str, input_: str) -> FrfSet:
+        """One FRF at the lines of those measured: the modes with the damping of the test modes that
+        they pair with, and the flexibility of the modes above.
+
+        Raises
+        ------
+        DataError
+            If the test has no such FRF at channels of its sheet.
+        """
+        measured = self._measured(output, input_)
+        model = self._responding
+        x = self._point(factors)
+        lam, y = model.coordinates(x)
+        rows = [self._session.own.rows([c]) for c in (output, input_)]
+        out, into = (model.basis.observe[r] @ y for r in rows)
+        rest = flexibility(model, x, *rows) - (out / (lam - model.shift)) @ into.T
+        stored: CorrelateStage = self._session.get("correlate")
+        trial = self.at(factors)
+        pairings = trial.pairs.pairing, stored.rigid_initial.pairing
+        damping, _ = damping_of(trial.modes, *pairings, stored.reference)
+        modes = replace(trial.modes, damping=damping)
+        return like_measured(measured, modes, (out, into), rest, self._session.unit)
+
+    @cached_property
+    def _drawn(self) -> tuple[sparse.csr_array, DofSet]:
+        """The translations of the nodes that are drawn by the free DOFs, and their labels."""
+        analysis = self._session.own.deck.analysis
+        stage: ModelStage = self._session.get("model")
+        labels = translations(stage.scene)
+        at, sign = analysis.dofs.align(labels)
+        rows = sparse.csr_array(analysis.system.transform)[at]
+        return sparse.csr_array(rows.multiply(sign[:, None])), labels
+
+    @cached_property
+    def _responding(self) -> ReducedModel:
+        """The reduced model with the static responses to what was excited in its basis."""
+        own = self._session.own
+        measured = measured_frfs(own)
+        inputs = own.rows([c.id for c in measured.inputs] if measured is not None else [])
+        nominal = np.zeros(len(self.parameters))
+        return with_responses(self._model.model, inputs, nominal)[0]
+
+    @cached_property
+    def _problem(self) -> Problem:
+        """What the updating minimises, over all candidates."""
+        return problem_of(self._session, self._session.models(quiet))
+
+    def _measured(self, output: str, input_: str) -> FrfSet:
+        """One of the FRFs of the test."""
+        every = measured_frfs(self._session.own)
+        outputs = [c.id for c in every.outputs] if every is not None else []
+        inputs = [c.id for c in every.inputs] if every is not None else []
+        if every is None or output not in outputs or input_ not in inputs:
+            raise DataError(f"no FRF {output} / {input_} at channels of the sheet was measured")
+        at = np.array([outputs.index(output)]), np.array([inputs.index(input_)])
+        return every.part(np.arange(every.freqs.size), *at)
+
+    def _coordinates(self, x: Float) -> tuple[Float, Float]:
+        """λ and the modes in the basis at x; those of the last x are known."""
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._model.model.coordinates(x)
+        return self._last[1]
 
     def _point(self, factors: Mapping[str, float]) -> Float:
         names = self.parameters.names
@@ -134,4 +233,4 @@ def trial_model(study: str | Path, *, progress: Progress = quiet) -> TrialModel:
         raise DataError(f"{session.store.path}: no correlation in it: run the study as far")
     if not len(session.parameters):
         raise ConfigError(f"{path}: no [[candidate]] whose factor could be tried")
-    return TrialModel(session.parameters, session, session.own.model(progress))
+    return TrialModel(session, session.own.model(progress))

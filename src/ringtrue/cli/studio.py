@@ -56,5 +56,7 @@ def studio(
         out.print(f"ringtrue studio: {address}")
         err.print("Ctrl-C ends it; what was changed is in the files of the study.")
 
-    serve(opened(what), port=port, browser=browser, say=say)
+    session = opened(what)
+    session.example = demo
+    serve(session, port=port, browser=browser, say=say)
     return 0

@@ -18,7 +18,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.assignment import ComparedModes, PairingSettings, scores
 from ringtrue.correlation.one_criterion import scores_among
 from ringtrue.correlation.pairing import Pairing
-from ringtrue.errors import InputError
+from ringtrue.errors import DataError, InputError
 from ringtrue.shapes import rotation, unit
 
 
@@ -236,3 +236,52 @@ def eliminate(a: Any_, b: Any_) -> Elimination:
         order.append(i)
         history.append(without[k].copy())
     return Elimination(np.array(order, dtype=np.int64), np.array(history))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeDifference(FrozenArrays):
+    """A test shape less an FE shape at the channels that both have.
+
+    Attributes
+    ----------
+    modes : ModeSet
+        One, complex: the test shape in the scale and phase of the FE shape by least squares, less
+        the FE shape; in shares of its largest component there.
+    worst : str
+        The channel where it is largest.
+    largest, rms : float
+        Of its magnitudes.
+    """
+
+    modes: ModeSet
+    worst: str
+    largest: float
+    rms: float
+
+
+def shape_difference(test: ModeSet, k: int, fe: ModeSet, j: int) -> ShapeDifference:
+    """The difference of test mode `k` and FE mode `j`, from 0.
+
+    Raises
+    ------
+    DataError
+        If they have no channel together, or one is at rest there.
+    """
+    at = {c: i for i, c in enumerate(fe.channels)}
+    channels = tuple(c for c in test.channels if c in at)
+    here = {c: i for i, c in enumerate(test.channels)}
+    a = test.shapes[[here[c] for c in channels], k]
+    b = fe.shapes[[at[c] for c in channels], j]
+    if not (np.any(a) and np.any(b)):
+        raise DataError(f"test mode {k + 1} and FE mode {j + 1}: no channel at which both move")
+    scale = np.vdot(a, b) / np.vdot(a, a).real
+    difference = (scale * a - b) / np.abs(b).max()
+    size = np.abs(difference)
+    modes = ModeSet(
+        frequencies=test.frequencies[[k]],
+        damping=test.damping[[k]],
+        shapes=difference[:, None].astype(np.complex128),
+        labels=channels,
+    )
+    rms = float(np.sqrt(np.mean(size**2)))
+    return ShapeDifference(modes, channels[int(size.argmax())], float(size.max()), rms)

@@ -31,6 +31,7 @@ LOOKS = {
     "test": {"color": TEST, "width": 1.4},
     "fit of the test": {"color": FIT, "width": 1.4, "dash": "dash"},
     "final model": {"color": FINAL, "width": 1.6},
+    "trial": {"color": FINAL, "width": 1.6},
 }
 MODE = {"color": "#8b97a3", "width": 0.8, "dash": "dot"}
 SELECTED = {"color": QUALITATIVE[4], "width": 2}

@@ -12,6 +12,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.paired_shapes import ShapeDifference, shape_difference
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.opened import PairedShapes
@@ -130,6 +131,14 @@ def at_test_points(test: TestModel, shown: Shown) -> Complex:
     """(point, 3) displacements of the test shape of what is shown, on the model's shape."""
     assert shown.test is not None
     return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
+
+
+def difference_at_points(
+    test: TestModel, shape: tuple[ModeSet, int], seen: tuple[ModeSet, int]
+) -> tuple[ShapeDifference, Complex]:
+    """The difference of a test mode and an FE mode, from 0, and as (point, 3) displacements."""
+    found = shape_difference(*shape, *seen)
+    return found, np.asarray(_at_points(test, found.modes, found.modes.shapes[:, 0]))
 
 
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:

@@ -74,6 +74,16 @@ def with_responses(
     return model.with_basis(project(model.system, vectors, model.basis)), error
 
 
+def flexibility(model: ReducedModel, x: Float, outputs: Int, inputs: Int) -> Float:
+    """Deflections of outputs (o,) under unit loads at inputs (i,), positions of channels, in the
+    basis at x (p,): those of K − σM with the shift of the model, (o, i).
+    """
+    k, m = model.projected(model.system.parameters.factors(model.full_vector(x)))
+    seen = model.basis.observe
+    moved = linalg.solve(k - model.shift * m, seen[inputs].T, assume_a="pos")
+    return np.asarray(seen[outputs] @ moved)
+
+
 def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Float]:
     """λ (r,) and vectors (f, r) of unit modal mass: the modes at x (p,) and, as modes of the space
     that they span together, the static responses to unit loads at channels that are in the basis.

@@ -73,6 +73,8 @@ class StudioSession:
     work : Work
     selection : Selection
     dark : bool
+    example : bool
+        The worked example: a tour begins by itself.
     config : StudyConfig or None
         None where there is no study.toml, or it is wrong.
     problem : str
@@ -90,6 +92,7 @@ class StudioSession:
         self.documents = Documents(study)
         self.selection = Selection()
         self.dark = False
+        self.example = False
         self.config: StudyConfig | None = None
         self.problem = ""
         self.study: Study | None = None

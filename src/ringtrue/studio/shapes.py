@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import ui
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.plots.scene import Shown, at_nodes, at_test_points
+from ringtrue.plots.scene import Shown, at_nodes, at_test_points, difference_at_points
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame
 from ringtrue.studio.viewer_element import Viewer
 from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, ModelStage, Scene
 from ringtrue.viewer.scene import model_arrays, test_arrays
+
+if TYPE_CHECKING:
+    from ringtrue.correlation.paired_shapes import ShapeDifference
 
 SHAPE = "shown"  # the one shape that a view keeps
 
@@ -75,6 +79,38 @@ class ShapeView:
             return
         fe = (skin, k) if skin is not None and k < len(skin) else None
         self._show(Shown(state, "", "", fe=fe, test=(test, t), seen=(seen, k)))
+
+    def difference(self, state: str, pair: tuple[int, int]) -> ShapeDifference | None:
+        """Show the points of the test moved by what a test mode and an FE mode differ in, over the
+        model at rest.
+        """
+        stage: CorrelateStage | None = self.session.stage("correlate")
+        if stage is None or self.test is None:
+            return None
+        seen, _ = fe_modes(self.session, stage, state)
+        test = stage.reference.elastic
+        t, k = pair
+        if t >= len(test) or k >= len(seen):
+            return None
+        found, points = difference_at_points(self.test, (test, t), (seen, k))
+        self.viewer.shapes(SHAPE, points.real, points.imag, on="test")
+        self.viewer.show(color="group", mode=None, test=SHAPE)
+        return found
+
+    def tried(self, skin: ModeSet, seen: tuple[ModeSet, int], test: tuple[ModeSet, int]) -> None:
+        """Show a mode that is tried, `skin` on the drawing and `seen` at the channels, in the phase
+        of a test mode: it keeps its sign while a factor moves.
+        """
+        modes, k = seen
+        here = {c: i for i, c in enumerate(modes.channels)}
+        other, t = test
+        both = [(here[c], i) for i, c in enumerate(other.channels) if c in here]
+        rows = np.array(both, dtype=np.int64).reshape(-1, 2)
+        overlap = np.vdot(other.shapes[rows[:, 1], t].real, modes.shapes[rows[:, 0], k])
+        turn = -1.0 if overlap < 0 else 1.0
+        fe = replace(skin, shapes=turn * skin.shapes)
+        at = replace(modes, shapes=turn * modes.shapes)
+        self._show(Shown("", "", "", fe=(fe, 0), test=test, seen=(at, k)))
 
     def _show(self, shown: Shown) -> None:
         state: dict[str, Any] = {"mode": None}

@@ -18,6 +18,7 @@ from ringtrue.errors import RingtrueError
 from ringtrue.studio import theme
 from ringtrue.studio.screens import BEGIN, SCREENS, Screen
 from ringtrue.studio.session import StudioSession
+from ringtrue.studio.tour import Tour
 
 log = logging.getLogger(__name__)
 LOOK_S = 1.0  # between two looks at the files
@@ -37,6 +38,8 @@ KEY_WORDS = (
     "n or →: next; p or ←: previous; a or Enter: accept; r or Delete: reject; blank: play; "
     "Ctrl-Z: undo; Ctrl-Y: redo"
 )
+HERE = """document.querySelectorAll('.rt-screen').forEach(
+  (e) => e.classList.toggle('rt-here', e.dataset.screen === '%s'))"""
 STANDING = {  # of a stage: icon and colour
     "done": ("check_circle", "positive"),
     "stale": ("update", "warning"),
@@ -56,12 +59,15 @@ class Frame:
         The column on the right; cleared when the screen changes.
     pages : element
         What holds the screen; None while the first one is built.
+    screen : str
+        The one that is shown.
     keys : dict
         What `next`, `previous`, `accept`, `reject` and `play` do.
     """
 
     inspector: ui.column
     pages: ui.sub_pages | None = None
+    screen: str = ""
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
     _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
 
@@ -215,13 +221,14 @@ def page(session: StudioSession) -> None:
     dark = ui.dark_mode(session.dark)
     session.on_theme.subscribe(lambda: dark.set_value(session.dark))
     session.on_documents.subscribe(lambda words: ui.notify(words, timeout=2500))
-    _header(session)
+    tour = Tour(session)
+    _header(session, tour)
     with (
         ui.left_drawer(value=True, bordered=True)
         .props("width=216 breakpoint=0")
         .classes("rt-rail p-2 gap-1")
     ):
-        rail = ui.column().classes("w-full gap-1")
+        rail = ui.column().classes("rt-tour-rail w-full gap-1")
     with ui.right_drawer(value=True, bordered=True).props("width=320 breakpoint=0").classes("p-3"):
         column = ui.column().classes("w-full gap-1")
     frame_ = _FRAMES[ui.context.client] = Frame(column)
@@ -231,6 +238,8 @@ def page(session: StudioSession) -> None:
     def shown(screen: Screen) -> Callable[[], object]:
         def build() -> object:
             frame_.reset()
+            frame_.screen = screen.name
+            ui.run_javascript(HERE % screen.name)
             if session.config is not None:
                 return screen.build(session)
             frame_.follow(frame_.rebuild, session.on_documents)
@@ -243,9 +252,10 @@ def page(session: StudioSession) -> None:
 
     routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
     frame_.pages = ui.sub_pages(routes).classes("w-full")
+    ui.timer(0.5, tour.first_time, once=True)
 
 
-def _header(session: StudioSession) -> None:
+def _header(session: StudioSession, tour: Tour) -> None:
     with ui.header(bordered=True).classes("items-center py-0 px-3 gap-2 h-12 bg-primary"):
         ui.label("ringtrue").classes("text-base font-semibold")
         title = ui.label().classes("text-sm opacity-80 ellipsis")
@@ -266,7 +276,8 @@ def _header(session: StudioSession) -> None:
         )
         ui.button(icon="history", on_click=lambda: _history(session)).props(bar).tooltip(
             "What was changed"
-        ).mark("history")
+        ).classes("rt-tour-history").mark("history")
+        ui.button(icon="tour", on_click=tour.begin).props(bar).tooltip("Tour").mark("tour-begin")
         ui.button(icon="dark_mode", on_click=lambda: session.set_dark(not session.dark)).props(
             bar
         ).tooltip("Dark or light").mark("theme")
@@ -279,10 +290,11 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
     @ui.refreshable
     def entries() -> None:
         for screen in SCREENS:
+            here = "rt-here" if frame().screen == screen.name else ""
             with (
                 ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
-                .classes("w-full rounded-borders")
-                .props("dense clickable")
+                .classes(f"rt-screen {here} rt-tour-screen-{screen.name} w-full rounded-borders")
+                .props(f"dense clickable data-screen={screen.name}")
                 .mark(f"screen-{screen.name}")
             ):
                 with ui.item_section().props("avatar").classes("min-w-0 pr-2"):
@@ -314,7 +326,7 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
         with ui.row().classes("items-center no-wrap gap-1"):
             ui.button(
                 "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
-            ).props("dense flat no-caps no-wrap").mark("run").set_enabled(
+            ).props("dense flat no-caps no-wrap").classes("rt-tour-run").mark("run").set_enabled(
                 session.config is not None
             )
             copy_command(session.work.command())

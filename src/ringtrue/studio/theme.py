@@ -28,6 +28,12 @@ body { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-se
 .rt-head { font-size: 11px; letter-spacing: .06em; text-transform: uppercase; opacity: .65 }
 .rt-value { font-variant-numeric: tabular-nums }
 .q-table td, .q-table th { font-variant-numeric: tabular-nums }
+.q-btn--dense.q-btn--rectangle { padding: .285em .7em }
+.rt-rail .q-btn--dense.q-btn--rectangle { padding: .285em }
+.rt-tour { position: fixed; z-index: 6000; left: 240px; top: 64px; padding: 12px;
+  border: 1px solid #d55e00 }
+.rt-pointed { outline: 2px solid #d55e00; outline-offset: 2px; border-radius: 4px }
+.body--light .rt-here { background: #dde6ee } .body--dark .rt-here { background: #263340 }
 .q-table--dense .q-table td, .q-table--dense .q-table th { padding: 2px 8px }
 .modebar-btn .icon { height: 1em !important; width: 1em !important }
 .body--light .rt-rail { background: #f4f6f8 }

@@ -190,12 +190,38 @@ def synthesised(
     moved = pencil.at(shift).solve(load)
     whole = at_channels(model.opened, observation, outputs) @ moved
     rest = whole.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
+    return like_measured(measured, replace(fe, damping=model.damping), (out, into), rest, units)
+
+
+def like_measured(
+    measured: FrfSet,
+    modes: ModeSet,
+    seen: tuple[Float, Float],
+    rest: Float,
+    units: UnitSystem,
+) -> FrfSet:
+    """FRFs of modes and of the flexibility of those above, as measured ones are.
+
+    Parameters
+    ----------
+    measured : FrfSet
+    modes : ModeSet
+        Frequencies and damping ratios.
+    seen : ((out, m), (in, m)) float64
+        Mass-normalised shapes at the outputs and inputs.
+    rest : (out, in) float64
+        Flexibility, per unit force.
+    units : UnitSystem
+        Of the deck.
+    """
+    out, into = seen
+    w = 2 * np.pi * np.abs(modes.frequencies)
     # an exponential window on the responses of the test damps them: s = iω + σ
-    window = measured.window_decay / np.maximum(np.abs(w), 2 * np.pi * measured.freqs[0])
+    window = measured.window_decay / np.maximum(w, 2 * np.pi * measured.freqs[0])
     h: Complex = frf(
         measured.freqs,
-        fe.frequencies,
-        damping=model.damping + window,
+        modes.frequencies,
+        damping=modes.damping + window,
         phi_out=out,
         phi_in=into,
         kind=measured.kind,

@@ -93,13 +93,16 @@ def connected(scene: Scene, elements: Sequence[int]) -> Int:
     return np.unique(element[np.isin(part, wanted)])
 
 
+def translations(scene: Scene) -> DofSet:
+    """X Y Z of the nodes of a drawing, node by node."""
+    return DofSet(np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3]), scene.node.size))
+
+
 def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
     """The translations of the scene's nodes, rows ordered node by node, X Y Z; single precision is
     enough to draw.
     """
-    labels = DofSet(
-        np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3], dtype=np.int8), scene.node.size)
-    )
+    labels = translations(scene)
     assert isinstance(modes.labels, DofSet)
     at, sign = modes.labels.align(labels)
     shapes: Float = (

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ringtrue.correlation.table import CorrelationTable
 
 BOTH_TESTS = "ambient and hammer"
+DIFFERENCE = "difference"
 DECISIONS = ("lock", "forbid")
 
 
@@ -188,10 +189,11 @@ class _CorrelationScreen:
         """Both shapes of the selected cell, over each other or next to each other."""
         with ui.column().classes("w-2/5 gap-1").style("height:58vh"):
             ui.toggle(
-                ["overlaid", "side by side"],
+                ["overlaid", "side by side", DIFFERENCE],
                 value=self.arrangement,
                 on_change=lambda e: self._arrange(e.value),
             ).props("dense no-caps unelevated size=sm").mark("arrangement")
+            self.words = ui.label().classes("text-xs rt-value").mark("difference")
             self.views()
 
     def _toggle(self) -> None:
@@ -205,7 +207,7 @@ class _CorrelationScreen:
     @ui.refreshable_method
     def views(self) -> None:
         """The views, which stay while the selection changes."""
-        parts = ("both",) if self.arrangement == "overlaid" else ("test", "model")
+        parts = ("test", "model") if self.arrangement == "side by side" else ("both",)
         with ui.column().classes("w-full grow gap-1"):
             for part in parts:
                 with ui.element("div").classes("w-full grow min-h-0"):
@@ -215,9 +217,17 @@ class _CorrelationScreen:
 
     def _show_pair(self) -> None:
         pair = self.session.selection.pair
-        if pair is not None and self.state != BOTH_TESTS:
-            for view in self.shown:
+        self.words.text = ""
+        if pair is None or self.state == BOTH_TESTS:
+            return
+        for view in self.shown:
+            if self.arrangement != DIFFERENCE:
                 view.pair(self.state, pair)
+            elif (found := view.difference(self.state, pair)) is not None:
+                self.words.text = (
+                    f"Test less FE: worst channel {found.worst}, {100 * found.largest:.1f} %; rms "
+                    f"{100 * found.rms:.1f} % of the largest FE component. Drawn enlarged."
+                )
 
     @ui.refreshable_method
     def pairs(self) -> None:

@@ -148,7 +148,7 @@ class _FrfsScreen:
     def _figure(self) -> dict[str, Any]:
         curves = []
         for name, frfs in self.sets.items():
-            value = _of(frfs, self.output, self.input)
+            value = one_frf(frfs, self.output, self.input)
             if value is not None:
                 curves.append(figures.Curve(name, frfs.freqs, value))
         config = self.session.config
@@ -223,7 +223,7 @@ class _FrfsScreen:
         """What the measures say of the FRF that is shown."""
         with inspector():
             heading(f"{self.output} / {self.input}")
-            value = _of(self.test, self.output, self.input)
+            value = one_frf(self.test, self.output, self.input)
             if value is None:
                 return
             i = [c.id for c in self.test.outputs].index(self.output)
@@ -252,7 +252,7 @@ class _FrfsScreen:
                 fact("Band", f"{band[0]:.4g} to {band[1]:.4g} Hz")
 
 
-def _of(frfs: FrfSet, output: str, input_: str) -> Any:
+def one_frf(frfs: FrfSet, output: str, input_: str) -> Any:
     """One FRF, (f,); None where there is none."""
     outputs, inputs = ([c.id for c in side] for side in (frfs.outputs, frfs.inputs))
     if output not in outputs or input_ not in inputs:

@@ -116,7 +116,7 @@ class _PolesScreen:
                 value=self.record,
                 on_change=lambda e: session.select(record=e.value, frequency=None, order=None),
             ).props("dense no-caps unelevated toggle-color=primary").mark("record")
-            ui.label("Click a pole to pick it, a mode to see its evidence.").classes(
+            ui.label("Click a pole to pick it, a mode for its evidence.").classes(
                 "text-sm opacity-70 ellipsis"
             )
             ui.space()
@@ -202,6 +202,8 @@ class _PolesScreen:
         name = self.session.choice_name
         text = self.session.documents.text(name)
         whole = parse_choice(text, name) if text else Choice()
+        if kind == "merge":
+            return merge_of(whole, self.record, frequency)
         rows: tuple[Any, ...] = whole.picks if kind == "pick" else whole.rejects
         for k, row in enumerate(rows):
             near = abs(row.frequency / frequency - 1) < (1e-9 if order else SAME)
@@ -267,6 +269,40 @@ class _PolesScreen:
         entry = {"frequency": frequency, "reason": reason, "record": self.record}
         self.session.edit_choice(f"rejected {frequency:.5g} Hz", edits.add_entry("reject", entry))
 
+    def merge(self, frequency: float, other: float, reason: str) -> None:
+        """Say that two modes are one."""
+        low, high = sorted((frequency, other))
+        entry = {"frequencies": [low, high], "reason": reason, "record": self.record}
+        self.session.edit_choice(
+            f"merged {low:.5g} and {high:.5g} Hz", edits.add_entry("merge", entry)
+        )
+
+    def _merging(self, k: int) -> None:
+        """The mode that another one is merged with, nearest first; or the merge taken back."""
+        there = self.found.diagram.modes.frequencies
+        f = float(there[k])
+        if (number := self._entry("merge", f)) is not None:
+            ui.button(
+                "Take the merge back", icon="call_split", on_click=lambda: self._unmerge(number, f)
+            ).props("dense no-caps outline").mark("unmerge")
+            return
+        near = [int(j) for j in np.argsort(np.abs(there - f), kind="stable") if j != k]
+        if not near:
+            return
+
+        def ask(other: float) -> None:
+            title = f"Merge {f:.5g} and {other:.5g} Hz into one mode"
+            ask_reason(title, partial(self.merge, f, other))
+
+        ui.select(
+            {float(there[j]): f"{there[j]:.5g} Hz" for j in near},
+            label="Merge with",
+            on_change=lambda e: ask(float(e.value)),
+        ).props("dense options-dense outlined").classes("w-full").mark("merge")
+
+    def _unmerge(self, number: int, frequency: float) -> None:
+        self._remove("merge", number, frequency)
+
     @ui.refreshable_method
     def automatic(self) -> None:
         """What was found, with the classes."""
@@ -302,6 +338,8 @@ class _PolesScreen:
     def _decision(self, frequency: float) -> str:
         if self._entry("reject", frequency) is not None:
             return "rejected"
+        if self._entry("merge", frequency) is not None:
+            return "merged"
         return "confirmed" if self._entry("pick", frequency) is not None else ""
 
     @ui.refreshable_method
@@ -317,7 +355,12 @@ class _PolesScreen:
             for k, r in enumerate(choice.rejects)
         ]
         rows += [
-            {"id": f"m{k}", "what": "merge", "f": ", ".join(f"{f:.6g}" for f in m.frequencies)}
+            {
+                "id": f"m{k}",
+                "what": "merge",
+                "f": ", ".join(f"{f:.6g}" for f in m.frequencies),
+                "why": m.reason,
+            }
             for k, m in enumerate(choice.merges)
         ]
         with ui.column().classes("w-80 gap-0"):
@@ -351,6 +394,7 @@ class _PolesScreen:
                         icon="close",
                         on_click=self._ask_reject,
                     ).props("dense no-caps outline").mark("reject")
+                self._merging(k)
             elif selection.order and selection.frequency is not None:
                 pole = nearest_pole(self.found, selection.frequency, selection.order)
                 if pole is not None:
@@ -361,6 +405,15 @@ class _PolesScreen:
                     fact("Model order", str(pole.order))
             else:
                 ui.label("Select a mode or a pole.").classes("text-sm opacity-70")
+
+
+def merge_of(choice: Choice, record: str, frequency: float) -> int | None:
+    """Number of the merge of a choice that a mode of a record is in."""
+    for k, merge in enumerate(choice.merges):
+        near = min(abs(f / frequency - 1) for f in merge.frequencies)
+        if merge.record in (record, "") and near < SAME:
+            return k
+    return None
 
 
 def _pick_words(order: int) -> str:

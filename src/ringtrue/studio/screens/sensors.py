@@ -383,9 +383,7 @@ class _SensorsScreen:
             at = self.placed.points.tolist().index(point)
             fact("Nearest node", str(int(self.placed.node[at])))
             fact("Distance", f"{1e3 * self.placed.distance[at]:.4g} mm")
-        found = gain(self.session, {name: (name, -1.0)})
-        if found is not None:
-            ui.label(f"Reversed: {found}").classes("text-xs q-mt-xs").mark("flip-gain")
+        self._gain("Reversed", {name: (name, -1.0)}).mark("flip-gain")
         with ui.row().classes("gap-1 items-center"):
             _button("Flip", "swap_vert", self.flip)
             ui.label("turn about").classes("text-xs opacity-70")
@@ -403,10 +401,20 @@ class _SensorsScreen:
         ).props("dense options-dense outlined clearable").classes("w-full").mark("partner")
         if self.partner:
             swapped = {name: (self.partner, 1.0), self.partner: (name, 1.0)}
-            found = gain(self.session, swapped)
-            if found is not None:
-                ui.label(f"Exchanged: {found}").classes("text-xs").mark("swap-gain")
+            self._gain("Exchanged", swapped).mark("swap-gain")
             _button("Exchange", "swap_horiz", self.swap)
+
+    def _gain(self, what: str, reads: Mapping[str, tuple[str, float]]) -> ui.label:
+        """What reading some channels otherwise does to the pairs, filled in when it is computed."""
+        label = ui.label().classes("text-xs q-mt-xs")
+
+        async def fill() -> None:
+            found = await run.io_bound(gain, self.session, reads)
+            if found is not None and not label.is_deleted:
+                label.text = f"{what}: {found}"
+
+        ui.timer(0, fill, once=True)
+        return label
 
     def try_swap(self, partner: str) -> None:
         """See what an exchange would do."""

@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 from nicegui import ui
 
-from ringtrue.api.trial import Trial, TrialModel
+from ringtrue.api.trial import TrialModel
 from ringtrue.core.parameters import Parameter
 from ringtrue.errors import RingtrueError
-from ringtrue.plots.correlation import table_matrix
 from ringtrue.plots.updating import convergence, path
 from ringtrue.studio import edits, theme
+from ringtrue.studio.screens.tried import Tried
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
     diff_view,
@@ -46,8 +46,7 @@ class _UpdateScreen:
         self.session = session
         self.model: TrialModel | None = None
         self.factors: dict[str, float] = {}
-        self.modes: ui.table | None = None
-        self.matrix: ui.plotly | None = None
+        self.follows = Tried(session)
         self.sliders: dict[str, tuple[ui.slider, ui.label]] = {}
 
     def build(self) -> None:
@@ -58,8 +57,12 @@ class _UpdateScreen:
                 ui.space()
                 run_button(session, "final", "Update")
             with ui.row().classes("w-full no-wrap gap-3 items-start"):
-                self.tried = ui.column().classes("w-2/5 gap-1")
-                self.follows = ui.column().classes("grow min-w-0 gap-0")
+                with ui.column().classes("w-2/5 gap-1"):
+                    self.tried = ui.column().classes("w-full gap-1")
+                    self.follows.objective()
+                with ui.column().classes("grow min-w-0 gap-0"):
+                    self.follows.table()
+            self.follows.build()
             self.results()
         self.inspected()
         frame().follow(self._results_changed, session.on_results, session.on_theme)
@@ -108,10 +111,6 @@ class _UpdateScreen:
                     ui.button("Updated", on_click=partial(self.put, best)).props(
                         "dense flat no-caps"
                     ).tooltip("As the chosen set of the updating ends").mark("updated")
-        with self.follows:
-            self.follows.clear()
-            self.modes = table(MODES, []).mark("modes")
-            self.matrix = ui.plotly({}).classes("w-full").style("height:34vh")
 
     def _slider(self, parameter: Parameter) -> None:
         """A factor between its bounds, by its logarithm."""
@@ -132,8 +131,8 @@ class _UpdateScreen:
         words = f"{parameter.lower:g} to {parameter.upper:g}"
         if name in (known := self._intervals()):
             low_end, high_end = known[name]
-            words += f"; updated: {low_end:.4f} to {high_end:.4f}"
-        ui.label(words).classes("text-xs opacity-60 rt-value pl-[124px] -mt-2")
+            words += f"; interval {low_end:.4f} to {high_end:.4f}"
+        ui.label(words).classes("text-xs opacity-60 rt-value w-full text-right -mt-2")
         self.sliders[name] = (slider, value)
 
     def try_factor(self, name: str, factor: float) -> None:
@@ -154,12 +153,8 @@ class _UpdateScreen:
         self._draw()
 
     def _draw(self) -> None:
-        if self.model is None or self.modes is None or self.matrix is None:
-            return
-        trial = self.model.at(self.factors)
-        self.modes.rows = _mode_rows(trial)
-        spec = theme.drawn(table_matrix(trial.pairs), dark=self.session.dark, tools=False)
-        self.matrix.update_figure(spec)
+        if self.model is not None:
+            self.follows.show(self.model, self.factors)
 
     # --- what was run
 
@@ -276,13 +271,6 @@ class _UpdateScreen:
         self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
 
 
-MODES = {
-    "test": "test, Hz",
-    "fe": "FE, Hz",
-    "df": "Δf, %",
-    "mac": "MAC, %",
-    "subspace": "subspace MAC, %",
-}
 PARAMETERS = {
     "name": "parameter",
     "factor": "factor",
@@ -300,20 +288,6 @@ SETS = {
     "left": "left out, %",
     "criterion": "AICc",
 }
-
-
-def _mode_rows(trial: Trial) -> list[dict[str, object]]:
-    return [
-        {
-            "id": r.test,
-            "test": f"{r.test}: {r.test_hz:.4f}",
-            "fe": f"{r.fe}: {r.fe_hz:.4f}",
-            "df": f"{r.deviation_percent:+.2f}",
-            "mac": f"{r.mac_percent:.1f}",
-            "subspace": f"{r.subspace_mac_percent:.1f}",
-        }
-        for r in trial.pairs.rows()
-    ]
 
 
 def _set_rows(found: UpdateStage) -> list[dict[str, object]]:

@@ -110,7 +110,7 @@ class _VerdictScreen:
             stamp = path.stat().st_mtime_ns
             ui.element("iframe").props(f'src="{PAGE}?{stamp}" title="report"').classes(
                 "w-full rt-report"
-            ).style("height:64vh")
+            ).style("height:calc(100vh - 140px)")
         else:
             ui.label("There is no report yet.").classes("text-sm opacity-70")
 
