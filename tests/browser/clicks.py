@@ -101,6 +101,19 @@ def go(page: chromium.Page, title: str, name: str) -> None:
     raise AssertionError(f"{title} does not open")
 
 
+def write(page: chromium.Page, button: str, label: str, text: str) -> None:
+    """Open the dialog of a button, fill its input, write; once more where no dialog came because
+    the button was drawn anew under the pointer.
+    """
+    for _ in range(5):
+        press(page, button)
+        if page.until("!!document.querySelector('.q-dialog input')", 3.0):
+            break
+    fill(page, label, text)
+    press(page, "Write")
+    found(page, "!document.querySelector('.q-dialog')")
+
+
 def see(page: chromium.Page, text: str, seconds: float = PATIENCE) -> None:
     """Wait for a text, whatever its case."""
     there = f"document.body?.innerText?.toLowerCase().includes({json.dumps(text.lower())})"

@@ -32,6 +32,7 @@ from clicks import (
     surroundings,
     text_of,
     up_to_date,
+    write,
 )
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
@@ -109,9 +110,7 @@ def pair_locked(page: chromium.Page, folder: Path) -> None:
     up_to_date(page, "Correlation")
     cell = found(page, f"{POINT}('.js-plotly-plot', 'heatmap', [1, 1])")
     mouse(page, tuple(cell["at"]))
-    press(page, "Lock")
-    fill(page, "Reason", "seen on site")
-    press(page, "Write")
+    write(page, "Lock", "Reason", "seen on site")
     see(page, "Locked")
     assert study(folder).correlate.lock == ["2:2"]
     assert "seen on site" in (folder / "study.toml").read_text()
@@ -126,9 +125,7 @@ def two_regions(page: chromium.Page, folder: Path) -> None:
     for name, element in COLUMNS.items():
         mouse(page, tuple(found(page, f"{MEMBER}({element})?.at")))
         see(page, str(element))
-        press(page, "Candidate region")
-        fill(page, "Name", name)
-        press(page, "Write")
+        write(page, "Candidate region", "Name", name)
         found(page, f"{FIND}({json.dumps(name)})")
     chosen = {c.name: c.targets for c in study(folder).candidate}
     assert chosen == {"first storey": ["MAT1 1 E"], "second storey": ["MAT1 2 E"]}
