@@ -63,7 +63,7 @@ class ChangeSettings:
     supports: tuple[float, ...] = (0.02, 0.1, 0.3, 0.8, 2.0, 4.0)
     springs: tuple[float, ...] = (-2.0, -1.0, -0.4, 0.4, 1.0, 2.0)
     reaction: float = 1e-6
-    largest: int = 200_000
+    largest: int = 10_000
     near: float = 0.1
     stay: float = 0.05
     local: float = 0.95
