@@ -166,9 +166,8 @@ def test_mystran_updates_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     toml = asked(small_study.FULL, "mystran").replace("[update]", "[update]\niterations = 8")
     study = small_study.write_study(tmp_path, toml, ambient=False)
     (tmp_path / "deck/frame.bdf").write_text(bars(small_study.deck()))
-    monkeypatch.setattr(
-        small_study, "EmbeddedSolver", MystranSolver
-    )  # of the structure that is measured
+    # of the structure that is measured
+    monkeypatch.setattr("ringtrue.demos.frame.EmbeddedSolver", MystranSolver)
     small_study.write_data(
         tmp_path / "data", ambient=False, truth=bars(small_study.deck(small_study.TRUTH))
     )
