@@ -56,9 +56,9 @@ DAMPING_HIGH = 1.7
 OFF_MOST = 20.0  # %, off the diagonal: what a study allows a mass that judges its tests
 
 
-@dataclass(frozen=True, slots=True)
-class Seed:
-    """One run.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delivered:
+    """What a run of an example came to.
 
     Attributes
     ----------
@@ -66,15 +66,6 @@ class Seed:
         Pairs of the first correlation and their mean |Δf|.
     pairs, mean, largest, mac : int, %, %, %
         Of the delivered deck: pairs, mean and largest |Δf|, mean MAC (subspace MAC of close modes).
-    kept : bool
-        Whether all that the example says must hold does.
-    bands : (int, int)
-        Left-out frequencies that lie in their bands, and all.
-    damping : tuple of float
-        Errors over stated deviations of the modes below RIGID.
-    wrong : dict of str to bool
-        Regions that shift a mode that the proposal may see by over SHIFT, and whether it names
-        them.
     seconds : float
     """
 
@@ -84,11 +75,59 @@ class Seed:
     mean: float
     largest: float
     mac: float
+    seconds: float
+
+    @property
+    def before(self) -> Peer:
+        """The first correlation, beside that of the delivered deck."""
+        cost = {"% mean |Δf|": self.first_mean, "pairs": self.first_pairs}
+        return Peer("the deck as it was", cost)
+
+
+def delivered(summary: dict[str, Any]) -> dict[str, Any]:
+    """Fields of `Delivered` from a summary.json."""
+    first, last = (
+        np.array([abs(r["deviation_percent"]) for r in summary[k]]) for k in ("initial", "final")
+    )
+    return {
+        "first_pairs": first.size,
+        "first_mean": float(first.mean()),
+        "pairs": last.size,
+        "mean": float(last.mean()),
+        "largest": float(last.max()),
+        "mac": float(np.mean([r["subspace_mac_percent"] for r in summary["final"]])),
+        "seconds": float(sum(summary["timings_s"].values())),
+    }
+
+
+def ran(folder: Path, *options: str) -> tuple[bool, dict[str, Any]]:
+    """Run `ringtrue demo` with some options: whether all held that must, and its summary.json."""
+    command = [sys.executable, "-m", "ringtrue", "demo", *options, "--out", str(folder)]
+    kept = subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode == 0
+    return kept, json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seed(Delivered):
+    """One run.
+
+    Attributes
+    ----------
+    kept : bool
+        Whether all that the example says must hold does.
+    bands : (int, int)
+        Left-out frequencies that lie in their bands, and all.
+    damping : tuple of float
+        Errors over stated deviations of the modes below RIGID.
+    wrong : dict of str to bool
+        Regions that shift a mode that the proposal may see by over SHIFT, and whether it names
+        them.
+    """
+
     kept: bool
     bands: tuple[int, int]
     damping: tuple[float, ...]
     wrong: dict[str, bool]
-    seconds: float
 
 
 def damping(store: Store, seed: int) -> tuple[float, ...]:
@@ -126,27 +165,15 @@ def regions(store: Store, seed: int) -> dict[str, bool]:
 
 def run(seed: int, folder: Path) -> Seed:
     """The example, and what it came to."""
-    command = [sys.executable, "-m", "ringtrue", "demo", "--seed", str(seed), "--out", str(folder)]
-    kept = subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode == 0
-    s: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    first, last = (
-        np.array([abs(r["deviation_percent"]) for r in s[k]]) for k in ("initial", "final")
-    )
-    mac = np.mean([r["subspace_mac_percent"] for r in s["final"]])
+    kept, s = ran(folder, "--seed", str(seed))
     store = Store(folder / "study.h5")
     held, of = s["uncertainty"]["left_out_inside"]
     return Seed(
-        first_pairs=first.size,
-        first_mean=float(first.mean()),
-        pairs=last.size,
-        mean=float(last.mean()),
-        largest=float(last.max()),
-        mac=float(mac),
+        **delivered(s),
         kept=kept,
         bands=(held, of),
         damping=damping(store, seed),
         wrong=regions(store, seed),
-        seconds=float(sum(s["timings_s"].values())),
     )
 
 
@@ -221,11 +248,8 @@ def main() -> None:
         for seed in range(sized(options, 1, 2, 10)):
             got = run(seed, Path(folder) / str(seed))
             seeds.append(got)
-            before = Peer(
-                "the deck as it was", {"% mean |Δf|": got.first_mean, "pairs": got.first_pairs}
-            )
             cost = {"% mean |Δf|": got.mean, "pairs": got.pairs, "s by the clock": got.seconds}
-            report.row(f"worked example, seed {seed}", cost, bars(got), [before])
+            report.row(f"worked example, seed {seed}", cost, bars(got), [got.before])
         report.row(f"worked example, {len(seeds)} seeds together", {}, over_all(seeds))
         off = off_diagonal(Path(folder) / "0" / "study.h5")
         guyan = Peer("Guyan's mass", {"% off the diagonal": off["guyan"]})

@@ -12,55 +12,39 @@ every fault.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from outcome import Check, Peer, Report, arguments, at_least, at_most, sized
+from facility import LARGEST_MOST, MEAN_MOST, PAIRS_LEAST, Delivered, delivered, ran
+from outcome import Check, Report, arguments, at_least, at_most, sized
 
 from ringtrue.demos.lsf import hard
 from ringtrue.demos.lsf.example import campaign_plan
 from ringtrue.study.store import Store
 
-PAIRS_LEAST, MEAN_MOST, LARGEST_MOST = 18, 2.0, 6.0  # pairs, %, %
 NAMED_LEAST = 0.9  # of the seeds, in which every fault is named
 APART_LEAST, APART_MOST = 0.1, 0.6  # %, median |Δf| of ambient and hammer test: as published
 
 
-@dataclass(frozen=True, slots=True)
-class HardSeed:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HardSeed(Delivered):
     """One run.
 
     Attributes
     ----------
-    first_pairs, first_mean : int, %
-        Pairs of the first correlation and their mean |Δf|.
-    pairs, mean, largest, mac : int, %, %, %
-        Of the delivered deck: pairs, mean and largest |Δf|, mean subspace MAC.
     apart : %
         Median |Δf| of the modes of ambient and hammer test.
     macs : (%, %)
         Smallest and largest MAC of these.
     planted : dict of str to bool
         What was planted, and whether it is named.
-    seconds : float
     """
 
-    first_pairs: int
-    first_mean: float
-    pairs: int
-    mean: float
-    largest: float
-    mac: float
     apart: float
     macs: tuple[float, float]
     planted: dict[str, bool]
-    seconds: float
 
     @property
     def unnamed(self) -> list[str]:
@@ -70,26 +54,15 @@ class HardSeed:
 
 def run(seed: int, folder: Path) -> HardSeed:
     """The example, and what it came to."""
-    command = [sys.executable, "-m", "ringtrue", "demo", "--hard", "--seed", str(seed)]
-    subprocess.run([*command, "--out", str(folder)], check=False, stdout=subprocess.DEVNULL)
-    s: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    first, last, tests = (
-        np.array([abs(r["deviation_percent"]) for r in s[k]])
-        for k in ("initial", "final", "ambient_vs_hammer")
-    )
-    like = [r["mac_percent"] for r in s["ambient_vs_hammer"]]
+    _, s = ran(folder, "--hard", "--seed", str(seed))
+    tests = s["ambient_vs_hammer"]
+    like = [r["mac_percent"] for r in tests]
     plan = campaign_plan(Store(folder / "study.h5").load("plan"))
     return HardSeed(
-        first_pairs=first.size,
-        first_mean=float(first.mean()),
-        pairs=last.size,
-        mean=float(last.mean()),
-        largest=float(last.max()),
-        mac=float(np.mean([r["subspace_mac_percent"] for r in s["final"]])),
-        apart=float(np.median(tests)),
+        **delivered(s),
+        apart=float(np.median([abs(r["deviation_percent"]) for r in tests])),
         macs=(min(like), max(like)),
         planted=hard.named(s.get("findings", []), hard.plant(seed, plan)),
-        seconds=float(sum(s["timings_s"].values())),
     )
 
 
@@ -123,9 +96,6 @@ def main() -> None:
         ):
             got = run(seed, Path(folder) / str(seed))
             seeds.append(got)
-            before = Peer(
-                "the deck as it was", {"% mean |Δf|": got.first_mean, "pairs": got.first_pairs}
-            )
             cost = {
                 "% mean |Δf|": got.mean,
                 "pairs": got.pairs,
@@ -134,7 +104,7 @@ def main() -> None:
                 "of 7 named": len(got.planted) - len(got.unnamed),
                 "s by the clock": got.seconds,
             }
-            report.row(f"harder example, seed {seed}", cost, bars(got), [before])
+            report.row(f"harder example, seed {seed}", cost, bars(got), [got.before])
     report.row(f"harder example, {len(seeds)} seeds together", {}, all_named(seeds))
     report.end()
 

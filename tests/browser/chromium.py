@@ -70,6 +70,21 @@ class Page:
             self.events.append(answer)
         raise TimeoutError(method)
 
+    def mouse(
+        self, kind: str, at: tuple[float, float], keys: int = 0, *, held: bool = True
+    ) -> None:
+        """An event of the left button, such as "mousePressed"; `held` while the mouse moves."""
+        self.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=at[0],
+            y=at[1],
+            button="left",
+            buttons=int(held and kind != "mouseReleased"),
+            modifiers=keys,
+            clickCount=1,
+        )
+
     def _read(self, wait: float) -> dict[str, Any]:
         while b"\0" not in self.buffer:
             if not select.select([self.back], [], [], max(wait, 0))[0]:

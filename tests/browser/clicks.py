@@ -56,17 +56,7 @@ def mouse(page: chromium.Page, *places: tuple[float, float], keys: int = 0) -> N
     """A click at a place; a drag from the first place to the last one."""
     kinds = ["mouseMoved", "mousePressed", *["mouseMoved"] * (len(places) - 1), "mouseReleased"]
     for kind, at in zip(kinds, [places[0], *places, places[-1]], strict=True):
-        held = int(kind == "mousePressed" or (kind == "mouseMoved" and len(places) > 1))
-        page.call(
-            "Input.dispatchMouseEvent",
-            type=kind,
-            x=at[0],
-            y=at[1],
-            button="left",
-            buttons=held,
-            modifiers=keys,
-            clickCount=1,
-        )
+        page.mouse(kind, at, keys, held=kind == "mousePressed" or len(places) > 1)
 
 
 def found(page: chromium.Page, script: str, seconds: float = PATIENCE) -> Any:

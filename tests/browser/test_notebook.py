@@ -78,8 +78,7 @@ def test_the_widget_is_drawn_and_follows_its_state(tmp_path: Path) -> None:
             "(document.querySelector('.stage canvas').getBoundingClientRect())"
         )
         for kind in ("mousePressed", "mouseReleased"):
-            place = {"x": at[0], "y": at[1], "button": "left", "clickCount": 1}
-            page.call("Input.dispatchMouseEvent", type=kind, **place)
+            page.mouse(kind, at)
         assert page.until("window.saved?.kind === 'element'", 30)
         page.evaluate("end()")
         assert page.complaints() == []

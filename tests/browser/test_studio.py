@@ -62,19 +62,11 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
         assert page.until("!!document.querySelector('.js-plotly-plot')?._fullData?.length")
         place = page.evaluate(POLE)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            page.call(
-                "Input.dispatchMouseEvent",
-                type=kind,
-                x=place["x"],
-                y=place["y"],
-                button="left",
-                clickCount=1,
-            )
+            page.mouse(kind, (place["x"], place["y"]), held=kind == "mousePressed")
             page.until("new Promise((done) => setTimeout(() => done(true), 300))")
         assert page.until("document.body.innerText.includes('picked')", 30)
-        page.call(
-            "Page.navigate", url=f"{bare}poles"
-        )  # the cookie is enough; the pick is shown again
+        # the cookie is enough; the pick is shown again
+        page.call("Page.navigate", url=f"{bare}poles")
         assert page.until("document.body?.innerText.includes('order " + str(place["order"]) + "')")
         assert page.complaints() == []
         elsewhere = [u for u in page.requests() if not u.startswith((bare, "data:", "blob:", "ws"))]

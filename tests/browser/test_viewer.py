@@ -99,38 +99,24 @@ def where(page: chromium.Page, x: float, y: float) -> tuple[float, float]:
     return at[0], at[1]
 
 
-def mouse(page: chromium.Page, kind: str, at: tuple[float, float], keys: int = 0) -> None:
-    held = 0 if kind == "mouseReleased" else 1
-    page.call(
-        "Input.dispatchMouseEvent",
-        type=kind,
-        x=at[0],
-        y=at[1],
-        button="left",
-        buttons=held,
-        modifiers=keys,
-        clickCount=1,
-    )
-
-
 def drawn(
     page: chromium.Page, start: tuple[float, float], end: tuple[float, float], keys: int
 ) -> Any:
     """What the view says of a drag from one place of the plate to another, with keys held."""
     a, b = where(page, *start), where(page, *end)
     page.evaluate("heard.length = 0")
-    mouse(page, "mousePressed", a, keys)
+    page.mouse("mousePressed", a, keys)
     for s in (0.5, 1.0):
-        mouse(page, "mouseMoved", (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1])), keys)
-    mouse(page, "mouseReleased", b, keys)
+        page.mouse("mouseMoved", (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1])), keys)
+    page.mouse("mouseReleased", b, keys)
     return page.evaluate("heard.at(-1)")
 
 
 def clicked(page: chromium.Page, x: float, y: float) -> Any:
     """What is picked at a place of the plate."""
     page.evaluate("heard.length = 0")
-    mouse(page, "mousePressed", where(page, x, y))
-    mouse(page, "mouseReleased", where(page, x, y))
+    page.mouse("mousePressed", where(page, x, y))
+    page.mouse("mouseReleased", where(page, x, y))
     ((name, found),) = page.evaluate("heard")
     assert name == "pick"
     return found

@@ -17,7 +17,7 @@ from typing import Any
 
 import chromium
 import pytest
-from test_viewer import TOP, mouse, plate, where
+from test_viewer import TOP, plate, where
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
 pytestmark = pytest.mark.skipif(
@@ -98,10 +98,10 @@ def heard(page: chromium.Page, *places: tuple[float, float], keys: int = 0) -> A
     at = [where(page, *p) for p in places]
     left, top = page.evaluate("(({x, y}) => [x, y])(view.canvas.getBoundingClientRect())")
     at = [(x + left, y + top) for x, y in at]
-    mouse(page, "mousePressed", at[0], keys)
+    page.mouse("mousePressed", at[0], keys)
     for p in at[1:]:
-        mouse(page, "mouseMoved", p, keys)
-    mouse(page, "mouseReleased", at[-1], keys)
+        page.mouse("mouseMoved", p, keys)
+    page.mouse("mouseReleased", at[-1], keys)
     assert page.until("document.querySelector('.heard').textContent !== before", 10), (
         page.complaints()
     )

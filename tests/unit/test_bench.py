@@ -254,7 +254,17 @@ GAPS = np.random.default_rng(0).standard_normal(200)
 TRUE = system.truth(system.SIXTEEN).frequencies
 FREE = np.r_[np.zeros(6), np.linspace(10.0, 40.0, 24)]
 SEED = facility.Seed(
-    18, 19.0, 20, 0.8, 2.5, 96.0, True, (4, 4), (0.5, -1.0, 0.8), {"slab": True}, 300.0
+    first_pairs=18,
+    first_mean=19.0,
+    pairs=20,
+    mean=0.8,
+    largest=2.5,
+    mac=96.0,
+    kept=True,
+    bands=(4, 4),
+    damping=(0.5, -1.0, 0.8),
+    wrong={"slab": True},
+    seconds=300.0,
 )
 HARD = hard_facility.HardSeed(
     first_pairs=19,

@@ -36,7 +36,7 @@ from ringtrue.study.model_frfs import final_modes, initial_modes, measured_frfs,
 from ringtrue.study.results import PlanStage, PredictStage, UpdateStage
 from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as predict_stage
-from ringtrue.study.store import Store
+from ringtrue.study.store import STORE, Store
 from ringtrue.study.summary import finite, summarise
 from ringtrue.virtual.sensors import ICP
 
@@ -106,7 +106,7 @@ class Study:
     @property
     def test(self) -> TestModes:
         """The identified modes, merged over all records."""
-        return merged_modes(self.folder / "study.h5")
+        return merged_modes(self.folder / STORE)
 
     @property
     def frfs(self) -> FrfSet:
@@ -211,8 +211,8 @@ def store_of(path: str | Path) -> Path:
     """The store that is meant by `study.h5`, its `study.toml`, or their folder."""
     path = Path(path)
     if path.is_dir():
-        return path / "study.h5"
-    return path.with_name("study.h5") if path.suffix.lower() == ".toml" else path
+        return path / STORE
+    return path.with_name(STORE) if path.suffix.lower() == ".toml" else path
 
 
 def open_study(path: str | Path) -> Study:
@@ -304,7 +304,7 @@ def predict(
     path = Path(study)
     config = read_config(path)
     where = path.parent if out is None else Path(out)
-    held = Store(where / "study.h5")
+    held = Store(where / STORE)
     if "final" not in held.stages():
         raise ConfigError(
             f"{held.path}: no updated model in it: run the study to its final stage first, or "

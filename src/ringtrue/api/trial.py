@@ -24,7 +24,6 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.response import flexibility, with_responses
-from ringtrue.study.config import read_config
 from ringtrue.study.evidence import like_measured
 from ringtrue.study.model_frfs import damping_of, measured_frfs
 from ringtrue.study.objective import problem_of
@@ -33,10 +32,7 @@ from ringtrue.study.reference import elastic_table
 from ringtrue.study.results import CorrelateStage, ModelStage
 from ringtrue.study.scene import translations
 from ringtrue.study.session import Session
-from ringtrue.study.store import Store
 from ringtrue.updating.problem import Problem
-
-STORE = "study.h5"
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +224,7 @@ def trial_model(study: str | Path, *, progress: Progress = quiet) -> TrialModel:
         If it was not run as far.
     """
     path = Path(study)
-    session = Session(read_config(path), path.parent, path.parent, Store(path.with_name(STORE)))
+    session = Session.of(path)
     if "correlate" not in session.store.stages():
         raise DataError(f"{session.store.path}: no correlation in it: run the study as far")
     if not len(session.parameters):

@@ -17,15 +17,11 @@ from ringtrue.errors import ConfigError, DataError
 from ringtrue.planning.exciters import LEAST_REACH, reached
 from ringtrue.planning.sensors import worst_sensor_loss
 from ringtrue.shapes import auto_mac, worst_off_diagonal
-from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.planned_test import PlanProblem
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.session import Session
 from ringtrue.study.stages.plan import plan_problem
-from ringtrue.study.store import Store
-
-STORE = "study.h5"
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +171,7 @@ def trial_plan(study: str | Path) -> TrialPlan:
         If it was not run as far.
     """
     path = Path(study)
-    session = Session(read_config(path), path.parent, path.parent, Store(path.with_name(STORE)))
+    session = Session.of(path)
     plan = session.config.plan
     if plan is None:
         raise ConfigError(f"{path}: no [plan] whose points could be tried")

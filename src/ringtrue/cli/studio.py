@@ -42,13 +42,13 @@ def studio(
         raise SolverMissing(f"{e.name} is missing: pip install 'ringtrue[studio]'") from e
     if demo:
         # here, so that no other study needs the worked example
-        from ringtrue.api.studies import run_study
+        from ringtrue.api.studies import run_study, store_of
         from ringtrue.demos.frame import write_demo
 
         folder = what or Path("frame")
         folder.mkdir(parents=True, exist_ok=True)
         what = write_demo(folder)
-        if not what.with_name("study.h5").exists():
+        if not store_of(what).exists():
             with progress("worked example") as show:
                 run_study(what, until="correlate", progress=show)
 

@@ -221,11 +221,11 @@ class Documents:
         changed = []
         for name, digest in list(self._seen.items()):
             path = self.path(name)
-            if _stamp(path) == self._stamps.get(name):
+            if stamp_of(path) == self._stamps.get(name):
                 continue
             self.text(name)
             if not path.is_file():
-                self._stamps[name] = _stamp(path)
+                self._stamps[name] = stamp_of(path)
                 self._seen[name] = ""
             if self._seen[name] != digest:
                 changed.append(name)
@@ -250,7 +250,7 @@ class Documents:
 
     def _note(self, name: str, path: Path, text: str) -> None:
         self._seen[name] = hashlib.sha256(text.encode()).hexdigest() if text else ""
-        self._stamps[name] = _stamp(path)
+        self._stamps[name] = stamp_of(path)
 
     def _read_history(self) -> None:
         """The steps of earlier sessions; without them where their file is damaged."""
@@ -308,7 +308,7 @@ def _step(kept: Mapping[str, Any]) -> Step:
     return Step(kept["words"], tuple(edits), float(kept["when"]))
 
 
-def _stamp(path: Path) -> tuple[int, int]:
+def stamp_of(path: Path) -> tuple[int, int]:
     """Time and size of a file; zeros where there is none."""
     try:
         state = path.stat()

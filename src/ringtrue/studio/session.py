@@ -10,11 +10,11 @@ from typing import Any
 from nicegui import Event, run
 
 import ringtrue as rt
-from ringtrue.api.studies import Study
+from ringtrue.api.studies import Study, store_of
 from ringtrue.api.trial import TrialModel
 from ringtrue.errors import ConfigError, RingtrueError
 from ringtrue.studio import edits
-from ringtrue.studio.documents import Documents, Step
+from ringtrue.studio.documents import Documents, Step, stamp_of
 from ringtrue.studio.edits import Change
 from ringtrue.studio.work import Work
 from ringtrue.study.config import StudyConfig, parse_config
@@ -235,24 +235,24 @@ class StudioSession:
 
     def _results(self, known: bool) -> tuple[Study | None, tuple[StageState, ...]]:
         """The stored study, which may be known, and how its stages stand."""
-        store = self.path.with_name("study.h5")
+        store = store_of(self.path)
         study = self.study
         if not known:
             study = rt.open_study(store) if store.exists() else None
         if self.config is None:
             return study, ()
-        states, session = stage_states(self.path, deck=self.deck)
-        if self.config.model is not None and "initial" in session.__dict__:
-            self._deck = (self._deck_stamp(session.initial), session.initial)
+        states, deck = stage_states(self.path, deck=self.deck)
+        if deck is not None:
+            self._deck = (self._deck_stamp(deck), deck)
         return study, states
 
     def _deck_stamp(self, deck: Opened) -> tuple[Any, ...]:
         """What a deck follows from: its settings, and its files as they stand."""
-        stamps = [(f, *_stamp(Path(f))) for f in deck.model.files]
+        stamps = [(f, *stamp_of(Path(f))) for f in deck.model.files]
         return (str(self.config.model if self.config else None), *stamps)
 
     def _store_stamp(self) -> tuple[int, int]:
-        return _stamp(self.path.with_name("study.h5"))
+        return stamp_of(store_of(self.path))
 
     async def run_stages(self, until: str = "", first: str = "") -> None:
         """Run the study up to a stage; says how it ended by `on_work`.
@@ -281,15 +281,6 @@ class StudioSession:
         if model is not None:
             self._trial = (key, model)
         return model
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    """Time and size of a file; zeros where there is none."""
-    try:
-        state = path.stat()
-    except OSError:
-        return 0, 0
-    return state.st_mtime_ns, state.st_size
 
 
 def opened(target: Path | None) -> StudioSession:

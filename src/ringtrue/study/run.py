@@ -129,8 +129,9 @@ class StageState:
 
 def stage_states(
     study: Path, out: Path | None = None, deck: Opened | None = None
-) -> tuple[tuple[StageState, ...], Session]:
-    """How each stage of a study that applies stands, without running any, and what was opened.
+) -> tuple[tuple[StageState, ...], Opened | None]:
+    """How each stage of a study that applies stands, without running any, and the initial deck, if
+    that took its reading.
 
     Parameters
     ----------
@@ -145,11 +146,9 @@ def stage_states(
     ConfigError
         On a study file that is wrong.
     """
-    config = read_config(study)
-    folder = out or study.parent
-    session = Session(config, study.parent, folder, Store(folder / "study.h5"))
+    session = Session.of(study, out)
     if deck is not None:
-        session.__dict__["initial"] = deck  # as the cached property would keep it
+        session.initial = deck
     spent = session.store.timings()
     states = []
     for stage in (s for s in STAGES if s.applies(session)):
@@ -167,7 +166,7 @@ def stage_states(
             problem = str(e)
         seconds = spent.get(stage.name, float("nan"))
         states.append(StageState(stage.name, stage.title, standing, seconds, problem))
-    return tuple(states), session
+    return tuple(states), vars(session).get("initial")
 
 
 def _position(name: str) -> int:
@@ -282,9 +281,8 @@ def run_study(
         config = config.model_copy(update={"study": info})
     reached(config.study.workers)
     text = study.read_text(encoding="utf-8")
-    folder = out or study.parent
-    session = Session(config, study.parent, folder, Store(folder / "study.h5"))
-    with one_run(), locked(folder):
+    session = Session.of(study, out, config)
+    with one_run(), locked(session.out):
         return _run(session, study, text=text, first=first, until=until, progress=progress)
 
 

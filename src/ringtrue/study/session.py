@@ -24,7 +24,7 @@ from ringtrue.errors import ConfigError, about
 from ringtrue.model.edit import carried, in_seconds
 from ringtrue.model.ports import ModalSolver
 from ringtrue.model.refine import refined
-from ringtrue.study.config import StudyConfig
+from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.study.config_sections import ConfigurationSection, ModelSection
 from ringtrue.study.measured_data import (
     Measured,
@@ -50,7 +50,7 @@ from ringtrue.study.results import (
     SetResult,
     UpdateStage,
 )
-from ringtrue.study.store import Store
+from ringtrue.study.store import STORE, Store
 from ringtrue.updating.residuals.static import RigidMass
 from ringtrue.updating.selection.candidates import Candidate, CandidateSettings
 
@@ -91,6 +91,18 @@ class Session:
     delivered: dict[str, Any] = field(default_factory=dict)
     _updated: tuple[SetResult, tuple[AtChannels, ...]] | None = None
     _alignments: dict[TestModel, Alignment] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, study: Path, out: Path | None = None, config: StudyConfig | None = None) -> Session:
+        """Of a study.toml, whose settings may be given; results are in its folder or in `out`.
+
+        Raises
+        ------
+        ConfigError
+            On a study file that is wrong.
+        """
+        folder = out or study.parent
+        return cls(config or read_config(study), study.parent, folder, Store(folder / STORE))
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""

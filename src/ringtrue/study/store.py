@@ -26,6 +26,7 @@ from ringtrue.study.results import FinishedSet
 
 DIGEST = "digest"  # SHA-256 of all that a stage holds
 SECONDS = "seconds"  # of the run that made it
+STORE = "study.h5"  # its name in the folder of the results
 PROVENANCE = "provenance"  # the stage that every study has
 _log = logging.getLogger(__name__)
 

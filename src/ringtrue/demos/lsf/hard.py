@@ -17,7 +17,7 @@ from ringtrue.demos.lsf.example import WorkedExample
 from ringtrue.demos.lsf.facility import ZONE
 from ringtrue.demos.lsf.spec import Cut, Spec, ZonedSpec
 from ringtrue.demos.lsf.study import Region, StudyContents
-from ringtrue.demos.lsf.twin import FINE, SofteningRegion, loss_factors, thicker
+from ringtrue.demos.lsf.twin import SofteningRegion, built_from
 
 THIRDS = (8.4, 16.6)  # m, where the analyst divides the foundation along the bay
 MIDDLE = 5.0  # m, where the analyst divides the frame across it
@@ -88,28 +88,13 @@ def days(seed: int) -> tuple[Day, Day, Day]:
 
 def as_built(seed: int, temperature: float, reference: float) -> ZonedSpec:
     """The facility as it stands at a temperature, °C; ratios hold at the reference."""
-    model = analyst()
     at, factor = cracked(seed)
     warmer = temperature - reference
     warm = dict.fromkeys(S.CONCRETE, 1 + CONCRETE_PER_K * warmer)
     warm |= dict.fromkeys((*ANCHORS, *MOUNTS, *MACHINES), 1 + JOINTS_PER_K * warmer)
     r = {k: v * warm.get(k, 1.0) for k, v in ratios(seed).items()}
-    return replace(
-        model,
-        mesh=FINE,
-        modulus={k: v * r[k] for k, v in model.modulus.items()},
-        density={k: v * (0.970 if k in S.CONCRETE else 1.0) for k, v in model.density.items()},
-        bush={k: tuple(x * r[k] for x in v) for k, v in model.bush.items()},
-        section=thicker(seed),
-        loss=loss_factors(seed),
-        dashpot=(1.2e4, 1.2e4, 2.2e4),
-        scatter=0.03,
-        bush_scatter=0.05,
-        extra_braces=True,
-        site=True,
-        seed=seed + 1000,
-        cuts=dict.fromkeys(("slab", "long walls"), Cut(0, (at,), (1.0, factor))),
-    )
+    cuts = dict.fromkeys(("slab", "long walls"), Cut(0, (at,), (1.0, factor)))
+    return replace(built_from(analyst(), r, seed), seed=seed + 1000, cuts=cuts)
 
 
 def softening(seed: int) -> tuple[SofteningRegion, ...]:

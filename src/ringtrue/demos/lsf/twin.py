@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.virtual.joints import SofteningJoints
 
+AnySpec = TypeVar("AnySpec", bound=Spec)
 VERSION = 1
 
 FINE = Mesh3(
@@ -104,8 +106,13 @@ def loss_factors(seed: int) -> dict[str, float]:
 
 def as_built(seed: int) -> Spec:
     """The facility as it stands."""
-    deck = Spec()
-    r = ratios(seed)
+    return built_from(Spec(), ratios(seed), seed)
+
+
+def built_from(deck: AnySpec, r: Mapping[str, float], seed: int) -> AnySpec:
+    """A facility as it stands when it is modelled by `deck`: stiffness of each region times `r`, a
+    finer mesh, and what the deck leaves out; drawn by seed.
+    """
     return replace(
         deck,
         mesh=FINE,
