@@ -11,6 +11,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.choices import read_choice
 from ringtrue.studio import edits
 from ringtrue.studio.documents import HISTORY, Documents
+from ringtrue.studio.sheet_edits import sheet_table
 
 
 def test_an_edit_is_one_line_and_all_else_stays(tmp_path: Path) -> None:
@@ -107,13 +108,13 @@ def test_a_cell_of_a_sheet(tmp_path: Path) -> None:
     session = written(tmp_path)
     sheet = "point;x;y;z;direction\n1;0;0;0;+X\n2;0;0;1,5;+X\n2;0;0;1,5;+Y\n".replace(",", ".")
     (tmp_path / "sensors.csv").write_text(sheet)
-    row = {"point": "2", "direction": "+X"}
-    session.documents.edit("flip", {"sensors.csv": edits.set_cell(row, "direction", "-X")})
+    cell = {"direction": "-X"}
+    session.documents.edit("flip", {"sensors.csv": lambda t: sheet_table(t).text({2: cell})})
     assert (tmp_path / "sensors.csv").read_text() == sheet.replace("1.5;+X", "1.5;-X")
     with pytest.raises(ConfigError, match=r"sensors\.csv"):
-        session.documents.edit("x", {"sensors.csv": edits.set_cell({"point": "1"}, "x", "far")})
-    with pytest.raises(ConfigError, match="2 rows of the sheet have point 2"):
-        session.documents.edit("x", {"sensors.csv": edits.set_cell({"point": "2"}, "x", "1")})
+        session.documents.edit(
+            "x", {"sensors.csv": lambda t: sheet_table(t).text({1: {"x": "far"}})}
+        )
 
 
 def test_tables_between_others_are_refused_rather_than_moved() -> None:

@@ -6,10 +6,8 @@ order of what stands there stay.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
-from io import StringIO
 from itertools import pairwise
 from typing import Any
 
@@ -220,64 +218,3 @@ def _array(rows: Mapping[str, str]) -> Array:
         array.add_line(text, indent="    ", comment=words or None)
     array.add_line(indent="")
     return array
-
-
-def set_cell(channel: Mapping[str, str], column: str, value: str) -> Change:
-    """Set one cell of a sensor sheet in CSV; every other byte stays.
-
-    Parameters
-    ----------
-    channel : mapping of str to str
-        Cells that the row has, such as {"point": "12", "direction": "+X"}; one row must have them.
-    column : str
-    value : str
-
-    Raises
-    ------
-    ConfigError
-        If no row or several have these cells, or there is no such column.
-    """
-
-    def change(text: str) -> str:
-        lines = text.splitlines(keepends=True)
-        dialect = _dialect(text)
-        rows = [next(csv.reader([line], dialect), []) for line in lines]
-        head_at = next((i for i, r in enumerate(rows) if "point" in _names(r)), -1)
-        if head_at < 0:
-            raise ConfigError("a sensor sheet has a line with the names of its columns")
-        names = _names(rows[head_at])
-        for name in (column, *channel):
-            if name not in names:
-                raise ConfigError(f"the sheet has no column {name!r}{did_you_mean(name, names)}")
-        wanted = {names.index(n): v for n, v in channel.items()}
-        hits = [
-            i
-            for i, row in enumerate(rows[head_at + 1 :], head_at + 1)
-            if all(k < len(row) and row[k].strip() == v for k, v in wanted.items())
-        ]
-        if len(hits) != 1:
-            said = ", ".join(f"{n} {v}" for n, v in channel.items())
-            raise ConfigError(f"{len(hits)} rows of the sheet have {said}; one must")
-        row = rows[hits[0]]
-        row += [""] * (len(names) - len(row))
-        row[names.index(column)] = value
-        out = StringIO()
-        csv.writer(out, dialect, lineterminator="").writerow(row)
-        ending = lines[hits[0]][len(lines[hits[0]].rstrip("\r\n")) :]
-        lines[hits[0]] = out.getvalue() + ending
-        return "".join(lines)
-
-    return change
-
-
-def _names(row: Sequence[str]) -> list[str]:
-    return [c.strip().lower() for c in row]
-
-
-def _dialect(text: str) -> type[csv.Dialect]:
-    """Comma, semicolon or tab, whichever the first lines have most of."""
-
-    class Sheet(csv.excel):
-        delimiter = max(",;\t", key=text[:2000].count)
-
-    return Sheet

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -130,6 +130,33 @@ def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
         .props("dense flat hide-bottom :rows-per-page-options=[0]")
         .classes("w-full")
     )
+
+
+SELECT = "dense options-dense outlined"  # how a list to choose from looks
+
+
+def output_select(session: StudioSession, outputs: Sequence[str], value: str) -> ui.select:
+    """The output of an FRF; all screens follow."""
+    return (
+        ui.select(
+            list(outputs),
+            value=value,
+            label="output",
+            with_input=True,
+            on_change=lambda e: session.select(channel=e.value or ""),
+        )
+        .props(SELECT)
+        .classes("w-36")
+    )
+
+
+def channels_select(
+    label: str, ids: Sequence[str], value: Sequence[str], changed: Callable[..., object], most: int
+) -> ui.select:
+    """Several channels, at most so many."""
+    return ui.select(
+        list(ids), value=list(value), multiple=True, label=label, on_change=changed
+    ).props(f"{SELECT} use-chips max-values={most}")
 
 
 def nothing_yet(session: StudioSession, text: str, until: str) -> None:

@@ -16,6 +16,7 @@ from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
+    SELECT,
     ask_reason,
     fact,
     frame,
@@ -130,7 +131,7 @@ class _CorrelationScreen:
             ).props("dense no-caps unelevated").mark("state")
             ui.select(
                 self.kinds, value=self.kind, on_change=lambda e: self._show(kind=e.value)
-            ).props("dense options-dense outlined").classes("min-w-40").mark("kind")
+            ).props(SELECT).classes("min-w-40").mark("kind")
             ui.space()
             run_button(self.session, "correlate", "Correlate anew")
 

@@ -16,7 +16,15 @@ from ringtrue.plots import frfs as figures
 from ringtrue.plots.signals import frf_unit
 from ringtrue.studio import theme
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import fact, frame, heading, inspector, nothing_yet
+from ringtrue.studio.shell import (
+    SELECT,
+    fact,
+    frame,
+    heading,
+    inspector,
+    nothing_yet,
+    output_select,
+)
 from ringtrue.study.evidence import frf_band
 from ringtrue.study.model_frfs import compared
 from ringtrue.study.results import IdentifyStage
@@ -123,24 +131,14 @@ class _FrfsScreen:
 
     def _bar(self) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-2"):
-            self.outputs = (
-                ui.select(
-                    [c.id for c in self.test.outputs],
-                    value=self.output,
-                    label="output",
-                    with_input=True,
-                    on_change=lambda e: self.session.select(channel=e.value or ""),
-                )
-                .props("dense options-dense outlined")
-                .classes("w-36")
-                .mark("output")
-            )
+            outputs = [c.id for c in self.test.outputs]
+            self.outputs = output_select(self.session, outputs, self.output).mark("output")
             ui.select(
                 [c.id for c in self.test.inputs],
                 value=self.input,
                 label="input",
                 on_change=lambda e: self._show(input=e.value),
-            ).props("dense options-dense outlined").classes("w-36").mark("input")
+            ).props(SELECT).classes("w-36").mark("input")
             ui.toggle(
                 [PHASE, PARTS], value=PHASE, on_change=lambda e: self._show(parts=e.value == PARTS)
             ).props("dense no-caps unelevated").mark("kind")

@@ -19,6 +19,7 @@ from ringtrue.studio.records import Records
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
     ask_reason,
+    channels_select,
     fact,
     frame,
     heading,
@@ -63,15 +64,10 @@ class ImpactPanel:
                 self.listed()
                 run_button(session, "identify", "Identify anew")
             with ui.column().classes("grow min-w-0 gap-0"):
-                ui.select(
-                    [c.id for c in self.view.channels if c.quantity in (*MOTIONS, "unknown")],
-                    value=self.responses,
-                    multiple=True,
-                    label="responses",
-                    on_change=self._other_responses,
-                ).props(f"dense options-dense outlined use-chips max-values={MOST}").classes(
-                    "w-full"
-                ).mark("responses")
+                ids = [c.id for c in self.view.channels if c.quantity in (*MOTIONS, "unknown")]
+                channels_select(
+                    "responses", ids, self.responses, self._other_responses, MOST
+                ).classes("w-full").mark("responses")
                 self.note = ui.label().classes("text-xs text-negative")
                 self.plot = ui.plotly({}).classes("w-full").style("height:68vh")
                 self.plot.mark("hit")

@@ -25,7 +25,7 @@ from ringtrue.studio.decks import (
     stored_modes,
 )
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import fact, frame, heading, inspector, run_button
+from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button
 from ringtrue.studio.space import (
     deck_view,
     highlighted,
@@ -134,7 +134,7 @@ class _ModelScreen:
                     {-1: "at rest", **names},
                     value=-1 if self.mode is None else self.mode,
                     on_change=lambda e: self.show_mode(None if e.value < 0 else int(e.value)),
-                ).props("dense options-dense outlined").classes("min-w-40").mark("mode")
+                ).props(SELECT).classes("min-w-40").mark("mode")
                 ui.button(icon="play_arrow", on_click=self.play).props("flat dense round").tooltip(
                     "Play or stop, blank"
                 ).mark("play")
@@ -251,7 +251,7 @@ class _ModelScreen:
             for name in UNIT_SYSTEMS
         }
         pick = ui.select(names, value=now, on_change=lambda e: self.set_units(str(e.value)))
-        pick.props("dense options-dense outlined").classes("w-full").mark("units")
+        pick.props(SELECT).classes("w-full").mark("units")
         for f in check.implausible[now][:2]:
             ui.label(f.text).classes("text-xs text-accent")
 

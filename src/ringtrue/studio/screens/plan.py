@@ -22,6 +22,7 @@ from ringtrue.studio import edits
 from ringtrue.studio.decks import DrawnDeck, drawn_deck, stored_modes
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
+    SELECT,
     fact,
     frame,
     heading,
@@ -472,7 +473,7 @@ class _PlanScreen:
             value=self.plan.directions,
             label="sensors",
             on_change=lambda e: self.set(f"sensors {e.value}", directions=str(e.value)),
-        ).props("dense options-dense outlined").classes("w-full")
+        ).props(SELECT).classes("w-full")
 
     def _number(self, key: str, label: str, *, whole: bool) -> None:
         value = getattr(self.plan, key)

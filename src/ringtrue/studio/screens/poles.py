@@ -19,6 +19,7 @@ from ringtrue.studio.screens.synthesis import Synthesis
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
+    SELECT,
     ask_reason,
     fact,
     frame,
@@ -298,7 +299,7 @@ class _PolesScreen:
             {float(there[j]): f"{there[j]:.5g} Hz" for j in near},
             label="Merge with",
             on_change=lambda e: ask(float(e.value)),
-        ).props("dense options-dense outlined").classes("w-full").mark("merge")
+        ).props(SELECT).classes("w-full").mark("merge")
 
     def _unmerge(self, number: int, frequency: float) -> None:
         self._remove("merge", number, frequency)

@@ -22,7 +22,7 @@ from ringtrue.studio import edits, sheet_edits
 from ringtrue.studio.decks import DrawnDeck, drawn_deck
 from ringtrue.studio.edits import Change
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import fact, frame, heading, inspector, run_button, table
+from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button, table
 from ringtrue.studio.space import deck_view
 from ringtrue.studio.viewer_element import Viewer
 from ringtrue.study.results import CorrelateStage
@@ -213,7 +213,7 @@ class _SensorsScreen:
                     FITS,
                     value=config.correlate.align,
                     on_change=lambda e: self.fit(str(e.value)),
-                ).props("dense options-dense outlined").classes("min-w-48").mark("fit").tooltip(
+                ).props(SELECT).classes("min-w-48").mark("fit").tooltip(
                     "How the sheet is laid onto the deck"
                 )
             kinds = set(self._kinds().values())

@@ -18,7 +18,7 @@ from ringtrue.studio import theme
 from ringtrue.studio.records import records_of
 from ringtrue.studio.screens.impacts import ImpactPanel
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import fact, frame, heading, inspector
+from ringtrue.studio.shell import SELECT, channels_select, fact, frame, heading, inspector
 from ringtrue.study.record_hits import place_of
 from ringtrue.study.record_views import RecordView
 from ringtrue.study.results import IdentifyStage
@@ -136,7 +136,7 @@ class _SignalsScreen:
         view = self.view
         with ui.row().classes("w-full items-center no-wrap gap-2"):
             ui.select(self.records.names, value=self.record, on_change=self._other_record).props(
-                "dense options-dense outlined"
+                SELECT
             ).classes("min-w-44").mark("record")
             if self.with_hits:
                 ui.toggle([SIGNALS, IMPACTS], value=self.what, on_change=self._other_view).props(
@@ -144,13 +144,8 @@ class _SignalsScreen:
                 ).mark("what")
             if view is None or self.what == IMPACTS:
                 return
-            ui.select(
-                [c.id for c in view.channels],
-                value=self.channels,
-                multiple=True,
-                label="channels",
-                on_change=self._other_channels,
-            ).props(f"dense options-dense outlined use-chips max-values={MOST}").classes(
+            ids = [c.id for c in view.channels]
+            channels_select("channels", ids, self.channels, self._other_channels, MOST).classes(
                 "grow min-w-0"
             ).mark("channels")
             ui.button(icon="zoom_out_map", on_click=self._whole).props("flat dense round").tooltip(

@@ -17,7 +17,7 @@ from ringtrue.studio import theme
 from ringtrue.studio.screens.frfs import one_frf
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shapes import ShapeView
-from ringtrue.studio.shell import fact, frame, heading, table
+from ringtrue.studio.shell import SELECT, fact, frame, heading, output_select, table
 from ringtrue.study.results import CorrelateStage, IdentifyStage
 
 MODES = {
@@ -105,21 +105,10 @@ class Tried:
         with ui.row().classes("w-full items-center no-wrap gap-2"):
             heading("FRF of the test and of the trial")
             ui.space()
-            self.outputs = (
-                ui.select(
-                    outputs,
-                    value=self.output,
-                    label="output",
-                    with_input=True,
-                    on_change=lambda e: self.session.select(channel=e.value or ""),
-                )
-                .props("dense options-dense outlined")
-                .classes("w-36")
-                .mark("trial-output")
-            )
+            self.outputs = output_select(self.session, outputs, self.output).mark("trial-output")
             ui.select(
                 inputs, value=self.input, label="input", on_change=lambda e: self._load(e.value)
-            ).props("dense options-dense outlined").classes("w-36").mark("trial-input")
+            ).props(SELECT).classes("w-36").mark("trial-input")
         self.plot = ui.plotly({}).classes("w-full").style("height:44vh").mark("trial-frf")
 
     def _load(self, input_: str) -> None:

@@ -8,14 +8,7 @@ from nicegui import ui
 
 from ringtrue.studio import edits
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import (
-    ask_reason,
-    frame,
-    heading,
-    inspector,
-    nothing_yet,
-    run_button,
-)
+from ringtrue.studio.shell import ask_reason, frame, heading, inspector, nothing_yet, run_button
 from ringtrue.study.acceptance import AcceptanceCheck, verdict
 from ringtrue.study.results import CorrelateStage
 

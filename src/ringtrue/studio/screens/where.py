@@ -16,7 +16,16 @@ from ringtrue.core.parameters import Parameter
 from ringtrue.studio import edits
 from ringtrue.studio.decks import DrawnDeck, drawn_deck
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import fact, frame, heading, inspector, nothing_yet, run_button, table
+from ringtrue.studio.shell import (
+    SELECT,
+    fact,
+    frame,
+    heading,
+    inspector,
+    nothing_yet,
+    run_button,
+    table,
+)
 from ringtrue.studio.space import deck_view, highlighted, no_deck
 from ringtrue.studio.viewer_element import Viewer
 from ringtrue.study.config_sections import target_words
@@ -101,9 +110,7 @@ class _WhereScreen:
             known = self.stage.indicators.modes.size > 0
             ui.select(
                 FIELDS, value=self.field, on_change=lambda e: self.show_field(str(e.value))
-            ).props("dense options-dense outlined").classes("min-w-64").mark("field").set_enabled(
-                known
-            )
+            ).props(SELECT).classes("min-w-64").mark("field").set_enabled(known)
             if not known:
                 ui.label("No shapes were measured: no local errors.").classes("text-sm opacity-70")
             ui.space()
