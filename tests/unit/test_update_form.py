@@ -6,6 +6,7 @@ flexibility: 12 elements, 0.16 x 0.3 m, 2 m long; half of it has another propert
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,8 @@ def test_the_cause_of_the_deviations_is_named(
     for note in found.notes:
         assert found.named[0].cause in sentence(note)
         assert found.named[0].explained > 0.95
+    stored = replace(found, named=tuple(replace(p) for p in found.named))  # read anew, not the same
+    assert [sentence(n) for n in stored.notes] == [sentence(n) for n in found.notes]
 
 
 def test_one_mode_alone_and_a_common_ratio_are_told_from_scatter() -> None:

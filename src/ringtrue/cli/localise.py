@@ -133,7 +133,7 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
 
 def _form(found: FormFindings) -> list[dict[str, Any]]:
     """Patterns of form, the best first."""
-    named = {id(p) for p in found.named}
+    named = {p.name for p in found.named}
     return [
         {
             "pattern": p.pattern,
@@ -142,7 +142,7 @@ def _form(found: FormFindings) -> list[dict[str, Any]]:
             "amounts": p.amounts.tolist(),
             "explained": p.explained,
             "evidence": p.evidence,
-            "named": id(p) in named,
+            "named": p.name in named,
             "fields": list(p.fields),
             "modes": [m + 1 for m in p.modes],
         }

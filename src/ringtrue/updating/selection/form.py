@@ -127,6 +127,11 @@ class FormPattern(FrozenArrays):
     fields: tuple[str, ...] = ()
     modes: tuple[int, ...] = ()
 
+    @property
+    def name(self) -> tuple[str, str]:
+        """What tells it from others, also once it was stored."""
+        return self.pattern, self.cause
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FormFindings:
@@ -157,7 +162,7 @@ class FormFindings:
     def _note(self, p: FormPattern) -> Note:
         of_damping = p.pattern == "damping"
         same = (o for o in self.patterns if (o.pattern == "damping") == of_damping)
-        rivals = [o for o in same if o is not p]
+        rivals = [o for o in same if o.name != p.name]
         more = " and more" if len(p.fields) > FORM.listed else ""
         values: Mapping[str, float | int | str] = {
             "cause": p.cause,
