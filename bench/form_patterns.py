@@ -24,7 +24,7 @@ import numpy as np
 from outcome import Check, Report, arguments, share_at_least, share_at_most, sized
 
 import ringtrue as rt
-from ringtrue.api.improvement import form_errors
+from ringtrue.api.improvement import form_findings
 from ringtrue.api.measurements import TestModes
 from ringtrue.api.models import FeModes
 from ringtrue.core.modes import ModeSet, Uncertainty
@@ -293,7 +293,7 @@ def noisy(found: FeModes, channels: list[str], rng: np.random.Generator) -> Test
 def findings(structure: str, test: TestModes) -> FormFindings:
     """What `rt.localise` says of the form."""
     lines, _ = STRUCTURES[structure](Truth())
-    return form_errors(model_of(lines), test)
+    return form_findings(model_of(lines), test)
 
 
 def named(found: FormFindings) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import ringtrue as rt
-from ringtrue.api.improvement import form_errors
+from ringtrue.api.improvement import form_findings
 from ringtrue.core.notes import sentence
 from ringtrue.model.model import Model
 from ringtrue.updating.form_uncertainty import quantile
@@ -61,7 +61,7 @@ def test_the_cause_of_the_deviations_is_named(
     structure: dict[str, str], pattern: str | None, tmp_path: Path
 ) -> None:
     test = measured(beam(tmp_path, **structure), np.random.default_rng(1))
-    found = form_errors(beam(tmp_path), test)
+    found = form_findings(beam(tmp_path), test)
     assert [p.pattern for p in found.named] == ([pattern] if pattern else [])
     assert [n.code for n in found.notes] == ([f"form {pattern}"] if pattern else [])
     for note in found.notes:

@@ -241,7 +241,7 @@ def _at_channels(
     return _Placed(modes, std, bridge, seat_words(places), places)
 
 
-def form_errors(
+def form_findings(
     model: Model,
     test: ModeSet | TestModes,
     *,
