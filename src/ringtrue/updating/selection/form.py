@@ -129,7 +129,7 @@ class FormPattern(FrozenArrays):
 
     @property
     def name(self) -> tuple[str, str]:
-        """What tells it from others, also once it was stored."""
+        """What distinguishes it from others, also once it was stored."""
         return self.pattern, self.cause
 
 
