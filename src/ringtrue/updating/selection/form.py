@@ -122,8 +122,8 @@ class FormPattern(FrozenArrays):
     cause: str
     unknowns: int
     amounts: Float
-    explained: float
-    evidence: float
+    explained: float = np.nan
+    evidence: float = np.nan
     fields: tuple[str, ...] = ()
     modes: tuple[int, ...] = ()
 
@@ -216,16 +216,16 @@ def form_patterns(
     if len(joint) > 1:
         every.append(fit.of(joint))
     every += [fit.alone(j, int(found.test[j]), places[j] if places else "") for j in range(n)]
-    count = {p: sum(e.pattern == p for e in every) for p in PATTERNS}
+    count = {p: sum(e.found.pattern == p for e in every) for p in PATTERNS}
     kinds = sum(c > 0 for c in count.values())
     best = dict[str, FormPattern]()
     scatter = {}
     for e in every:
-        price = e.unknowns * np.log(n) + 2 * np.log(kinds * count[e.pattern])
+        price = e.found.unknowns * np.log(n) + 2 * np.log(kinds * count[e.found.pattern])
         p = e.pattern_against(float(none - e.deviance - price))
-        if e.pattern not in best or p.evidence > best[e.pattern].evidence:
-            best[e.pattern] = p
-            scatter[e.pattern] = e.scatter
+        if p.pattern not in best or p.evidence > best[p.pattern].evidence:
+            best[p.pattern] = p
+            scatter[p.pattern] = e.scatter
     order = sorted(best.values(), key=lambda p: -p.evidence)
     first = order[0]
     named = tuple(
@@ -289,33 +289,15 @@ def with_damping(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CauseFit:
-    """A cause at its best amounts."""
+    """A cause at its best amounts, before its evidence is known."""
 
-    pattern: str
-    cause: str
-    amounts: Float
+    found: FormPattern
     deviance: float
     scatter: float
-    explained: float
-    fields: tuple[str, ...] = ()
-    modes: tuple[int, ...] = ()
-
-    @property
-    def unknowns(self) -> int:
-        return self.amounts.size
 
     def pattern_against(self, evidence: float) -> FormPattern:
         """With its evidence."""
-        return FormPattern(
-            pattern=self.pattern,
-            cause=self.cause,
-            unknowns=self.unknowns,
-            amounts=self.amounts,
-            explained=self.explained,
-            evidence=evidence,
-            fields=self.fields,
-            modes=self.modes,
-        )
+        return replace(self.found, evidence=evidence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,8 +346,10 @@ class _Likelihood:
         ]
         fields = tuple(dict.fromkeys(f for c in changes for f in c.fields))
         cause = " and ".join(c.cause for c in changes)
-        found = self._made(changes[0].pattern, cause, np.array(amounts), rest)
-        return replace(found, fields=fields)
+        found = FormPattern(
+            changes[0].pattern, cause, len(amounts), np.array(amounts), fields=fields
+        )
+        return self._judged(found, rest)
 
     def alone(self, j: int, test: int, place: str) -> _CauseFit:
         """Mode j by itself."""
@@ -373,21 +357,16 @@ class _Likelihood:
         rest[j] = 0.0
         cause = f"test mode {test + 1} alone"
         fields = (place,) if place else ()
-        found = self._made("single", cause, self.change[[j]], rest)
-        return replace(found, fields=fields, modes=(test,))
+        found = FormPattern("single", cause, 1, self.change[[j]], fields=fields, modes=(test,))
+        return self._judged(found, rest)
 
-    def _made(self, pattern: str, cause: str, amounts: Float, rest: Float) -> _CauseFit:
+    def _judged(self, found: FormPattern, rest: Float) -> _CauseFit:
+        """By the residuals that it leaves."""
         value, scatter = self.deviance(rest)
         left = float((rest**2 / self.variance).sum())
         explained = 1 - left / max(float((self.change**2 / self.variance).sum()), 1e-300)
-        return _CauseFit(
-            pattern=pattern,
-            cause=cause,
-            amounts=amounts,
-            deviance=float(value),
-            scatter=float(scatter),
-            explained=explained,
-        )
+        found = replace(found, explained=explained)
+        return _CauseFit(found, float(value), float(scatter))
 
 
 def _axis(c: FormChange) -> tuple[Float, float]:
