@@ -286,24 +286,23 @@ def table(card: str, **columns: Any) -> Table:
     return Table(card, made, np.full(n, -1), np.zeros(n, dtype=np.int64))
 
 
-def stacked(a: Table, b: Table) -> Table:
-    """The rows of a table and, behind them, those of one with the same columns."""
-    columns = {k: _behind(a.columns[k], b.columns[k]) for k in a.columns}
+def stacked(*tables: Table) -> Table:
+    """The rows of tables of the same columns, one after the other."""
+    first = tables[0]
     return replace(
-        a,
-        columns=columns,
-        file=np.concatenate([a.file, b.file]),
-        line=np.concatenate([a.line, b.line]),
+        first,
+        columns={k: _behind([t.columns[k] for t in tables]) for k in first.columns},
+        file=np.concatenate([t.file for t in tables]),
+        line=np.concatenate([t.line for t in tables]),
     )
 
 
-def _behind(a: NDArray[Any] | Ragged, b: NDArray[Any] | Ragged) -> NDArray[Any] | Ragged:
-    if isinstance(a, Ragged) and isinstance(b, Ragged):
-        return Ragged(
-            np.concatenate([a.values, b.values]),
-            np.concatenate([a.offsets, a.offsets[-1] + b.offsets[1:]]),
-        )
-    return np.concatenate([np.asarray(a), np.asarray(b)])
+def _behind(columns: Sequence[NDArray[Any] | Ragged]) -> NDArray[Any] | Ragged:
+    ragged = [c for c in columns if isinstance(c, Ragged)]
+    if not ragged:
+        return np.concatenate([np.asarray(c) for c in columns])
+    ends = np.cumsum(np.concatenate([c.sizes for c in ragged]))
+    return Ragged(np.concatenate([c.values for c in ragged]), np.concatenate([[0], ends]))
 
 
 MOST = 6  # rows that a message names

@@ -98,7 +98,10 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
         if card not in m.model:
             continue
         ids = _corners(m.model, card)
-        corners = m.model["GRID"].find(ids[np.isin(ids, mine).any(axis=1)])
+        near = np.flatnonzero(np.isin(ids, mine).any(axis=1))
+        # copies of an element (`parametrisation.copies`) have its number: it counts once
+        _, first = np.unique(m.model[card].ids[near], return_index=True)
+        corners = m.model["GRID"].find(ids[near[np.sort(first)]])
         # the builder of the element names a node that is absent
         corners = corners[(corners >= 0).all(axis=1)]
         x, (a, b, c, d) = m.xyz[corners], _SPAN[k]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ringtrue.core.arrays import Bool, Int
+from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.core.parameters import CardField, Parameter, Shape, is_matrix
 from ringtrue.errors import InputError, did_you_mean
 from ringtrue.fem.element_cards import ELEMENTS
@@ -62,8 +62,10 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
     return model
 
 
-def changed(model: Model, name: str, targets: Sequence[CardField], factor: Factor) -> Model:
+def changed(model: Model, name: str, targets: Sequence[CardField], factor: Factor | Any_) -> Model:
     """A copy with the fields of `targets` at `factor`, whatever elements they are meant for.
+
+    Several factors are those of equal shares of the rows, the first of the first rows.
 
     Raises
     ------
@@ -75,8 +77,10 @@ def changed(model: Model, name: str, targets: Sequence[CardField], factor: Facto
         groups.setdefault((t.card, t.field, t.step), []).append(t.id)
     tables = dict(model.tables)
     for (card, field, step), ids in groups.items():
-        change = _Scaling(f"parameter {name}: {card} {ids[0]} {field}", step, factor)
         rows = _rows_with(tables, name, card, field, np.array(ids))
+        factors = np.ones(len(tables[card]), dtype=np.result_type(factor, np.float64))
+        factors[rows] = np.repeat(factor, rows.size // np.size(factor))
+        change = _Scaling(f"parameter {name}: {card} {ids[0]} {field}", step, factors)
         tables[card] = _with_fields(tables[card], rows, field, change)
     for card in MADE:
         if dimensioned := [t.id for t in targets if t.card == card]:
@@ -119,25 +123,24 @@ class _Scaling:
         Parameter, card and field, for messages.
     step : float
         If not 0, values become value + step (factor - 1) in place of value times factor.
-    factor : float or complex
+    factors : (n,) float64 or complex128
+        Of each row of the table.
     """
 
     where: str
     step: float
-    factor: Factor
+    factors: Any_
 
-    def of(self, values: NDArray[Any], at: Int) -> NDArray[Any]:
-        """A copy of the values, those `at` changed."""
+    def of(self, values: NDArray[Any], at: Int, rows: Int) -> NDArray[Any]:
+        """A copy of the values, those `at` changed, which belong to `rows`."""
         real = values.dtype.kind in "fc"
         if not real or np.isnan(values[at]).any():
             raise InputError(
                 f"{self.where}: must hold a real number, got {'a blank' if real else values[at[0]]}"
             )
-        out = values.astype(np.result_type(values, type(self.factor)))
-        if self.step:
-            out[at] = out[at] + self.step * (self.factor - 1)
-        else:
-            out[at] = out[at] * self.factor
+        factors = self.factors[rows]
+        out = values.astype(np.result_type(values, factors))
+        out[at] = out[at] + self.step * (factors - 1) if self.step else out[at] * factors
         return out
 
 
@@ -151,24 +154,24 @@ def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table
     if is_matrix(CardField(table.card, 0, field)):
         given = table.ragged(field)
         inside = np.flatnonzero(np.isin(given.owner, rows))
-        return _with_entries(table, field, change.of(given.values, inside))
+        return with_entries(table, field, change.of(given.values, inside, given.owner[inside]))
     column = table.columns[field]
     if isinstance(column, Ragged):
         raise InputError(f"{change.where} is a list; number its entries: {field}1, {field}2 ...")
-    out = table.with_column(field, change.of(column, rows))
+    out = table.with_column(field, change.of(column, rows, rows))
     other_end = BOTH_ENDS.get(field) if table.card == "PBEAM" else None
     if other_end is None:
         return out
     both = rows[table[other_end][rows] == column[rows]]
     if both.size:
-        out = out.with_column(other_end, change.of(table[other_end], both))
+        out = out.with_column(other_end, change.of(table[other_end], both, both))
     stations = f"{field}X"
     if stations in table.columns:
         entries = table.ragged(stations)
         of = entries.owner
         equal = np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
         if equal.size:
-            out = _with_entries(out, stations, change.of(entries.values, equal))
+            out = with_entries(out, stations, change.of(entries.values, equal, of[equal]))
     return out
 
 
@@ -179,10 +182,10 @@ def _with_ply(table: Table, rows: Int, name: str, ply: int, change: _Scaling) ->
     at = ragged.offsets[rows] + ply - 1
     if (at >= ragged.offsets[rows + 1]).any() or ply < 1:
         raise InputError(f"{change.where}: there is no entry {ply}")
-    return _with_entries(table, name, change.of(values, at))
+    return with_entries(table, name, change.of(values, at, rows))
 
 
-def _with_entries(table: Table, name: str, values: NDArray[Any]) -> Table:
+def with_entries(table: Table, name: str, values: NDArray[Any]) -> Table:
     """The table with other values of a column, plain or of lists."""
     old = table.columns[name]
     column = Ragged(values, old.offsets) if isinstance(old, Ragged) else values
@@ -389,7 +392,7 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
     """The model in which these rows of a card name `fresh` in place of `old`."""
     values, owner = model[card].entries(field)
     mine = np.isin(owner, rows) & (values == old)
-    table = _with_entries(model[card], field, np.where(mine, fresh, values))
+    table = with_entries(model[card], field, np.where(mine, fresh, values))
     return replace(model, tables={**model.tables, card: table})
 
 

@@ -19,19 +19,21 @@ interpolation learns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from scipy import sparse
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.parameters import Parameter
 from ringtrue.errors import NumericalError, UnsupportedError
 from ringtrue.fem.assembly import System, full_matrices, reduced
 from ringtrue.fem.mesh import Mesh, Rows, union
+from ringtrue.fem.parametrisation.element_derivatives import COMPLEX_STEP
 from ringtrue.fem.parametrisation.parameter_groups import (
     INVALID,
     Pair,
@@ -80,6 +82,8 @@ class NodeSearch:
 
 
 SEARCH = NodeSearch()
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
 
 
 Found = Sequence[Float | None]
@@ -291,22 +295,21 @@ def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
 
 def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
     """Entries of each region at each of the points; None where a section does not allow these."""
-    every = Together.of(m, some)
-    each = [Together.of(m, [r]) for r in some]
     with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
-        # it may be one of them that does not allow the factors
-        found = [
-            _tried(every, a) or [(_tried(one, a) or [None])[0] for one in each] for a in points
-        ]
-    return [list(of) for of in zip(*found, strict=True)]
+        if found := _tried(Together.of(m, some), points):
+            return found
+        # it may be one region, and one point, that does not allow the factors
+        each = [Together.of(m, [r]) for r in some]
+        return [[(_tried(one, [a]) or [[None]])[0][0] for a in points] for one in each]
 
 
-def _tried(regions: Together, a: Float) -> list[Float | None]:
-    """The entries at the factors; nothing where a section does not allow these."""
+def _tried(regions: Together, points: Sequence[Float]) -> list[list[Float | None]]:
+    """The entries of each region at each point; nothing where a section does not allow one."""
     try:
-        return [f if np.isfinite(f).all() else None for f in regions.entries(a)]
+        found = regions.entries(points)
     except INVALID:
         return []
+    return [[f if np.isfinite(f).all() else None for f in each] for each in found]
 
 
 def rough(groups: Sequence[ParameterGroup]) -> str:
@@ -417,8 +420,6 @@ class SampleSettings:
 
 SAMPLES = SampleSettings()
 
-STEP = 1e-30
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Interpolation:
@@ -443,7 +444,8 @@ class Interpolation:
     nodes: tuple[InterpolationNodes, ...]
     colours: dict[int, int]
     series: dict[int, Series]
-    _seen: dict[tuple[bytes, int], dict[int, Float]] = field(default_factory=dict)
+    _values: dict[bytes, dict[int, Float]] = field(default_factory=dict)
+    _slopes: dict[bytes, dict[int, dict[int, Float]]] = field(default_factory=dict)
     _some: dict[tuple[int, ...], Together] = field(default_factory=dict)
 
     def at(self, a: Float) -> dict[int, Float]:
@@ -454,55 +456,63 @@ class Interpolation:
         NumericalError
             If a section does not allow the factors.
         """
-        return self._kept(a, -1)
+        return _kept(self._values, a.tobytes(), lambda: self._values_at(a))
 
     def derivatives(self, a: Float, i: int) -> dict[int, Float]:
         """∂c/∂a_i (r,) of the regions that depend on a_i, and some of others."""
-        return self._kept(a, self.colours[i])
+        return _kept(self._slopes, a.tobytes(), lambda: self._slopes_at(a))[self.colours[i]]
 
-    def _kept(self, a: Float, colour: int) -> dict[int, Float]:
-        key = (np.asarray(a, dtype=np.float64).tobytes(), colour)
-        if key not in self._seen:
-            if len(self._seen) >= SAMPLES.kept:
-                self._seen.clear()
-            self._seen[key] = self._computed(np.asarray(a, dtype=np.float64), colour)
-        return self._seen[key]
+    def _values_at(self, a: Float) -> dict[int, Float]:
+        changed = [k for k, r in enumerate(self.regions) if (a[list(r.which)] != 1).any()]
+        out = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
+        some = [k for k in changed if k not in out]
+        found = self._entries(a, some, [a])
+        return out | {k: self.nodes[k].coefficients(f[0]) for k, f in found.items()}
 
-    def _together(self, some: tuple[int, ...]) -> Together:
-        """Of the regions with these numbers."""
-        if some not in self._some:
-            if len(self._some) >= SAMPLES.kept:
-                self._some.clear()
-            self._some[some] = Together.of(self.mesh, [self.regions[k] for k in some])
-        return self._some[some]
+    def _slopes_at(self, a: Float) -> dict[int, dict[int, Float]]:
+        """Of each colour, all from one call of the kernels."""
+        out: dict[int, dict[int, Float]] = {c: {} for c in self.colours.values()}
+        by_series = {k: s.derivative(x) for k, s, x in self._by_series(a)}
+        for k, slope in by_series.items():
+            out[self.colours[self.regions[k].which[0]]][k] = slope
+        some = [k for k in range(len(self.regions)) if k not in by_series]
+        wanted = sorted({self.colours[i] for k in some for i in self.regions[k].which})
+        steps = [np.array([self.colours.get(i) == c for i in range(a.size)]) for c in wanted]
+        for k, f in self._entries(a, some, [a + 1j * COMPLEX_STEP * on for on in steps]).items():
+            for c, slope in zip(wanted, f.imag / COMPLEX_STEP, strict=True):
+                out[c][k] = self.nodes[k].derivatives(slope)
+        return out
 
-    def _computed(self, a: Float, colour: int) -> dict[int, Float]:
-        stepped = np.array([self.colours.get(i) == colour for i in range(a.size)])
-        on = stepped if colour >= 0 else a != 1.0
-        out = dict[int, Float]()
+    def _by_series(self, a: Float) -> Iterator[tuple[int, Series, float]]:
+        """Regions of one parameter whose factor has a series, and the factor."""
         for k, series in self.series.items():
-            (i,) = self.regions[k].which
-            if on[i] and series.holds(x := float(a[i])):
-                out[k] = series.value(x) if colour < 0 else series.derivative(x)
-        some = [k for k, r in enumerate(self.regions) if on[list(r.which)].any() and k not in out]
+            x = float(a[self.regions[k].which[0]])
+            if series.holds(x):
+                yield k, series, x
+
+    def _entries(self, a: Float, some: Sequence[int], points: Sequence[Any_]) -> dict[int, Any_]:
+        """Of the regions with these numbers at points near a, (points, entries) each."""
         if not some:
-            return out
+            return {}
+        key = tuple(some)
+        together = _kept(
+            self._some, key, lambda: Together.of(self.mesh, [self.regions[k] for k in key])
+        )
         try:
-            found = self._together(tuple(some)).entries(
-                a + 1j * STEP * stepped if colour >= 0 else a
-            )
+            return dict(zip(some, together.entries(points), strict=True))
         except INVALID as e:
             raise NumericalError(
                 f"a section does not allow the factors {np.round(a, 4).tolist()}: {e}"
             ) from e
-        if colour < 0:
-            return out | {
-                k: self.nodes[k].coefficients(f) for k, f in zip(some, found, strict=True)
-            }
-        slopes = (
-            self.nodes[k].derivatives(f.imag / STEP) for k, f in zip(some, found, strict=True)
-        )
-        return out | dict(zip(some, slopes, strict=True))
+
+
+def _kept(known: dict[Key, Value], key: Key, made: Callable[[], Value]) -> Value:
+    """What is known of a key, made if it is not; all is forgotten when it gets too much."""
+    if key not in known:
+        if len(known) >= SAMPLES.kept:
+            known.clear()
+        known[key] = made()
+    return known[key]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -597,7 +607,8 @@ def _series(
 
     def values(factors: Float) -> list[Float]:
         a[which] = factors
-        return [nodes[k].scaled(f) for k, f in zip(single, together.entries(a), strict=True)]
+        found = together.entries([a])
+        return [nodes[k].scaled(f[0]) for k, f in zip(single, found, strict=True)]
 
     try:
         found = fitted(np.array(bounds), values) if single else []
@@ -621,7 +632,7 @@ def _whole(
         made = built(m, region.groups, region.rows, [a[g.which] for g in region.groups])
         K, M = full_matrices(m, made)
         both = reduced(system.transform, K), reduced(system.transform, M)
-        return both, ends([(p.stiffness, p.mass) for p in made])
+        return both, ends([(p.stiffness, p.mass) for p in made])[0]
 
     (K, M), nominal = at(np.ones_like(nodes.check))
     (weights,) = entries(m, [region], np.ones_like(nodes.check), roots)

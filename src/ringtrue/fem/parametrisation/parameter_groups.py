@@ -5,7 +5,7 @@ of their matrices at factors of all parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
@@ -16,9 +16,12 @@ from ringtrue.errors import DeckError, UnsupportedError
 from ringtrue.fem.element_cards import ELEMENTS, batches, with_listed_mass
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, common, union
 from ringtrue.fem.parametrisation.changed_model import changed, rows_of, rows_of_elements, within
+from ringtrue.fem.parametrisation.copies import Copies, copyable
 from ringtrue.fem.parametrisation.element_derivatives import is_place
 from ringtrue.model.model import Model
 
+MOST_COPIES = 16  # of elements in one call of their kernels
+_Places = tuple[tuple[int, Int], ...]
 INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
 Pair = tuple[sparse.csr_array, sparse.csr_array]
 
@@ -57,9 +60,11 @@ class ParameterGroup:
         )
 
     def scaled(
-        self, part: ElementMatrices, card: str, at: Int, a: float | complex
+        self, part: ElementMatrices, card: str, at: Int, a: float | complex | Any_
     ) -> ElementMatrices:
-        """The matrices of rows `at` of a card with its factor, if it is one on them."""
+        """The matrices of rows `at` (e,) of a card with its factor, or one of each (e,), if it is
+        one on them.
+        """
         if not self.matrix:
             return part
         on = np.isin(at, self.rows.get(card, at[:0]))
@@ -210,54 +215,98 @@ class Together:
     groups : tuple of ParameterGroup
     rows : dict
         Of all the regions.
-    places : tuple of tuple of (int, rows)
-        Of each region: in which batches its elements are, and where in these.
+    regions : tuple of dict
+        The rows of each.
     """
 
     mesh: Mesh
     groups: tuple[ParameterGroup, ...]
     rows: Rows
-    places: tuple[tuple[tuple[int, Int], ...], ...]
+    regions: tuple[Rows, ...]
+    _copies: dict[int, tuple[Copies, list[list[CardField]], list[_Places]]] = field(
+        default_factory=dict
+    )
 
     @classmethod
     def of(cls, m: Mesh, some: Sequence[Region]) -> Together:
         """The regions, in their order."""
-        rows = union(r.rows for r in some)
-        there = list(batches(m.model, rows))
-        places = []
-        for r in some:
-            on = [np.flatnonzero(np.isin(at, r.rows.get(card, ()))) for card, at in there]
-            places.append(tuple((i, k) for i, k in enumerate(on) if k.size))
-        return cls(m, tuple(dict.fromkeys(g for r in some for g in r.groups)), rows, tuple(places))
+        groups = tuple(dict.fromkeys(g for r in some for g in r.groups))
+        return cls(m, groups, union(r.rows for r in some), tuple(r.rows for r in some))
 
-    def entries(self, a: Any_, of: Callable[[Any_], Any_] | None = None) -> list[Any_]:
-        """Lower triangles of K, then of M, of each region's elements end to end, at the factors a
-        (P,) of all.
+    def entries(
+        self, points: Sequence[Any_], of: Callable[[Any_], Any_] | None = None
+    ) -> list[Any_]:
+        """Lower triangles of K, then of M, of each region's elements end to end: (k, entries) at k
+        points.
 
         Parameters
         ----------
+        points : sequence of (P,) float64 or complex128
+            The factors of all parameters.
         of : callable (matrices (e, d, d)) -> (e, d, d), optional
             What of the matrices is wanted in place of themselves.
         """
-        made = built(self.mesh, self.groups, self.rows, [a[g.which] for g in self.groups])
-        return [
-            ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of) for on in self.places
+        most = MOST_COPIES if copyable(self.mesh, self.rows) else 1
+        parts = [
+            self._some(np.array(points[k : k + most]), of) for k in range(0, len(points), most)
         ]
+        return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+    def _some(self, points: Any_, of: Callable[[Any_], Any_] | None) -> list[Any_]:
+        count = len(points)
+        if count not in self._copies:
+            self._copies[count] = self._copied(count)
+        copies, targets, places = self._copies[count]
+        model = copies.mesh.model
+        for g, wide in zip(self.groups, targets, strict=True):
+            a = points[:, g.which]
+            if wide and (a != 1).any():
+                model = changed(model, g.parameter.name, wide, a)
+        there = with_listed_mass(replace(copies.mesh, model=model))
+        made = list[ElementMatrices]()
+        for card, at in batches(model, copies.rows):
+            part = ELEMENTS[card](there.rows(card, at))
+            for g in (g for g in self.groups if g.matrix):
+                a = points[copies.number[card][at], g.which]
+                part = g.scaled(part, card, copies.originals[card][at], a)
+            made.append(part)
+        return [
+            ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of, count)
+            for on in places
+        ]
+
+    def _copied(self, count: int) -> tuple[Copies, list[list[CardField]], list[_Places]]:
+        """Copies of the elements, the targets of each group there, and in which batches the
+        elements of each region are, and where.
+        """
+        copies = Copies.of(self.mesh, self.rows, count)
+        there = [(card, copies.originals[card][at]) for card, at in copies.batches]
+        places = []
+        for rows in self.regions:
+            on = [np.flatnonzero(np.isin(at, rows.get(card, ()))) for card, at in there]
+            places.append(tuple((i, k) for i, k in enumerate(on) if k.size))
+        return copies, [copies.targets(g.targets) for g in self.groups], places
 
 
 def entries(
     m: Mesh, some: Sequence[Region], a: Any_, of: Callable[[Any_], Any_] | None = None
 ) -> list[Any_]:
-    """`Together.entries` of the regions, once."""
-    return Together.of(m, some).entries(a, of)
+    """`Together.entries` of the regions, once, at the factors a (P,)."""
+    return [found[0] for found in Together.of(m, some).entries([a], of)]
 
 
-def ends(parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None) -> Any_:
-    """Lower triangles of stiffnesses (e, d, d), then of masses, (e, d) or (e, d, d), end to end."""
-    every = [k for k, _ in parts] + [
-        x if x.ndim == 3 else x[:, :, None] * np.eye(x.shape[1]) for _, x in parts
-    ]
-    return np.concatenate([np.empty(0), *(_lower(of(x) if of else x) for x in every)])
+def ends(
+    parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None, count: int = 1
+) -> Any_:
+    """Lower triangles of stiffnesses (e, d, d), then of masses, (e, d) or (e, d, d), end to end:
+    (count, entries) of as many copies, one after the other.
+    """
+    lower = [np.empty((count, 0))]
+    for x in (*(k for k, _ in parts), *(m for _, m in parts)):
+        full = x if x.ndim == 3 else x[:, :, None] * np.eye(x.shape[1])
+        i, j = np.tril_indices(full.shape[1])
+        lower.append((of(full) if of else full)[:, i, j].reshape(count, -1))
+    return np.concatenate(lower, axis=1)
 
 
 def owners(m: Mesh, region: Region) -> Int:
@@ -280,8 +329,3 @@ def roots(x: Any_) -> Any_:
     there = d > 1e-12 * d.max(axis=1, keepdims=True, initial=0.0)
     s = np.where(there, 1 / np.sqrt(np.where(there, d, 1.0)), 0.0)
     return s[:, :, None] * s[:, None, :]
-
-
-def _lower(x: Any_) -> Any_:
-    i, j = np.tril_indices(x.shape[1])
-    return x[:, i, j].ravel()
