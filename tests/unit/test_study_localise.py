@@ -20,6 +20,7 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS
 AUTO = PLAIN.replace("[update]\n", "[update]\npropose = true\n")
+FEW = "[localise]\npool = 6\n"  # candidates: where the choice among them is not what is tested
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) 
 
 @pytest.mark.parametrize("propose", [False, True])
 def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propose: bool) -> None:
-    text = (AUTO if propose else PLAIN) + '[localise]\nkinds = ["region", "material"]\n'
+    text = (AUTO if propose else PLAIN) + FEW + 'kinds = ["region", "material"]\n'
     found = run_study(
         small_study.write_study(tmp_path, text, ambient=False), until="localise"
     ).results["localise"]
@@ -106,7 +107,7 @@ def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> None:
-    run = run_study(small_study.write_study(tmp_path, PLAIN, ambient=False))
+    run = run_study(small_study.write_study(tmp_path, PLAIN + FEW.replace("6", "10"), ambient=False))
     assert len(run.results["localise"].proposal.members) >= 2
     assert "sensitivity" not in run.results
     assert "final" not in run.results
@@ -192,7 +193,7 @@ def _same(a: object, b: object, close: float) -> None:
 
 
 def test_a_deck_that_needs_no_change_is_delivered_as_it_is(tmp_path: Path) -> None:
-    study = small_study.write_study(tmp_path, AUTO, ambient=False)
+    study = small_study.write_study(tmp_path, AUTO + FEW, ambient=False)
     (tmp_path / "deck" / "frame.bdf").write_text(small_study.deck(small_study.TRUTH))
     run = run_study(study)
     assert run.results["localise"].proposal.members == ()
