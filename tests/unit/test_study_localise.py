@@ -107,7 +107,9 @@ def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> None:
-    run = run_study(small_study.write_study(tmp_path, PLAIN + FEW.replace("6", "10"), ambient=False))
+    run = run_study(
+        small_study.write_study(tmp_path, PLAIN + FEW.replace("6", "10"), ambient=False)
+    )
     assert len(run.results["localise"].proposal.members) >= 2
     assert "sensitivity" not in run.results
     assert "final" not in run.results

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import re
@@ -157,7 +158,8 @@ class _Reading:
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
         tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
-        for candidate in (*tried, *(there for t in tried if (there := any_case(t)))):
+        in_any_case = (there for t in tried if (there := any_case(t)))
+        for candidate in itertools.chain(tried, in_any_case):
             if candidate.is_file():
                 return candidate.resolve()
         places = ", ".join(dict.fromkeys(str(t) for t in tried))
