@@ -1,9 +1,7 @@
 """The worked example from raw signals to the delivered deck, against the truth that no stage of the
 study sees.
 
-One run with short records serves all tests of this module. The last test runs the identification
-again in a copy of the package without `ringtrue.demos`: nothing in the chain may need the as-built
-model.
+One run with short records serves all tests of this module.
 """
 
 from __future__ import annotations
