@@ -24,6 +24,8 @@ from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
+from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.parametric import modes_of
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
@@ -31,6 +33,7 @@ from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, pa
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.direct import (
     DirectProposal,
+    mode_count,
     not_fitted,
     not_told_apart,
     propose_parameters,
@@ -265,7 +268,9 @@ def _form(opened: Opened, at: _Placed) -> FormFindings:
         weights=Weights(shape=0.0) if modes.frequency_only else Weights(),
         frequency_only=modes.frequency_only,
     )
-    return form_of(opened, modes, at.std, aim, at.bridge.matrix)
+    request = ModesRequest(modes_of(mode_count(len(modes))))
+    found = opened.analysis.modes(request).modes
+    return form_of(opened, found, modes, std=at.std, target=aim, observe=at.bridge.matrix)
 
 
 def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:

@@ -7,10 +7,9 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet, Uncertainty
-from ringtrue.model.ports import Linearisation, ModesRequest
+from ringtrue.eigen.eigenpairs import eigenvalue
+from ringtrue.model.ports import Linearisation
 from ringtrue.model.superelements import whole_mesh
-from ringtrue.reduction.parametric import modes_of
-from ringtrue.study.direct import mode_count
 from ringtrue.study.opened import Opened
 from ringtrue.updating.selection.form import (
     FormFindings,
@@ -32,6 +31,7 @@ from ringtrue.updating.target import Target, match
 
 def form_of(
     opened: Opened,
+    modes: ModeSet,
     test: ModeSet,
     std: Uncertainty | None,
     target: Target,
@@ -43,6 +43,8 @@ def form_of(
     ----------
     opened : Opened
         The deck.
+    modes : ModeSet
+        Of the deck, at its full degrees of freedom: the lowest, as many as can be paired or more.
     test : ModeSet
     std : Uncertainty, optional
         Of these modes; NaN or None where unknown.
@@ -52,19 +54,18 @@ def form_of(
         Readings of the channels of `target` by the motion of all degrees of freedom.
     """
     system = opened.analysis.system
-    modes = opened.analysis.eigen(ModesRequest(modes_of(mode_count(len(test)))))
-    readings = observe @ (system.transform @ modes.vectors)
-    now = Linearisation.of_modes(np.zeros(0), modes.frequencies, readings)
+    values = np.array([eigenvalue(f) for f in modes.frequencies])
+    now = Linearisation.of_modes(np.zeros(0), modes.frequencies, observe @ modes.shapes)
     pairs, _, _ = match(target, now)
-    pairs = pairs[target.used[pairs[:, 0]] & (modes.values[pairs[:, 1]] > 0)]
+    pairs = pairs[target.used[pairs[:, 0]] & (values[pairs[:, 1]] > 0)]
     at, fe = pairs.T
     f = test.frequencies[at]
     shapes = target.shapes[:, at]
     deck = DeckModes(
         model=whole_mesh(opened.model),
         system=system,
-        values=modes.values,
-        vectors=modes.vectors,
+        values=values,
+        vectors=np.asarray(system.local @ modes.shapes),
         at=fe,
         measured=MeasuredModes(observe, shapes[:, : 0 if target.frequency_only else None], f),
     )
@@ -73,7 +74,7 @@ def form_of(
     found = ModeDeviations(
         test=at,
         fe=fe,
-        change=np.log((2 * np.pi * f) ** 2 / modes.values[fe]),
+        change=np.log((2 * np.pi * f) ** 2 / values[fe]),
         # structural damping raises λ by 2ζ², viscous does not
         std=np.hypot(2 * frequency[at] / f, 2 * np.nan_to_num(test.damping[at]) ** 2),
     )

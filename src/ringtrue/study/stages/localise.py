@@ -170,7 +170,8 @@ def _form(session: Session, aim: Target) -> FormFindings:
     observed = session.own.observed(deck)
     here = {c: i for i, c in enumerate(observed.channels)}
     observe = sparse.csr_array(observed.matrix[[here[c] for c in test.channels]])
-    return form_of(deck, test, reference.elastic_std, aim, observe)
+    modes = deck.modes(session.fmax).modes
+    return form_of(deck, modes, test, std=reference.elastic_std, target=aim, observe=observe)
 
 
 def _updated(session: Session) -> bool:
