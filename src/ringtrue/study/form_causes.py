@@ -1,5 +1,5 @@
 """What physical causes would do to an updated deck: modes of the deck with a finer mesh, coupled
-mass, shear flexibility, and lumped mass that is spread.
+mass, shear flexibility, lumped mass that is spread, and joints that give.
 """
 
 from __future__ import annotations
@@ -15,11 +15,15 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import RingtrueError
-from ringtrue.fem.element_cards import ELEMENTS
+from ringtrue.fem.assembly import Sum, reduced
+from ringtrue.fem.element_cards import ELEMENTS, mesh, pieces
+from ringtrue.fem.members import end_springs, on_springs
 from ringtrue.model.model import Model, stacked
 from ringtrue.model.ports import Linearisation, ModesRequest
-from ringtrue.model.refine import NODES, refined
+from ringtrue.model.refine import LINES, NODES, refined
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.shapes import unit
+from ringtrue.solvers.embedded import EmbeddedAnalysis
 from ringtrue.study.opened import Opened
 from ringtrue.updating.form_uncertainty import CauseEffect
 from ringtrue.updating.problem import Evaluated, Problem
@@ -51,6 +55,7 @@ class ChangedDecks:
 
 DECKS = ChangedDecks()
 Bridge = Callable[[Opened], Observation]
+Edit = Callable[[Opened], Opened | None]  # None where the deck has no place for a cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +102,11 @@ class UpdatedDeck:
         value = self._value(start)
         out = []
         for cause, edit, std in CAUSES:
-            changed = edit(self.opened.model)
+            changed = edit(self.opened)
             if changed is None:
                 continue
             try:
-                now = self._seen(Opened(changed, self.opened.length))
+                now = self._seen(changed)
             except RingtrueError:  # a changed deck that has no modes is no cause
                 continue
             residual = value - self._value(now)
@@ -154,6 +159,16 @@ class UpdatedDeck:
         return out
 
 
+def _edited(edit: Callable[[Model], Model | None]) -> Edit:
+    """Of an opened deck, by its cards."""
+
+    def changed(opened: Opened) -> Opened | None:
+        model = edit(opened.model)
+        return None if model is None else Opened(model, opened.length)
+
+    return changed
+
+
 def _finer(model: Model) -> Model | None:
     """With its mesh refined once; None where that is not possible."""
     try:
@@ -169,14 +184,14 @@ def _coupled(model: Model) -> Model | None:
     return replace(model, params={**model.params, "COUPMASS": -1 if now > 0 else 1})
 
 
-def _flexible(*cards: str) -> Callable[[Model], Model | None]:
+def _flexible(*cards: str) -> Edit:
     """With the shear flexibility of rectangular sections in some properties."""
 
     def edit(model: Model) -> Model | None:
         some = [c for c in cards if c in model and len(model[c])]
         return softer(model, some, 1.0) if some else None
 
-    return edit
+    return _edited(edit)
 
 
 def _spread(model: Model) -> Model | None:
@@ -232,12 +247,44 @@ def _joined(model: Model) -> sparse.csr_array:
     return sparse.csr_array(touch.T @ touch)
 
 
+def _soft_joints(rigid: float) -> Edit:
+    """With members of bars on springs about all axes at both ends, of `rigid` EI/L."""
+
+    def edit(opened: Opened) -> Opened | None:
+        model = whole_mesh(opened.model)
+        m = mesh(model)
+        there = {c: np.arange(len(model[c])) for c in LINES if c in model and len(model[c])}
+        if not there:
+            return None
+        springs = end_springs(m, there, rigid)
+        if not np.isfinite(springs).any():
+            return None
+        change = Sum(m.size)
+        first = 0
+        for _, at, part in pieces(m, there):
+            own = np.repeat(springs[first : first + at.size], 3, axis=1)
+            first += at.size
+            change.add(part.dofs, on_springs(part.stiffness, own) - part.stiffness)
+        system = opened.analysis.system
+        soft = system.stiffness + reduced(system.transform, change.total())
+        changed = Opened(opened.model, opened.length)
+        changed.__dict__["analysis"] = EmbeddedAnalysis(
+            model, replace(system, stiffness=sparse.csr_array(soft))
+        )
+        return changed
+
+    return edit
+
+
 # in words, the change, and the standard deviation of its amount before the test; the error of a
-# mesh is 4/3 of what refining it once changes (Richardson 1911)
-CAUSES: tuple[tuple[str, Callable[[Model], Model | None], float], ...] = (
-    ("a finer mesh", _finer, 4 / 3),
-    ("coupled mass", _coupled, 1.0),
+# mesh is 4/3 of what refining it once changes (Richardson 1911); Eurocode 3 calls joints rigid from
+# 25 EI/L on, and from 8 EI/L on in a braced frame (EN 1993-1-8, 5.2.2.5)
+CAUSES: tuple[tuple[str, Edit, float], ...] = (
+    ("a finer mesh", _edited(_finer), 4 / 3),
+    ("coupled mass", _edited(_coupled), 1.0),
     ("shear flexibility of bars", _flexible("PBAR", "PBEAM"), 1.0),
     ("transverse shear flexibility of plates", _flexible("PSHELL"), 1.5),
-    ("point masses that are spread", _spread, 1.0),
+    ("point masses that are spread", _edited(_spread), 1.0),
+    ("joints that give", _soft_joints(25.0), 1.0),
+    ("joints that give", _soft_joints(8.0), 1.0),
 )

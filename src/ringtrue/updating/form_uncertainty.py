@@ -183,10 +183,13 @@ def form_posterior(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Component:
-    """−2 ln of the evidence, step and covariance of the unknowns, and what modes expect."""
+    """−2 ln of the evidence, step and covariance of the unknowns, amount of the cause, and what
+    modes expect.
+    """
 
     deviance: float
     step: Float
+    amount: float
     covariance: Float
     mode_shift: Float
     mode_std: Float
@@ -252,7 +255,20 @@ class _InLogs:
         )
 
     def fit(self, effect: CauseEffect | None, tau: float) -> _Component:
-        """With one cause or none, and one scatter τ: Gaussian in the unknowns and the amount."""
+        """With one cause or none, and one scatter τ.
+
+        What a cause does depends on the parameters, too. The product of what both change in ln λ of
+        a mode, the size of what a linear sum leaves out, is a further error of the mode.
+        """
+        product = np.zeros(self.std.size)
+        found = self._gaussian(effect, tau, product)
+        if effect is None:
+            return found
+        by_parameters = np.nan_to_num(self.modes @ found.step)
+        return self._gaussian(effect, tau, effect.modes * found.amount * by_parameters)
+
+    def _gaussian(self, effect: CauseEffect | None, tau: float, product: Float) -> _Component:
+        """With an error of that standard deviation of each mode: Gaussian in the unknowns."""
         slope = self.slope
         own = self.modes
         prior = self.problem.linked_precision
@@ -262,7 +278,8 @@ class _InLogs:
             own = np.column_stack([own, effect.modes])
             prior = linalg.block_diag(prior, np.array([[1 / effect.std**2]]))
             begin = np.append(begin, 0.0)
-        covariance = np.diag(self.std[self.test] ** 2)
+        std = np.hypot(self.std, product)
+        covariance = np.diag(std[self.test] ** 2)
         covariance = covariance + tau**2 * self.field[np.ix_(self.test, self.test)]
         root = linalg.cholesky(covariance, lower=True)
         a = slope.copy()
@@ -280,12 +297,13 @@ class _InLogs:
         # what the field has in the fitted modes says what it has in the others (universal kriging)
         near = linalg.solve_triangular(root, tau**2 * self.field[self.test], lower=True)
         left = own - near.T @ a[self.hertz]
-        variance = tau**2 * np.diag(self.field) - (near**2).sum(axis=0) + self.std**2
+        variance = tau**2 * np.diag(self.field) - (near**2).sum(axis=0) + std**2
         variance = variance + np.einsum("mq,qr,mr->m", left, inverse, left)
         q = self.problem.size
         return _Component(
             deviance=float(deviance),
             step=step[:q],
+            amount=float(step[q:].sum()),
             covariance=inverse[:q, :q],
             mode_shift=own @ step + near.T @ rest[self.hertz],
             mode_std=np.sqrt(np.maximum(variance, 1e-16)),

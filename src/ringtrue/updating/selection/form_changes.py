@@ -23,6 +23,7 @@ from ringtrue.eigen.pencil import Pencil
 from ringtrue.fem.assembly import Sum, System, assemble, reduced
 from ringtrue.fem.constraints import supports
 from ringtrue.fem.element_cards import mesh, pieces
+from ringtrue.fem.members import POINT_MASSES
 from ringtrue.fem.mesh import ElementMatrices, Mesh
 from ringtrue.model.case_control import taken_sets
 from ringtrue.model.model import Model, Ragged, table
@@ -31,7 +32,6 @@ from ringtrue.shapes import unit
 Pattern = Literal["shear", "common", "supports", "property", "single", "damping"]
 SHEAR = {"PBAR": ("K1", "K2"), "PBEAM": ("K1", "K2"), "PSHELL": ("TST",)}
 SPRUNG = ("CBUSH", "CBUSH1D", "CELAS1", "CELAS2", "CELAS3", "CELAS4")
-POINT_MASSES = ("CONM1", "CONM2", "CMASS1", "CMASS2", "CMASS3", "CMASS4")
 
 
 @dataclass(frozen=True, slots=True)
