@@ -16,6 +16,7 @@ from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import is_matrix
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.decks.nastran import reader
@@ -657,6 +658,8 @@ def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[Field
     a = old.columns[name]
     b = new.columns[name]
     if isinstance(a, Ragged) and isinstance(b, Ragged):
+        if is_matrix(new.card, name):
+            return _matrix_changes(new, a, b)
         at = np.flatnonzero(_differ(a.values, b.values))
         rows = b.owner[at]
         numbers = at - b.offsets[rows] + 1
@@ -669,6 +672,24 @@ def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[Field
     assert not isinstance(b, Ragged)
     rows = np.flatnonzero(_differ(a, b) & free)
     return [FieldChange(new.card, int(new.ids[r]), name, b[r].item()) for r in rows.tolist()]
+
+
+def _matrix_changes(new: Table, old_terms: Ragged, new_terms: Ragged) -> list[FieldChange]:
+    """The factors on the matrices whose terms differ."""
+    found = []
+    for row, number in enumerate(new.ids.tolist()):
+        a = old_terms.row(row)
+        b = new_terms.row(row)
+        if np.array_equal(a, b):
+            continue
+        factor = float(a @ b / (a @ a)) if a.size == b.size and a.any() else np.nan
+        if not np.allclose(b, factor * a, rtol=1e-9, atol=0.0):  # of double precision
+            raise UnsupportedError(
+                f"DMIG {number} ({new['NAME'][row]}): its terms differ by no common factor; write "
+                "its deck"
+            )
+        found.append(FieldChange(new.card, number, "A", factor))
+    return found
 
 
 def _differ(a: Any_, b: Any_) -> Any_:
