@@ -52,6 +52,11 @@ class Op2Writer:
         self.key(-1)
         self.key(0)
 
+    def double(self, *values: float) -> list[bytes]:
+        """Numbers of double precision, of two words each where these have four bytes."""
+        data = struct.pack(f"{self.order}{len(values)}d", *values)
+        return [data[i : i + self.word] for i in range(0, len(data), self.word)]
+
     def begin(self, name: str, trailer: Sequence[int]) -> None:
         text = name.ljust(8).encode()
         self.block([text[:4], text[4:]])
