@@ -38,7 +38,6 @@ from ringtrue.study.loads import (
     support_motions,
 )
 from ringtrue.study.opened import Opened
-from ringtrue.study.scene import make_scene, scene_modes
 
 
 def read_deck(path: str | Path, *, units: str = "SI") -> Model:
@@ -150,7 +149,9 @@ class FeModes(Displayed):
         """The mode shapes in motion, a 3D view; of matrices, which have no nodes, as lines."""
         if isinstance(self.model, MatrixModel):
             return plot(self.modes)
-        from ringtrue.plots.scene import model_modes  # plotly loads when something is drawn
+        # what draws loads when something is drawn
+        from ringtrue.plots.scene import model_modes
+        from ringtrue.study.scene import make_scene, scene_modes
 
         scene = make_scene(self.model, {}, UNIT_SYSTEMS[self.model.units].length)
         return model_modes(scene, scene_modes(self.modes, scene))
