@@ -22,7 +22,7 @@ from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
 from ringtrue.io.modes import write_modes
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.op4 import read_op4, write_op4
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -155,6 +155,12 @@ def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -
     )
     held = read_op4(folder / "full.op4")
     np.testing.assert_array_equal(held["KAAX"].toarray(), part.external.stiffness)
+    of_msc = {"KXX": held["KAAX"].toarray(), "MXX": held["MAAX"].toarray()}
+    write_op4(folder / "msc.op4", of_msc)
+    (folder / "with_msc.bdf").write_text(text.replace("FULL.op4", "msc.op4"))
+    np.testing.assert_allclose(
+        frequencies(folder / "with_msc.bdf"), frequencies(folder / "with_op4.bdf"), rtol=1e-9
+    )
     (folder / "lost.bdf").write_text(text.replace("unit=105", "unit=72"))
     with pytest.raises(DeckError, match="unit 105: name its file above"):
         read_deck(folder / "lost.bdf")
