@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from ringtrue.decks.nastran.lexer import LineFields, split_line
 from ringtrue.decks.nastran.writer import format_field
+
+
+_fields = lru_cache(maxsize=64)(split_line)  # a line is looked at some six times for each value
 
 
 class CardLine:
@@ -21,7 +25,7 @@ class CardLine:
 
     @property
     def fields(self) -> LineFields:
-        return split_line(self.text)
+        return _fields(self.text)
 
     @property
     def size(self) -> int:
