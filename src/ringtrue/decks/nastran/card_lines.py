@@ -8,7 +8,6 @@ from functools import lru_cache
 from ringtrue.decks.nastran.lexer import LineFields, split_line
 from ringtrue.decks.nastran.writer import format_field
 
-
 _fields = lru_cache(maxsize=64)(split_line)  # a line is looked at some six times for each value
 
 
