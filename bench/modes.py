@@ -33,9 +33,7 @@ import calculix_input
 import numpy as np
 from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
 
-from ringtrue.errors import SolverMissing
 from ringtrue.model.cards import TETRAHEDRON
-from ringtrue.solvers.mystran import find_mystran
 
 HERE = Path(__file__).resolve()
 MODES, RIGID, REPEATS = 30, 6, 2
@@ -341,6 +339,9 @@ def calculix() -> list[str] | None:
 
 def mystran() -> list[str] | None:
     """The command, if it is there."""
+    from ringtrue.errors import SolverMissing
+    from ringtrue.solvers.mystran import find_mystran
+
     try:
         return [str(find_mystran()), "m.bdf"]
     except SolverMissing:

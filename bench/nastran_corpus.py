@@ -30,7 +30,8 @@ from outcome import ROOT, Check, Peer, Report, arguments, at_most, peer_program
 from ringtrue.core.arrays import Float, Int
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck
 from ringtrue.decks.nastran.results.modes import read_recorded_deflections
-from ringtrue.decks.nastran.results.op2 import read_op2, read_tables
+from ringtrue.decks.nastran.results.op2 import read_tables
+from ringtrue.decks.nastran.results.op2_motions import read_op2
 from ringtrue.errors import RingtrueError, SolverMissing
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.frames import axes, positions

@@ -31,7 +31,6 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binom, chi2
 
 ROOT = Path(__file__).resolve().parents[1]
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -108,6 +107,8 @@ def share_at_least(what: str, count: float, of: int, least: float) -> Check:
     The limit is the binomial quantile at `RISK`, and never less than one case: few cases bear a
     lower share than many. A case counts as independent.
     """
+    from scipy.stats import binom  # 29 MB that no measured run needs
+
     least_count = max(binom.ppf(RISK, of, least), 1) if of else np.nan
     return at_least(
         what, 100 * count / of if of else np.nan, 100 * float(least_count) / max(of, 1), "%"
@@ -118,6 +119,8 @@ def share_at_most(what: str, count: float, of: int, most: float) -> Check:
     """A share of many cases that is right if it may come from a true share of `most`; see
     `share_at_least`.
     """
+    from scipy.stats import binom  # 29 MB that no measured run needs
+
     most_count = min(binom.ppf(1 - RISK, of, most), of - 1) if of else np.nan
     return at_most(
         what, 100 * count / of if of else np.nan, 100 * float(most_count) / max(of, 1), "%"
@@ -132,6 +135,8 @@ def rms_over_stated(
     The limits widen by the quantiles of χ² at `RISK`: the mean square of a few errors scatters. NaN
     are left out.
     """
+    from scipy.stats import chi2  # 29 MB that no measured run needs
+
     given = np.asarray(errors, float)
     given = given[np.isfinite(given)]
     if not given.size:

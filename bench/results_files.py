@@ -2,8 +2,9 @@
 
     python bench/results_files.py
 
-Every OP2 file of the data beside the clone: eigenvalues and eigenvectors against pyNastran's, and the
-deck that is rebuilt of GEOM1 to GEOM4: places of the nodes, and nodes and property of each element.
+Every OP2 file of the data beside the clone: eigenvalues, eigenvectors and frequency responses
+against pyNastran's, and the deck that is rebuilt of GEOM1 to GEOM4: places of the nodes, and nodes
+and property of each element.
 A file without modes or without geometry is named with what it holds. F06 and punch files have the
 modes of the HDF5 file of the same run. OP4: matrices that pyyeti writes, in every form that it has.
 """
@@ -24,7 +25,8 @@ from outcome import ROOT, Check, Report, arguments, at_most, peer_program
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.results.geometry import read_recorded_model
 from ringtrue.decks.nastran.results.modes import read_recorded
-from ringtrue.decks.nastran.results.op2 import described, read_tables
+from ringtrue.decks.nastran.results.op2 import read_tables
+from ringtrue.decks.nastran.results.op2_motions import described, read_op2_responses
 from ringtrue.errors import DataError
 from ringtrue.io.op4 import read_op4
 from ringtrue.model.model import Model
@@ -48,6 +50,14 @@ for path in sys.argv[2:]:
                 found["eigenvalues"] = np.asarray(shapes.eigns, dtype=float).tolist()
                 found["nodes"] = shapes.node_gridtype[:, 0].tolist()
                 found["motion"] = shapes.data.astype(float).tolist()
+        for shapes in list(file.displacements.values())[:1]:
+            if type(shapes).__name__ == "ComplexDisplacementArray":
+                found["response"] = [
+                    shapes.node_gridtype[:, 0].tolist(),
+                    shapes._times.tolist(),
+                    shapes.data.real.tolist(),
+                    shapes.data.imag.tolist(),
+                ]
     except BaseException as e:
         found["no modes"] = f"{type(e).__name__}: {e}".splitlines()[0][:80]
     try:
@@ -145,8 +155,24 @@ def op2_file(report: Report, path: Path, theirs: dict[str, Any]) -> None:
         motions = ", ".join(sorted(name for name in held if name.endswith(")")))
         said.append(f"no modes; {motions or 'no motion'}")
         checks.append(at_most("modes by pyNastran", len(theirs.get("eigenvalues", ())), 0))
+    if "response" in theirs:
+        checks += same_response(path, theirs["response"])
     checks += deck_of(path, theirs, said)
     report.row(f"{path.name}: {'; '.join(said)}", {}, checks)
+
+
+def same_response(path: Path, theirs: list[Any]) -> list[Check]:
+    """The frequency response of displacements of the first subcase."""
+    nodes, times, real, imaginary = map(np.array, theirs)
+    mine = next(r for r in read_op2_responses(path) if r.quantity == "displacements")
+    motion = np.moveaxis(mine.motion, 2, 0)[:, np.argsort(mine.nodes)]
+    order = np.argsort(nodes)
+    off = max(
+        apart(motion.real, real[:, order]),
+        apart(motion.imag, imaginary[:, order]),
+        apart(mine.frequencies, times),
+    )
+    return [at_most("frequency response off", off, SINGLE)]
 
 
 def deck_of(path: Path, theirs: dict[str, Any], said: list[str]) -> list[Check]:

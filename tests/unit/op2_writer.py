@@ -52,6 +52,11 @@ class Op2Writer:
         self.key(-1)
         self.key(0)
 
+    def double(self, *values: float) -> list[bytes]:
+        """Numbers of double precision, of two words each where these have four bytes."""
+        data = struct.pack(f"{self.order}{len(values)}d", *values)
+        return [data[i : i + self.word] for i in range(0, len(data), self.word)]
+
     def begin(self, name: str, trailer: Sequence[int]) -> None:
         text = name.ljust(8).encode()
         self.block([text[:4], text[4:]])
@@ -117,6 +122,44 @@ class Op2Writer:
             for node, values in zip(nodes.tolist(), motion[:, :, k].tolist(), strict=True):
                 body += [10 * node + 1, 1, *values]
             records.append(body)
+        self.table(name, records)
+
+    def motions(
+        self,
+        name: str,
+        identity: Sequence[int],
+        keys: Sequence[float],
+        nodes: np.ndarray,
+        motion: np.ndarray,
+        *,
+        polar: bool = False,
+        sort2: bool = False,
+    ) -> None:
+        """Motions (n, 6, k) of nodes by keys (k,), real or complex; `identity` is approach and
+        table code.
+        """
+        approach, code = identity
+        values = motion.astype(np.complex128)
+        parts = [values.real, values.imag]
+        if polar:
+            parts = [np.abs(values), np.rad2deg(np.angle(values)) % 360]
+        width = 8
+        if np.iscomplexobj(motion):
+            width = 14
+            code += 1000
+        numbers = np.concatenate(parts[: (width - 2) // 6], axis=1)
+        form = 1 if width == 8 else 2 + polar
+        own = [10 * node + 1 for node in nodes.tolist()]
+        outer, inner = (own, list(keys)) if sort2 else (list(keys), own)
+        if sort2:
+            code += 2000
+            numbers = numbers.transpose(2, 1, 0)
+        records: list[list[Any]] = []
+        for k, first in enumerate(outer):
+            ident: list[Any] = [10 * approach + 1, code, 0, 1, first, 0.0, 0.0, 0, form, width]
+            records.append([*ident, *[0] * 40, *[b"    "] * 96])  # title, subtitle and label
+            rows = zip(inner, numbers[:, :, k].tolist(), strict=True)
+            records.append([word for second, six in rows for word in (second, 1, *six)])
         self.table(name, records)
 
     def write(self, path: Path) -> None:

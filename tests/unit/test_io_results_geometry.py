@@ -257,6 +257,35 @@ RECORDED = [
 COMPUTED = {"ZOFFS", "Z0", "TST", "NORM", "DIMB", "NSMB"}  # Nastran fills in the default
 
 
+@pytest.mark.parametrize(("order", "word", "form"), [("<", 4, 14), ("<", 4, 4), (">", 8, 4)])
+def test_frames_of_cstm(tmp_path: Path, order: str, word: int, form: int) -> None:
+    """Points of BGPDT and frames of CSTM in the forms of older and newer versions: node 2 lies at 90
+    degrees of cylinder 7, whose z axis is basic X and whose x axis is basic Y.
+    """
+    w = Op2Writer(order, word)
+    rotation = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    if form == 14:
+        w.table("BGPDT", [[0, 9.0, 0.0, 0.0, 7, 4.0, 0.0, 3.0]])
+        w.table("CSTM", [[7, 2, 1.0, 0.0, 0.0, *rotation, 3, 1, *[0.0] * 3, *rotation]])
+    else:
+        first = [0, 1, 5, 61, 0, -1, *w.double(9.0, 0.0, 0.0)]
+        second = [7, 7, 2, 61, 0, -2, *w.double(4.0, 0.0, 3.0)]
+        w.table("BGPDTS", [[*first, *second], [1, 2]])
+        frames = w.double(0.0, 0.0, 0.0, *rotation, 1.0, 0.0, 0.0, *rotation)
+        w.table("CSTMS", [[3, 1, 0, 1, 7, 2, 0, 13], frames])
+    w.table("EQEXINS", [[2, 2, 5, 1], [2, 21, 5, 11]])
+    motion = np.random.default_rng(1).normal(size=(2, 6, 1))
+    w.modes(np.array([4.0]), np.array([2, 5]), motion, np.ones(1))
+    w.write(tmp_path / "m.op2")
+    modes = read_nastran_modes(tmp_path / "m.op2")
+    radial, tangential, axial = motion[0, :3, 0]
+    basic = [axial, -tangential, radial]
+    here = [modes.channels.index(f"2+{axis}") for axis in "XYZ"]
+    np.testing.assert_allclose(modes.shapes[here, 0], basic, rtol=1e-6)
+    text = read_recorded_model(tmp_path / "m.op2").deck()
+    assert text.count("CORD2R") == text.count("CORD2C") == 1
+
+
 @pytest.mark.data
 @pytest.mark.parametrize("names", RECORDED, ids=lambda n: n.split()[0].rpartition("/")[2])
 def test_recorded_deck_is_the_deck_beside(tmp_path: Path, names: str) -> None:

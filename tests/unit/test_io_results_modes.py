@@ -12,10 +12,16 @@ import numpy as np
 import pytest
 from op2_writer import Op2Writer
 
+from ringtrue.cli.main import run
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import Norm
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.decks.nastran.results.modes import read_nastran_modes, read_recorded
+from ringtrue.decks.nastran.results.modes import (
+    read_nastran_deflections,
+    read_nastran_modes,
+    read_nastran_responses,
+    read_recorded,
+)
 from ringtrue.decks.nastran.results.printed import fatal_messages, sturm_counts
 from ringtrue.errors import DataError
 from ringtrue.model.model import Model, Ragged, table
@@ -226,6 +232,71 @@ def test_op2_eigenvectors_of_something_else_are_no_shapes(
     alone.write(tmp_path / "alone.op2")
     with pytest.raises(DataError, match=f"no real eigenvectors in a table .* but those of {other}"):
         read_nastran_modes(tmp_path / "alone.op2")
+
+
+@pytest.mark.parametrize("word", [4, 8])
+def test_op2_in_sort2_is_read_as_in_sort1(tmp_path: Path, word: int) -> None:
+    """DISPLACEMENT(SORT2): a record a node, its rows the modes, whose eigenvalues LAMA has."""
+    motion = made()
+    first = Op2Writer(word=word)
+    first.modes(VALUES, NODES, motion, np.ones(2))
+    first.write(tmp_path / "sort1.op2")
+    second = Op2Writer(word=word)
+    second.table("LAMA", [[21, 6, *[0] * 144], [1, 1, 4.0, *[1.0] * 4, 2, 2, 900.0, *[1.0] * 4]])
+    second.motions("OUGV2", (2, 7), [1, 2], NODES, motion, sort2=True)
+    second.write(tmp_path / "sort2.op2")
+    one, two = (read_nastran_modes(tmp_path / f"sort{k}.op2") for k in (1, 2))
+    np.testing.assert_array_equal(two.shapes, one.shapes)
+    np.testing.assert_array_equal(two.frequencies, one.frequencies)
+    assert two.channels == one.channels
+    bare = Op2Writer()
+    bare.motions("OUGV2", (2, 7), [1, 2], NODES, motion, sort2=True)
+    bare.write(tmp_path / "bare.op2")
+    with pytest.raises(DataError, match="no LAMA of these modes: ask for SORT1"):
+        read_nastran_modes(tmp_path / "bare.op2")
+
+
+@pytest.mark.parametrize("keys", [[11, 25], [11.0, 25.0]])
+def test_deflections_of_an_op2_in_sort2(tmp_path: Path, keys: list[float]) -> None:
+    """Rows are known by their load sets, which some versions write as reals."""
+    writer = Op2Writer()
+    writer.motions("OUGV2", (1, 1), keys, NODES, made(), sort2=True)
+    writer.write(tmp_path / "m.op2")
+    cases, dofs, moved = read_nastran_deflections(tmp_path / "m.op2")
+    assert cases == ("subcase 11", "subcase 25")
+    np.testing.assert_allclose(moved, made().reshape(18, 2).T, rtol=1e-6)
+    assert dofs.labels()[:2] == ("7+X", "7+Y")
+
+
+@pytest.mark.parametrize("sort2", [False, True])
+@pytest.mark.parametrize("polar", [False, True])
+def test_frequency_responses_of_an_op2(tmp_path: Path, sort2: bool, polar: bool) -> None:
+    motion = made() + 1j * made(2)
+    writer = Op2Writer()
+    name = "OAG2" if sort2 else "OAG1"
+    writer.motions(name, (5, 11), [0.3, 20.0], NODES, motion, polar=polar, sort2=sort2)
+    writer.write(tmp_path / "m.op2")
+    (found,) = read_nastran_responses(tmp_path / "m.op2")
+    assert (found.case, found.quantity) == ("subcase 1", "accelerations")
+    assert found.frequencies.tolist() == [0.3, 20.0]
+    np.testing.assert_allclose(found.values, motion.reshape(18, 2).T, rtol=1e-6)
+    assert run(["convert", str(tmp_path / "m.op2"), str(tmp_path / "m.csv")]) == 0
+    lines = (tmp_path / "m.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2 * 18
+    assert lines[1].startswith("subcase 1,accelerations,0.3,7+X,")
+
+
+def test_op2_in_sort2_that_is_damaged(tmp_path: Path) -> None:
+    """Two blocks of one subcase, of other frequencies."""
+    writer = Op2Writer()
+    records = []
+    for node, frequency in ((7, 1.0), (3, 2.0)):
+        ident = [51, 3001, 0, 1, 10 * node + 1, 0.0, 0.0, 0, 2, 14]
+        records += [ident + [0] * 136, [frequency, 1, *[0.5] * 12]]
+    writer.table("OUGV2", records)
+    writer.write(tmp_path / "m.op2")
+    with pytest.raises(DataError, match="nodes are not all given at the same rows"):
+        read_nastran_responses(tmp_path / "m.op2")
 
 
 def test_op2_eigenvalues_of_a_fluid_are_not_those_of_the_structure(tmp_path: Path) -> None:

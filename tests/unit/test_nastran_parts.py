@@ -187,7 +187,12 @@ def test_pairs_and_ranges_of_points_are_joined(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "error", "told"),
     [
-        ("GRID,3,,3.", "SEBULK,1,REPEAT,2\nGRID,3,,3.", UnsupportedCard, "PRIMARY, EXTERNAL and"),
+        ("GRID,3,,3.", "SEBULK,1,OTHER\nGRID,3,,3.", UnsupportedCard, "PRIMARY, EXTERNAL, EXTOP4"),
+        ("GRID,3,,3.", "SEBULK,9,MIRROR,1\nGRID,3,,3.", UnsupportedCard, "copies are not made"),
+        ("GRID,3,,3.", "SEBULK,9,EXTOP2\nGRID,3,,3.", UnsupportedCard, "EXTSEOUT with MATOP4=n"),
+        ("GRID,3,,3.", "SELOC,1,3,4,5,3,4,5\nGRID,3,,3.", UnsupportedCard, "moved to its place"),
+        ("GRID,3,,3.", "SEMPLN,1,PLANE,3,4,5\nGRID,3,,3.", UnsupportedCard, "mirrored points"),
+        ("GRID,3,,3.", "CSUPER,1,0,3\nGRID,3,,3.", UnsupportedCard, "MATOP4 or DMIGPCH"),
         ("GRID,3,,3.", "SEBULK,5\nGRID,3,,3.", UnsupportedCard, "no BEGIN SUPER=5"),
         ("GRID,3,,3.", "SECONCT,1,0\n,4,9\nGRID,3,,3.", DeckError, "superelement 0 has no point 9"),
         ("GRID,3,,3.", "SECONCT,7,0\n,4,3\nGRID,3,,3.", DeckError, "no superelement 7"),

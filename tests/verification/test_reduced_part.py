@@ -21,11 +21,27 @@ from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.modes import write_modes
+from ringtrue.io.op4 import read_op4, write_op4
 from ringtrue.model.ports import ModesRequest
+from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.study.run import run_study
 
 PROPERTIES = "PBAR,7,1,.01,1.-5,2.-5,2.-5\nMAT1,1,7.+10,,.3,2700.\n"
+STUDY = """
+[model]
+deck = "with_cb.bdf"
+[test]
+sheet = "sensors.csv"
+modes = "test.json"
+[[candidate]]
+name = "branch K"
+targets = ["DMIG 1 A"]
+[[candidate]]
+name = "branch M"
+targets = ["DMIG 2 A"]
+"""
 BELOW = 200.0  # Hz; five modes of the branch beyond its rigid-body motions
 
 
@@ -139,6 +155,12 @@ def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -
     )
     held = read_op4(folder / "full.op4")
     np.testing.assert_array_equal(held["KAAX"].toarray(), part.external.stiffness)
+    of_msc = {"KXX": held["KAAX"].toarray(), "MXX": held["MAAX"].toarray()}
+    write_op4(folder / "msc.op4", of_msc)
+    (folder / "with_msc.bdf").write_text(text.replace("FULL.op4", "msc.op4"))
+    np.testing.assert_allclose(
+        frequencies(folder / "with_msc.bdf"), frequencies(folder / "with_op4.bdf"), rtol=1e-9
+    )
     (folder / "lost.bdf").write_text(text.replace("unit=105", "unit=72"))
     with pytest.raises(DeckError, match="unit 105: name its file above"):
         read_deck(folder / "lost.bdf")
@@ -193,3 +215,55 @@ def test_a_factor_on_the_matrices_of_a_part_is_a_parameter(folder: Path) -> None
     places = [f"{node}+{axis}" for node in (13, 16, 19) for axis in "XYZ"]
     result = rt.update(model, twin.at(places), parameters)
     np.testing.assert_allclose(result.factors, [0.8, 1.2], rtol=1e-3)
+
+
+def test_a_study_finds_and_delivers_factors_on_the_matrices_of_a_part(folder: Path) -> None:
+    """The punch file of the delivered deck has the scaled terms, and no other line is changed."""
+    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW))
+    part.write(folder / "cb")
+    model = read_deck(folder / "with_cb.bdf")
+    both = (rt.parameter("branch K", "DMIG 1 A"), rt.parameter("branch M", "DMIG 2 A"))
+    twin = rt.at_factors(model, rt.ParameterSet(both), np.array([0.8, 1.2]))
+    places = [f"{node}+{axis}" for node in (13, 16, 19) for axis in "XYZ"]
+    write_modes(folder / "test.json", rt.solve_modes(twin, count=8).at(places))
+    sheet = [f"{n},{0.5 * (n - 11)},0,2,{axis}" for n in (13, 16, 19) for axis in "XYZ"]
+    (folder / "sensors.csv").write_text("\n".join(["point,x,y,z,direction", *sheet]))
+    (folder / "study.toml").write_text(STUDY)
+    done = run_study(folder / "study.toml")
+    deliver(done)
+    found = done.results["update"].updated_values
+    assert found["branch K"] == pytest.approx(0.8, rel=1e-3)
+    assert found["branch M"] == pytest.approx(1.2, rel=1e-3)
+    assert any("(KAAX@1): all terms times 0.8" in line for line in done.results["final"].changes)
+    again = read_deck(done.folder / "updated" / "with_cb.bdf")
+    for row, name in enumerate(("branch K", "branch M")):
+        before = model["DMIG"].ragged("A").row(row)
+        after = again["DMIG"].ragged("A").row(row)
+        np.testing.assert_allclose(after, found[name] * before, rtol=1e-8)  # of 16 columns
+
+
+def test_scaled_matrices_are_written_in_place(folder: Path, tmp_path: Path) -> None:
+    """Small, large and free fields; a matrix of the same name in another section stays."""
+    section = "DMIG,KAAX,0,6,1\nDMIG,kaax,11,1,,11,1,2.,,+\n+,11,2,-.5,,12,1,3. $ end\n"
+    large = "DMIG*   KAAX                          11               2\n"
+    large += "*                     11               2           1.5+3\n"
+    small = "DMIG    KAAX          12       1              12       1     4.0\n"
+    other = "BEGIN SUPER=1\nGRID,12,,.5,0.,2.\n" + section.replace("11", "12")
+    text = HEAD.replace("SPC", "K2GG = KAAX\nSPC") + PROPERTIES + FRAME + section + large + small
+    deck = tmp_path / "deck.bdf"
+    deck.write_text(text + "SEBULK,1,EXTERNAL\n" + other)
+    model = read_deck(deck)
+    assert model["DMIG"]["NAME"].tolist() == ["KAAX", "KAAX@1"]
+    halved = rt.at_factors(
+        model, rt.ParameterSet((rt.parameter("K", "DMIG 1 A"),)), np.array([0.5])
+    )
+    (written,) = rt.write_deck(halved, tmp_path / "new")
+    lines = deck.read_text().splitlines()
+    new = written.read_text().splitlines()
+    changed = [b for a, b in zip(lines, new, strict=True) if a != b]
+    assert changed == [
+        "DMIG,kaax,11,1,,11,1,1.0,,+",
+        "+,11,2,-0.25,,12,1,1.5 $ end",
+        "*                     11               2           750.0",
+        "DMIG    KAAX          12       1              12       1     2.0",
+    ]

@@ -16,6 +16,7 @@ from ringtrue.core.display import Displayed, plot
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import is_matrix
 from ringtrue.core.signals import FrfSet
 from ringtrue.core.units import UNIT_SYSTEMS, UnitSystem
 from ringtrue.decks.nastran import reader
@@ -37,7 +38,6 @@ from ringtrue.study.loads import (
     support_motions,
 )
 from ringtrue.study.opened import Opened
-from ringtrue.study.scene import make_scene, scene_modes
 
 
 def read_deck(path: str | Path, *, units: str = "SI") -> Model:
@@ -149,7 +149,9 @@ class FeModes(Displayed):
         """The mode shapes in motion, a 3D view; of matrices, which have no nodes, as lines."""
         if isinstance(self.model, MatrixModel):
             return plot(self.modes)
-        from ringtrue.plots.scene import model_modes  # plotly loads when something is drawn
+        # what draws loads when something is drawn
+        from ringtrue.plots.scene import model_modes
+        from ringtrue.study.scene import make_scene, scene_modes
 
         scene = make_scene(self.model, {}, UNIT_SYSTEMS[self.model.units].length)
         return model_modes(scene, scene_modes(self.modes, scene))
@@ -657,6 +659,8 @@ def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[Field
     a = old.columns[name]
     b = new.columns[name]
     if isinstance(a, Ragged) and isinstance(b, Ragged):
+        if is_matrix(new.card, name):
+            return _matrix_changes(new, a, b)
         at = np.flatnonzero(_differ(a.values, b.values))
         rows = b.owner[at]
         numbers = at - b.offsets[rows] + 1
@@ -669,6 +673,24 @@ def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[Field
     assert not isinstance(b, Ragged)
     rows = np.flatnonzero(_differ(a, b) & free)
     return [FieldChange(new.card, int(new.ids[r]), name, b[r].item()) for r in rows.tolist()]
+
+
+def _matrix_changes(new: Table, old_terms: Ragged, new_terms: Ragged) -> list[FieldChange]:
+    """The factors on the matrices whose terms differ."""
+    found = []
+    for row, number in enumerate(new.ids.tolist()):
+        a = old_terms.row(row)
+        b = new_terms.row(row)
+        if np.array_equal(a, b):
+            continue
+        factor = float(a @ b / (a @ a)) if a.size == b.size and a.any() else np.nan
+        if not np.allclose(b, factor * a, rtol=1e-9, atol=0.0):  # of double precision
+            raise UnsupportedError(
+                f"DMIG {number} ({new['NAME'][row]}): its terms differ by no common factor; write "
+                "its deck"
+            )
+        found.append(FieldChange(new.card, number, "A", factor))
+    return found
 
 
 def _differ(a: Any_, b: Any_) -> Any_:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from csv import writer
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,12 @@ from ringtrue.api.measurements import read_modes, read_sensors, write_modes
 from ringtrue.api.models import read_deck, read_deflections
 from ringtrue.cli.show import out
 from ringtrue.decks.nastran.results.geometry import read_recorded_model
-from ringtrue.decks.nastran.results.modes import is_solver_result, read_recorded_deflections
+from ringtrue.decks.nastran.results.modes import (
+    NastranResponse,
+    is_solver_result,
+    read_nastran_responses,
+    read_recorded_deflections,
+)
 from ringtrue.errors import DataError, InputError
 from ringtrue.io.files import atomic_write
 from ringtrue.model.model import Model
@@ -33,7 +39,7 @@ def convert(
         Path,
         typer.Argument(
             help="What to write: .h5 .json .uff .csv; .bdf .dat .nas: the deck in an .op2; .csv of "
-            "statics: the deflections."
+            "statics: the deflections; of frequency responses in an .op2: these."
         ),
     ],
     deck: Annotated[
@@ -48,7 +54,8 @@ def convert(
     ] = None,
 ) -> int:
     """Modes from one format to another: results of Nastran or MYSTRAN to a mode set; or the deck
-    that an OP2 holds, or the deflections of a static run (in the units of the run).
+    that an OP2 holds, or the deflections of a static run or the frequency responses of an OP2 (in
+    the units of the run).
 
     Example: ringtrue convert modes.op2 modes.h5
     """
@@ -62,9 +69,13 @@ def convert(
     try:
         found = read_modes(source, deck=model)
     except DataError:
-        if target.suffix.lower() != ".csv" or read_recorded_deflections(source) is None:
+        if target.suffix.lower() != ".csv" or not is_solver_result(source):
             raise
-        return _deflections(source, target, model)
+        if read_recorded_deflections(source) is not None:
+            return _deflections(source, target, model)
+        if responses := read_nastran_responses(source, model):
+            return _responses(responses, target)
+        raise
     if not len(found):
         raise DataError(f"{source}: no modes")
     modes = write_modes(target, found, sensors=read_sensors(sensors) if sensors else None)
@@ -86,6 +97,29 @@ def _deflections(source: Path, target: Path, deck: Model | None) -> int:
             )
     cases = len(found.cases)
     out.print(f"{target}: {cases} case{'s' * (cases > 1)}, {len(found.points)} deflections each")
+    return 0
+
+
+def _responses(found: Sequence[NastranResponse], target: Path) -> int:
+    with atomic_write(target) as new, new.open("w", newline="", encoding="utf-8") as file:
+        table = writer(file)
+        table.writerow(("case", "quantity", "frequency", "at", "real", "imaginary"))
+        for one in found:
+            at = one.dofs.labels()
+            for frequency, values in zip(one.frequencies, one.values, strict=True):
+                head = (one.case, one.quantity, f"{frequency:.9g}")
+                table.writerows(
+                    (*head, point, f"{v.real:.9g}", f"{v.imag:.9g}")
+                    for point, v in zip(at, values.tolist(), strict=True)
+                )
+    first = found[0]
+    cases = len({one.case for one in found})
+    what = ", ".join(dict.fromkeys(one.quantity for one in found))
+    f = first.frequencies
+    out.print(
+        f"{target}: {what}, {cases} case{'s' * (cases > 1)}, {f.size} frequencies, "
+        f"{f.min():.5g} to {f.max():.5g} Hz, {len(first.dofs)} rows each"
+    )
     return 0
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import typer
 
 from ringtrue.api.checking import RigidCheck, check_deck
-from ringtrue.api.measurements import write_modes
 from ringtrue.api.models import read_deck, solve_modes
 from ringtrue.checks import Finding
 from ringtrue.checks.materials import DIRECTIONS
@@ -120,6 +119,9 @@ def modes(
         with json_file(json) as file:
             dump_modes(file, result.modes, more=extra)
     if target:
+        # it loads all that reads measurements
+        from ringtrue.api.measurements import write_modes
+
         write_modes(target, result.modes)
     if json != "-":
         _print_modes(deck, result, damped, errors)

@@ -37,9 +37,9 @@ class CardField:
     step: float = 0.0
 
 
-def is_matrix(target: CardField) -> bool:
-    """Whether it is all terms of a matrix."""
-    return (target.card, target.field) == ("DMIG", "A")
+def is_matrix(card: str, field: str) -> bool:
+    """Whether a field of a card means all terms of a matrix."""
+    return (card, field) == ("DMIG", "A")
 
 
 @dataclass(frozen=True, slots=True)

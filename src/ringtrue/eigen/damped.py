@@ -105,9 +105,13 @@ class DynamicStiffness:
     def _factor(self, s: complex) -> Engine:
         if self._engine is not None and s == self._at:
             return self._engine
-        values = np.zeros(self._pattern.indices.size, dtype=np.complex128)
-        for (at, data), factor in zip(self._entries, (1.0, s**2, s, 1j), strict=True):
-            values[at] += factor * data
+
+        def values() -> Complex:
+            out = np.zeros(self._pattern.indices.size, dtype=np.complex128)
+            for (at, data), factor in zip(self._entries, (1.0, s**2, s, 1j), strict=True):
+                out[at] += factor * data
+            return out
+
         if self._engine is None:
             self._engine = factorise(self.method, self._pattern, values)
         else:

@@ -36,7 +36,7 @@ NEAR_ZERO = ResidualLimits()
 
 # modes, and rows of a matrix, treated together
 PIECE = 8
-ROWS = 16384
+ROWS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ pattern.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -82,6 +82,8 @@ class Pattern:
     def values(self, a: sparse.csr_array) -> Any_:
         """The entries of `a` on this pattern."""
         at, data = self.entries(a)
+        if isinstance(at, slice) and data.dtype.kind in "fc":
+            return data  # a copy of what the matrix holds
         out = np.zeros(self.indices.size, dtype=np.result_type(data.dtype, np.float64))
         out[at] = data
         return out
@@ -133,6 +135,10 @@ _REAL = -2
 _COMPLEX = 6
 
 
+# makes the entries of the upper triangle: nobody holds them while a factor is made
+Values = Callable[[], Any_]
+
+
 class Engine(Protocol):
     """A factorised symmetric matrix whose values can be changed."""
 
@@ -149,11 +155,11 @@ class Engine(Protocol):
         """Memory of the factor, as predicted before it was made; 0 if unknown."""
         ...
 
-    def refactor(self, values: Any_) -> None:
+    def refactor(self, values: Values) -> None:
         """Other values on the same pattern."""
         ...
 
-    def strengthen(self, values: Any_) -> bool:
+    def strengthen(self, values: Values) -> bool:
         """Factorise with stronger pivoting; False if there is none."""
         ...
 
@@ -191,13 +197,14 @@ def choose(method: Method, size: int) -> Method:
     return method
 
 
-def factorise(method: Method, pattern: Pattern, values: Any_) -> Engine:
+def factorise(method: Method, pattern: Pattern, values: Values) -> Engine:
     """A factor by a method that `choose` gave.
 
     Parameters
     ----------
-    pattern, values : Pattern and (nnz,) float64 or complex128
-        The upper triangle.
+    pattern : Pattern
+    values : callable
+        Makes the upper triangle, (nnz,) float64 or complex128.
 
     Raises
     ------
@@ -214,13 +221,14 @@ def factorise(method: Method, pattern: Pattern, values: Any_) -> Engine:
 class Dense:
     """A full matrix; LU for the solves, the spectrum for the inertia."""
 
-    def __init__(self, pattern: Pattern, values: Any_) -> None:
+    def __init__(self, pattern: Pattern, values: Values) -> None:
         self._pattern = pattern
         self.refactor(values)
 
-    def refactor(self, values: Any_) -> None:
+    def refactor(self, values: Values) -> None:
         """Other values on the same pattern."""
-        upper = self._pattern.matrix(values).toarray()
+        entries = values()
+        upper = self._pattern.matrix(entries).toarray()
         full = upper + np.triu(upper, 1).T
         # scaled first: rotations and translations differ by decades
         size = np.sqrt(np.abs(full).max(axis=1))
@@ -228,7 +236,7 @@ class Dense:
         scaled = full * self._scale * self._scale[:, None]
         self.singular = False
         self.weak = np.empty(0, dtype=np.int64)
-        hermitian = not np.iscomplexobj(values)
+        hermitian = not np.iscomplexobj(entries)
         spectrum = linalg.eigvalsh(scaled) if hermitian else linalg.svdvals(scaled)
         self.negatives = int((spectrum < 0).sum()) if hermitian else -1
         self.singular = bool(np.abs(spectrum).min() <= 1e-15 * np.abs(spectrum).max())
@@ -242,7 +250,7 @@ class Dense:
         """Memory of the factor."""
         return 8 * self._pattern.size**2
 
-    def strengthen(self, values: Any_) -> bool:
+    def strengthen(self, values: Values) -> bool:
         """Full pivoting is in use already."""
         return False
 
@@ -267,15 +275,15 @@ class SuperLu:
     bytes = 0
     weak: Int = np.empty(0, dtype=np.int64)
 
-    def __init__(self, pattern: Pattern, values: Any_) -> None:
+    def __init__(self, pattern: Pattern, values: Values) -> None:
         self._pattern = pattern
-        self._dtype = values.dtype
         self._pivot = PIVOT
         self.refactor(values)
 
-    def refactor(self, values: Any_) -> None:
+    def refactor(self, values: Values) -> None:
         """Other values on the same pattern."""
-        upper = self._pattern.matrix(values)
+        upper = self._pattern.matrix(values())
+        self._dtype = upper.dtype
         full = sparse.csc_array(upper + sparse.triu(upper, 1).T)
         size = np.sqrt(abs(full).max(axis=0).toarray().ravel())
         self._scale = 1 / np.where(size > 0, size, 1.0)
@@ -309,7 +317,7 @@ class SuperLu:
                 self._negatives = int((lu.U.diagonal() < 0).sum())
         return self._negatives
 
-    def strengthen(self, values: Any_) -> bool:
+    def strengthen(self, values: Values) -> bool:
         """With larger pivots, for which more rows are exchanged."""
         self._pivot = SAFE_PIVOT
         self.refactor(values)
@@ -332,12 +340,13 @@ class Pardiso:
     singular = False
     weak: Int = np.empty(0, dtype=np.int64)
 
-    def __init__(self, pattern: Pattern, values: Any_) -> None:
+    def __init__(self, pattern: Pattern, values: Values) -> None:
         # the class below the public one, which walks through the rows in Python and cannot stop
         # after the analysis
         from pymklpardiso._mkl_pardiso import PardisoSolver
 
-        self._complex = np.iscomplexobj(values)
+        entries = values()
+        self._complex = np.iscomplexobj(entries)
         self._rows = pattern.size
         self._solver = PardisoSolver(_COMPLEX if self._complex else _REAL, 0)
         self._blocks = not self._complex and pattern.indices.size > BLOCKS.entries
@@ -348,11 +357,13 @@ class Pardiso:
         self._solver.set_pattern(
             ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows
         )
+        self._solver.set_values(entries)
+        del entries  # the solver has a copy
         self._trim()
         with self._calls():
             self._solver.run_phase(11)
         memory.require(self.bytes, f"the factorisation of {self._rows} DOFs")
-        self.refactor(values)
+        self._factor()
 
     @contextmanager
     def _calls(self) -> Iterator[None]:
@@ -383,21 +394,25 @@ class Pardiso:
             return -1
         return int(self._solver.get_iparm_value(22))
 
-    def refactor(self, values: Any_) -> None:
+    def refactor(self, values: Values) -> None:
         """Other values on the same pattern."""
+        self._solver.set_values(values())
+        self._factor()
+
+    def _factor(self) -> None:
         self._trim()
         with self._calls():
-            self._solver.refactor_values(values)
+            self._solver.refactor()
         self._trim()  # a fifth of a factor by blocks was needed to make it only
 
-    def strengthen(self, values: Any_) -> bool:
+    def strengthen(self, values: Values) -> bool:
         """With scaling and weighted matching: slower, for matrices that plain pivoting cannot
         treat.
         """
         for i, value in ((10, 1), (12, 1), (BLOCKS.control, 0)):
             self._solver.set_iparm(i, value)
         with self._calls():
-            self._solver.factor(values)
+            self._solver.factor(values())
         return True
 
     def solve(self, rhs: Any_) -> Any_:
@@ -419,16 +434,14 @@ class Rslab:
     singular = False
     weak: Int = np.empty(0, dtype=np.int64)
 
-    def __init__(self, pattern: Pattern, values: Any_) -> None:
+    def __init__(self, pattern: Pattern, values: Values) -> None:
         import rslab
 
-        rows = sparse.csr_array(
-            (values, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2
-        )
-        self._dtype = values.dtype
+        rows = pattern.matrix(values())
+        self._dtype = rows.dtype
         # CSC of the lower triangle: same arrays
         self._symbolic = rslab.analyze(sparse.csc_array(rows.T), path="ldlt")
-        self.bytes = int(self._symbolic.memory_plan(values.dtype.name)["peak_bytes"])
+        self.bytes = int(self._symbolic.memory_plan(self._dtype.name)["peak_bytes"])
         memory.require(self.bytes, f"the factorisation of {pattern.size} DOFs")
         self.refactor(values)
 
@@ -443,17 +456,17 @@ class Rslab:
             return -1
         return int(self._factor.inertia[1])
 
-    def refactor(self, values: Any_) -> None:
+    def refactor(self, values: Values) -> None:
         """Other values on the same pattern."""
         # the old factor goes first
         self._factor = None
         self.singular = False
         try:
-            self._factor = self._symbolic.factor(values)
+            self._factor = self._symbolic.factor(values())
         except (RuntimeError, ValueError):  # a zero pivot
             self.singular = True
 
-    def strengthen(self, values: Any_) -> bool:
+    def strengthen(self, values: Values) -> bool:
         """There is no other pivoting."""
         return False
 

@@ -19,7 +19,7 @@ from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.eigen import memory
-from ringtrue.eigen.engines import Engine, Method, Pattern, choose
+from ringtrue.eigen.engines import Engine, Method, Pattern, Values, choose
 from ringtrue.eigen.engines import factorise as engine
 from ringtrue.errors import InputError, NumericalError, SingularModel
 
@@ -285,9 +285,12 @@ class Pencil:
         """
         if self._factor is not None and shift == self.shift:
             return self._factor
-        # anew for each shift: they take as much room as the matrix
-        values = self._pattern.values(self.stiffness)
-        values[self._m[0]] -= shift * self._m[1]
+
+        def values() -> Float:
+            out = self._pattern.values(self.stiffness)
+            out[self._m[0]] -= shift * self._m[1]
+            return np.asarray(out)
+
         factor = self._make(values)
         self._factor = factor
         self.shift = shift
@@ -308,7 +311,7 @@ class Pencil:
             raise SingularModel(self.labels(rows), LOOSE)
         return factor
 
-    def _make(self, values: Float) -> Engine:
+    def _make(self, values: Values) -> Engine:
         if self._strengthened:  # for one shift alone: a factor must not depend on those before it
             self.close()
         if self._factor is None:

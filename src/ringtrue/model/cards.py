@@ -392,6 +392,12 @@ PRELOADS = (
 )
 _REASONS = (  # what cards have in common that are not read, and how their names begin
     ("auxiliary models, and superelements without a number: write BEGIN SUPER=n", ("BEGIN",)),
+    ("a part that is moved to its place: give its points and frames where they are in the whole", ("SELOC",)),
+    ("the plane of a mirrored part: write the part out, with BEGIN SUPER=n and mirrored points of its own",
+     ("SEMPLN",)),
+    ("a copy, a mirrored copy or a part in a database: write it out with BEGIN SUPER=n, or give its "
+     "matrices by EXTSEOUT with MATOP4 or DMIGPCH",
+     ("CSUPER",)),
     ("superelements: give them as parts (BEGIN SUPER=n, with SEBULK and SECONCT), or reduced matrices "
      "as DMIG with K2GG and M2GG",
      ("SE", "CSUP", "RELEASE", "EXTRN")),

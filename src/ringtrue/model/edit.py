@@ -27,7 +27,9 @@ BOTH_ENDS = dict(zip(END_A, END_B, strict=True)) | {
 
 @dataclass(frozen=True, slots=True)
 class FieldChange:
-    """A new value of a field of a card: `FieldChange("MAT1", 7, "E", 7.1e10)`."""
+    """A new value of a field of a card: `FieldChange("MAT1", 7, "E", 7.1e10)`;
+    `FieldChange("DMIG", 1, "A", 0.8)` is a factor on all terms of the matrix.
+    """
 
     card: str
     id: int
@@ -59,12 +61,8 @@ def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
             f"{target.card} {target.id} has several values; give each a set of its own, united "
             "by NSMADD"
         )
-    if isinstance(target, CardField) and is_matrix(target):
-        raise InputError(
-            f"DMIG {target.id} A is a whole matrix: its factor stands in no field; write it into "
-            "case control, as in K2GG = 1.1*KAAX"
-        )
-    if isinstance(table.columns.get(target.field), Ragged):
+    is_list = isinstance(table.columns.get(target.field), Ragged)
+    if is_list and not is_matrix(target.card, target.field):
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
     rows = np.flatnonzero(table.ids == target.id)
     if not rows.size:
@@ -95,9 +93,11 @@ def ply_field(field: str) -> tuple[str, int] | None:
 
 def field_value(model: Model, target: CardField | FieldChange) -> Any:
     """The value of a target in the first of its rows, of one ply for a field such as T3 of a
-    PCOMP.
+    PCOMP; 1 for a whole matrix, whose value is the factor on it.
     """
     row = int(resolve_target(model, target)[0])
+    if is_matrix(target.card, target.field):
+        return np.float64(1.0)
     table = model[target.card]
     if target.field in table.columns:
         return table[target.field][row]
@@ -137,22 +137,20 @@ def _nominal(model: Model, parameter: Parameter, target: CardField) -> float:
 
 
 def has_fields(parameter: Parameter) -> bool:
-    """Whether it is a factor on the deck's own fields, as no motion of nodes, matrix or part of a
-    property is.
+    """Whether it is a factor on the deck's own fields, as no motion of nodes or part of a property
+    is.
 
     A lump is the mass of a card of its own, which the deck gets.
     """
     places = any(t.elements or t.step for t in parameter.targets) and not parameter.lump
-    places |= any(is_matrix(t) for t in parameter.targets)
     return not (parameter.shapes or parameter.substructures or places)
 
 
 def _refuse_what_no_field_holds(parameter: Parameter) -> None:
     if not has_fields(parameter):
         raise InputError(
-            f"parameter {parameter.name} moves nodes or places, scales a matrix, or holds for some "
-            "elements only: "
-            "it has derivatives, "
+            f"parameter {parameter.name} moves nodes or places, or holds for some elements "
+            "only: it has derivatives, "
             "but cannot be written into the deck's fields; give those elements a property of "
             "their own"
         )
@@ -200,7 +198,9 @@ def apply_factors(model: Model, parameters: ParameterSet, factors: Float) -> Mod
     grouped: dict[tuple[str, str], list[FieldChange]] = {}
     all_changes = field_changes(model, parameters, factors)
     for change in all_changes:
-        if change.field in model[change.card].columns:
+        if is_matrix(change.card, change.field):
+            model = _with_matrix(model, change)
+        elif change.field in model[change.card].columns:
             grouped.setdefault((change.card, change.field), []).append(change)
         else:
             model = _with_ply(model, change)
@@ -217,6 +217,16 @@ def _with_sections(model: Model, changes: Sequence[FieldChange]) -> Model:
         if ids := [c.id for c in changes if c.card == card]:
             tables[made] = resectioned(tables, card, np.array(ids))
     return replace(model, tables=tables)
+
+
+def _with_matrix(model: Model, change: FieldChange) -> Model:
+    """A copy with all terms of a matrix multiplied."""
+    table = model[change.card]
+    terms = table.ragged(change.field)
+    mine = np.isin(terms.owner, resolve_target(model, change))
+    scaled = Ragged(np.where(mine, terms.values * float(change.value), terms.values), terms.offsets)
+    columns = {**table.columns, change.field: scaled}
+    return replace(model, tables={**model.tables, change.card: replace(table, columns=columns)})
 
 
 def _with_ply(model: Model, change: FieldChange) -> Model:

@@ -69,14 +69,14 @@ class Deck:
     unread: tuple[int, int] | None = None
 
     def joined(self) -> Deck:
-        """All bulk data lines as one, those of the parts behind the others."""
+        """All bulk data lines as one in the order of the files; `parts` stay as they are."""
         every = [self, *self.parts.values()]
         lines = {
             name: np.concatenate([getattr(d, name) for d in every])
             for name in ("start", "stop", "file", "line")
         }
         order = np.argsort(lines["start"], kind="stable")
-        return replace(self, **{n: v[order] for n, v in lines.items()}, parts={})  # type: ignore[arg-type]
+        return replace(self, **{n: v[order] for n, v in lines.items()})  # type: ignore[arg-type]
 
 
 class _Reading:

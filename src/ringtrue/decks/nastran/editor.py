@@ -12,12 +12,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ringtrue.core.parameters import CardField, ParameterSet
+from ringtrue.core.parameters import CardField, ParameterSet, is_matrix
+from ringtrue.decks.nastran.card_lines import CardLine, starts_of, texts_of, write_value
 from ringtrue.decks.nastran.cards import Cards, cards
 from ringtrue.decks.nastran.deck import load
-from ringtrue.decks.nastran.lexer import LineFields, real, split_line
+from ringtrue.decks.nastran.lexer import real
 from ringtrue.decks.nastran.special import bush_flag, field_place, inherited
-from ringtrue.decks.nastran.writer import format_card, format_field
+from ringtrue.decks.nastran.writer import format_card
 from ringtrue.errors import DeckError, InputError
 from ringtrue.io.files import atomic_write, one_run, reads, writes
 from ringtrue.model.cards import CARDS, columns
@@ -31,7 +32,8 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
     """Copy a deck with all its includes, changing only the characters of the given fields.
 
     A field keeps the format of its line (small, large, free); the value is written with the digits
-    that fit. A blank field is filled; a field behind the end of its card gets the continuation
+    that fit. Of a matrix (`FieldChange("DMIG", 1, "A", 0.8)`) each term is multiplied. A blank
+    field is filled; a field behind the end of its card gets the continuation
     lines it needs. A CONM2 of the model that stands in none of the files is added to the main deck
     with its mass.
 
@@ -54,7 +56,7 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
         if change not in new:
             groups.setdefault(find(change), []).append(change)
     for card, mine in groups.items():
-        _edit_card(found, contents, _CardChanges(card, tuple(mine)))
+        _edit(found, contents, _CardChanges(card, tuple(mine)))
     data = [b"".join(lines) for lines in contents]
     if new:
         masses = []
@@ -86,7 +88,7 @@ def unwritable(model: Model, targets: Sequence[CardField]) -> dict[CardField, st
     for t in targets:
         try:
             change = FieldChange(t.card, t.id, t.field, field_value(model, t))
-            _edit_card(found, contents, _CardChanges(find(change), (change,)))
+            _edit(found, contents, _CardChanges(find(change), (change,)))
         except InputError as e:
             why[t] = str(e)
     return why
@@ -262,6 +264,12 @@ def _finder(model: Model, found: Cards) -> Callable[[FieldChange], int]:
                 f"names {other}"
             )
         at = (int(table.file[rows[0]]), int(table.line[rows[0]]))
+        if at[0] < 0 and is_matrix(change.card, change.field):
+            raise InputError(
+                f"DMIG {change.id} A ({table['NAME'][rows[0]]}) stands in an OUTPUT4 file, which "
+                "is not edited: give the part with its matrices as DMIG (EXTSEOUT DMIGPCH, or "
+                "`ringtrue reduce` without --op4)"
+            )
         hit = np.flatnonzero((key[:, 0] == at[0]) & (key[:, 1] == at[1]))
         if not hit.size:
             raise InputError(
@@ -296,30 +304,64 @@ def _taken(model: Model, change: FieldChange, row: int) -> str:
     return f"{other.other} {number}" if other and number > other.other_default else ""
 
 
+def _edit(found: Cards, contents: Sequence[list[bytes]], group: _CardChanges) -> None:
+    """Make the changes of a card; those of a matrix are made on all its cards."""
+    for change in group.changes:
+        if is_matrix(change.card, change.field):
+            _scale_matrix(found, contents, group.card, change)
+            return
+    _edit_card(found, contents, group)
+
+
+def _scale_matrix(
+    found: Cards, contents: Sequence[list[bytes]], header: int, change: FieldChange
+) -> None:
+    """Multiply the terms of a DMIG, those of the section of bulk data that its header is in."""
+    every = found.named("DMIG")
+    begins = np.sort([d.start[0] for d in found.deck.parts.values() if d.start.size])
+    section = np.searchsorted(begins, found.deck.start[found.raw_of[found.head]], side="right")
+    name = found.fields(header)[0]
+    for card in every[section[every] == section[header]].tolist():
+        fields = found.fields(card)
+        if fields[0] != name or fields[1] == b"0":
+            continue
+        if found.style[found.head[card]] == 4 or card in found.copied:
+            raise _refused(found, card, change, "it is written by replication (=): write it out")
+        rows = found.raw_of[found.head[card] + np.arange(found.count[card])].tolist()
+        at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
+        lines = [CardLine(contents[f][n - 1]) for f, n in at]
+        for start, line, (f, n) in zip(starts_of(lines), lines, at, strict=False):
+            for k in range(line.size):
+                place = start + k  # terms are points, components and two parts of the value
+                if place >= 6 and place % 4 == 2 and fields[place]:
+                    line.write(k, real(fields[place].decode()) * float(change.value))
+            contents[f][n - 1] = line.whole
+
+
 def _edit_card(found: Cards, contents: Sequence[list[bytes]], group: _CardChanges) -> None:
     name = found.name[group.card].decode()
     rows = found.raw_of[found.head[group.card] + np.arange(found.count[group.card])]
     at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
-    lines = [_Line(contents[f][n - 1]) for f, n in at]
+    lines = [CardLine(contents[f][n - 1]) for f, n in at]
     given = {(c.id, c.field): c.value for c in group.changes}
     for change in group.changes:
         if change.card != name:
             why = f"it was made from a {name}; change that card's own fields"
             raise _refused(found, group.card, change, why)
-        place = field_place(name, _texts(lines), change.id, change.field)
+        place = field_place(name, texts_of(lines), change.id, change.field)
         if _inherits(change, place, lines, given):
             continue
         if place is None and name == "PBUSH":
             # the place of a field on a new line of a PBUSH, which gets the line's flag
-            _set(lines, -(-_starts(lines)[-1] // 8) * 8 + 1, bush_flag(change.field))
-            place = field_place("PBUSH", _texts(lines), change.id, change.field)
+            write_value(lines, -(-starts_of(lines)[-1] // 8) * 8 + 1, bush_flag(change.field))
+            place = field_place("PBUSH", texts_of(lines), change.id, change.field)
         if place is None:
             raise _refused(found, group.card, change, "the card has no place for it")
-        follower = inherited(name, _texts(lines), change.field)
+        follower = inherited(name, texts_of(lines), change.field)
         if follower and follower[1]:  # the next ply keeps what it has
             at_next, text = follower
-            _set(lines, at_next, real(text) if change.field.startswith("T") else text)
-        _set(lines, place, _typed(change))
+            write_value(lines, at_next, real(text) if change.field.startswith("T") else text)
+        write_value(lines, place, _typed(change))
     for i, (f, n) in enumerate(at):
         contents[f][n - 1] = lines[i].whole
     f, n = at[-1]
@@ -329,14 +371,14 @@ def _edit_card(found: Cards, contents: Sequence[list[bytes]], group: _CardChange
 def _inherits(
     change: FieldChange,
     place: int | None,
-    lines: Sequence[_Line],
+    lines: Sequence[CardLine],
     given: Mapping[tuple[int, str], object],
 ) -> bool:
     """Whether a blank field of end B of a PBEAM follows end A, which gets the same value."""
     partner = next((a for a, b in BOTH_ENDS.items() if b == change.field), None)
     if change.card != "PBEAM" or partner is None or given.get((change.id, partner)) != change.value:
         return False
-    return place is None or not _texts(lines)[place]
+    return place is None or not texts_of(lines)[place]
 
 
 def _typed(change: FieldChange) -> int | float | str:
@@ -349,109 +391,3 @@ def _typed(change: FieldChange) -> int | float | str:
             f"{change.card} {change.id} {change.field} must be an integer, got {change.value!r}"
         )
     return change.value
-
-
-class _Line:
-    """One physical line: its bytes without and with the line ending, and its fields."""
-
-    def __init__(self, whole: bytes) -> None:
-        self.text = whole.rstrip(b"\r\n")
-        self.ending = whole[len(self.text) :]
-
-    @property
-    def whole(self) -> bytes:
-        return self.text + self.ending
-
-    @property
-    def fields(self) -> LineFields:
-        return split_line(self.text)
-
-    @property
-    def size(self) -> int:
-        """Number of data fields."""
-        return 4 if self.is_large else 8
-
-    @property
-    def is_large(self) -> bool:
-        return b"*" in (self.text.split(b",")[0] if self.fields.style == "free" else self.text[:8])
-
-
-def _starts(lines: Sequence[_Line]) -> list[int]:
-    """Number of the first data field of each line, and of the one behind the card."""
-    out = []
-    at = 0
-    for line in lines:
-        if line.size == 8 and at % 8:
-            at += 4
-        out.append(at)
-        at += line.size
-    return [*out, at]
-
-
-def _texts(lines: Sequence[_Line]) -> list[str]:
-    starts = _starts(lines)
-    out = [""] * starts[-1]
-    for start, line in zip(starts, lines, strict=False):
-        for k, (a, b) in enumerate(line.fields.spans):
-            out[start + k] = line.text[a:b].strip().upper().decode("latin-1")
-    return out
-
-
-def _set(lines: list[_Line], place: int, value: int | float | str) -> None:
-    """Write a value into data field `place` (from 0) of a card, with new lines where there are too
-    few.
-    """
-    while place >= _starts(lines)[-1]:
-        lines.append(_continuation(lines[-1]))
-    starts = _starts(lines)
-    at = max(i for i, s in enumerate(starts[:-1]) if s <= place)
-    line = lines[at]
-    k = place - starts[at]
-    width = 16 if line.is_large else 8
-    if line.fields.style == "free":
-        line.text = _set_free(line, k, value, width)
-    else:
-        line.text = _set_fixed(line, k, value, width)
-
-
-def _continuation(last: _Line) -> _Line:
-    """An empty line to continue the card, in the style of its last line (which gets a line ending
-    if need be).
-    """
-    ending = last.ending or b"\n"
-    last.ending = ending
-    if last.fields.style == "free":
-        return _Line((b"*," if last.is_large else b"+,") + ending)
-    # column 73 is no part of the name
-    tag = last.text.expandtabs(8)[73:80].strip() if last.fields.end >= 72 else b""
-    return _Line((b"*" if last.is_large else b"+") + tag + ending)
-
-
-def _set_free(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
-    fields = line.fields
-    text = line.text
-    if k >= len(fields.spans):
-        end = len(text[: fields.end].rstrip())
-        new = format_field(value, width).encode()
-        return text[:end] + b"," * (k + 1 - len(fields.spans)) + new + text[end:]
-    a, b = fields.spans[k]
-    old = text[a:b]
-    core = old.strip()
-    new = format_field(value, max(width, min(len(core), 16))).encode()
-    if not core:
-        return text[:a] + new + text[b:]
-    lead = len(old) - len(old.lstrip())
-    return text[: a + lead] + new + text[a + lead + len(core) :]
-
-
-def _set_fixed(line: _Line, k: int, value: int | float | str, width: int) -> bytes:
-    fields = line.fields
-    text = line.text
-    new = format_field(value, width).encode()
-    a, b = fields.spans[k]
-    old = text[a:b]
-    new = new.ljust(width) if old[:1].strip() and old[-1:].isspace() else new.rjust(width)
-    reached = len(text[: fields.end].expandtabs(8))  # columns that the line has before a comment
-    pad = b" " * max(8 + k * width - reached, 0)
-    rest = text[b:]
-    return text[:a] + pad + (new + rest if rest else new.rstrip())

@@ -24,8 +24,12 @@ from ringtrue.model.model import Model, Ragged, Table, table
 from ringtrue.model.superelements import listed_dofs
 
 _ASSIGN = re.compile(r"\s*ASSIGN\s+INPUTT4\s*=\s*['\"]([^'\"]+)['\"].*?\bUNIT\s*=\s*(\d+)", re.I)
-# in the form KAAX and MAAX of punch files, or KAA and MAA of OUTPUT4
-_OP4_NAMES = {"KAAX": ("KAAX", "KAA"), "MAAX": ("MAAX", "MAA"), "BAAX": ("BAAX", "BAA")}
+# as in punch files, or in the OUTPUT4 files of programs and versions
+_OP4_NAMES = {
+    "KAAX": ("KAAX", "KAA", "KXX"),
+    "MAAX": ("MAAX", "MAA", "MXX"),
+    "BAAX": ("BAAX", "BAA", "BXX", "BXX1"),
+}
 
 
 def op4_units(top: Sequence[str], folder: Path) -> dict[int, Path]:
@@ -60,7 +64,7 @@ def matrices_of_op4(model: Model, path: Path) -> Table:
         matrix = next((held[n] for n in names if n in held), None)
         if matrix is None and name == "KAAX":
             raise DeckError(
-                f"it holds {', '.join(held) or 'nothing'}, and no KAAX or KAA", path=path
+                f"it holds {', '.join(held) or 'nothing'}, and no KAAX, KAA or KXX", path=path
             )
         if matrix is None or not matrix.count_nonzero():
             continue

@@ -50,6 +50,23 @@ _OF_MATRICES = {
 }
 # commands that add matrices, and the matrices that EXTSEOUT writes
 _EXTERNAL = (("k2gg", "KAAX"), ("m2gg", "MAAX"), ("b2gg", "BAAX"))
+# types of superelements that are read, and what to do with others
+_READ = ("PRIMARY", "EXTERNAL", "EXTOP4")
+_OUTPUT2 = (
+    "its matrices are in an OUTPUT2 file, which is not read: run EXTSEOUT with MATOP4=n and write "
+    "EXTOP4, or with DMIGPCH and write EXTERNAL"
+)
+_COPY = (
+    "copies are not made: write it out with BEGIN SUPER=n, its points where they are and numbers "
+    "of its own"
+)
+_OTHERS = {
+    "EXTOP2": _OUTPUT2,
+    "FRFOP2": _OUTPUT2,
+    "REPEAT": _COPY,
+    "MIRROR": _COPY,
+    "COLLCTR": "it has no elements: leave it out, its parts are joined without it",
+}
 _BY_NUMBER = ("CWELD", "CFAST")  # they name properties or elements by other fields
 
 Numbers = Mapping[int, int]  # new ones by old ones, of those that change
@@ -195,11 +212,12 @@ def _kinds(sections: Sequence[BulkSection]) -> dict[int, _PartKind]:
         path, line = residual.place(table, row)
         kind = str(table["TYPE"][row])
         method = str(table["METHOD"][row])
+        if kind not in ("", *_READ):
+            what = _OTHERS.get(kind, f"{', '.join(_READ)} are read")
+            why = f"TYPE {kind} of superelement {number}: {what}"
+            raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
         if number not in out:
             why = f"superelement {number} has no BEGIN SUPER={number}: its matrices stand elsewhere"
-            raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
-        if kind not in ("", "PRIMARY", "EXTERNAL", "EXTOP4"):
-            why = f"TYPE {kind} of superelement {number}: PRIMARY, EXTERNAL and EXTOP4 are read"
             raise UnsupportedCard("SEBULK", path=path, line=line, why=why)
         tolerance = float(table["TOL"][row])
         unit = int(table["UNITNO"][row])

@@ -151,7 +151,7 @@ def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table
         return _with_ply(table, rows, ply[1], int(ply[2]), change)
     if field not in table.columns:
         raise InputError(f"{change.where}: no such field{did_you_mean(field, table.columns)}")
-    if is_matrix(CardField(table.card, 0, field)):
+    if is_matrix(table.card, field):
         given = table.ragged(field)
         inside = np.flatnonzero(np.isin(given.owner, rows))
         return with_entries(table, field, change.of(given.values, inside, given.owner[inside]))

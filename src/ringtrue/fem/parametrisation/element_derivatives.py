@@ -185,7 +185,7 @@ def _bundles(
     for i, p in enumerate(parameters):
         by_elements: dict[tuple[int, ...], list[CardField]] = {}
         for t in p.targets:
-            if not (is_place(t) or is_matrix(t)):
+            if not (is_place(t) or is_matrix(t.card, t.field)):
                 by_elements.setdefault(t.elements, []).append(replace(t, elements=()))
         for elements, found in by_elements.items():
             targets = tuple(found)
@@ -451,7 +451,7 @@ def given_matrix_derivatives(m: Mesh, i: int, p: Parameter) -> Iterator[ElementD
     InputError
         If the deck has no such matrix, or case control takes it neither by K2GG nor by M2GG.
     """
-    for target in (t for t in p.targets if is_matrix(t)):
+    for target in (t for t in p.targets if is_matrix(t.card, t.field)):
         changed(m.model, p.name, [target], 1.0)  # names a target that is not there
         table = m.model["DMIG"]
         name = str(table["NAME"][table.find(np.array([target.id]))[0]])

@@ -93,7 +93,7 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterG
         )
     by_elements: dict[tuple[int, ...], list[CardField]] = {}
     for t in parameter.targets:
-        if is_matrix(t):
+        if is_matrix(t.card, t.field):
             continue
         by_elements.setdefault(t.elements, []).append(t)
     found = []

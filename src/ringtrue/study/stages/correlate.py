@@ -11,7 +11,7 @@ import numpy as np
 from ringtrue.checks.mesh import mesh_errors
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import CardField, ParameterSet, is_matrix
 from ringtrue.core.side_by_side import side_by_side
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.measures import complete
@@ -22,7 +22,7 @@ from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.decks.nastran.editor import unified_diff
 from ringtrue.errors import ConfigError, InputError, RingtrueError, about
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.model.edit import apply_factors, carried, field_value
+from ringtrue.model.edit import apply_factors, carried, field_value, resolve_target
 from ringtrue.model.model import Model
 from ringtrue.shapes import auto_mac
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -355,6 +355,19 @@ def _check_parameters(c: StudyConfiguration) -> None:
         raise ConfigError(f"configuration {c.name}: {e}") from e
 
 
+def _other_terms(base: Model, model: Model, target: CardField) -> list[str]:
+    """What a matrix is in a deck that has other terms than the deck of the study."""
+    here, there = (deck["DMIG"].take(resolve_target(deck, target)) for deck in (model, base))
+    a = here.ragged(target.field).values
+    b = there.ragged(target.field).values
+    if a.size == b.size and np.allclose(a, b, rtol=1e-6, atol=0.0):
+        return []
+    return [
+        f"DMIG {target.id} is {here['NAME'][0]} here, with other terms than {there['NAME'][0]} in "
+        "the deck of the study"
+    ]
+
+
 def _field_differences(
     base: Model, model: Model, every: ParameterSet, mine: ParameterSet
 ) -> tuple[str, ...]:
@@ -370,6 +383,9 @@ def _field_differences(
         elif count < len(p.targets):
             out.append(f"its deck has {count} of the {len(p.targets)} fields of {p.name}")
     for t in (t for p in mine.parameters for t in p.targets):
+        if is_matrix(t.card, t.field):
+            out += _other_terms(base, model, t)
+            continue
         here = float(field_value(model, t))
         there = float(field_value(base, t))
         # 1e-6: relative difference of two fields that are the same

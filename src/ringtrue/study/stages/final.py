@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.iterate import Progress
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import ParameterSet, is_matrix
 from ringtrue.core.signals import FrfSet
 from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
@@ -72,6 +72,8 @@ def change_text(model: Model, change: FieldChange) -> str:
     if is_new(model, change):
         return f"added: CONM2 {change.id} of {new:.6g} at GRID {int(table['G'][row])}"
     place = f"{Path(model.files[int(table.file[row])]).name}:{int(table.line[row])}"
+    if is_matrix(change.card, change.field):
+        return f"{place} DMIG {change.id} ({table['NAME'][row]}): all terms times {new:.6g}"
     old = float(field_value(model, change))
     return f"{place} {change.card} {change.id} {change.field} {old:.6g} -> {new:.6g}"
 

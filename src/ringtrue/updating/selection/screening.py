@@ -530,7 +530,9 @@ def of_parameter(model: Model, parameter: Parameter) -> Candidate:
     for t in parameter.targets:
         fields.setdefault(f"{t.card} {t.id}", []).append(t.field)
     named = ", ".join(f"{card} {','.join(f)}" for card, f in fields.items())
-    what = f"{named} of {counted(rows)}" if rows else f"matrices of {len(elements)} elements"
+    what = f"{named} of {counted(rows)}" if rows else named
+    if not what:
+        what = f"matrices of {len(elements)} elements"
     kind = KIND.get(parameter.targets[0].card, "property") if parameter.targets else "region"
     return Candidate(parameter, kind, what, elements)
 

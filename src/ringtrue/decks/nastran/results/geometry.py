@@ -1,5 +1,5 @@
 """The model that an OP2 file holds: cards of its data blocks GEOM1 to GEOM4, EPT, MPT and DYNAMICS,
-PARAMs of PVT and choices of CASECC.
+PARAMs of PVT and choices of CASECC; points and frames of BGPDT and CSTM where GEOM1 has none.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from ringtrue.decks.nastran.beams import BEAM_TAIL, BETWEEN
 from ringtrue.decks.nastran.lexer import Card, Row, table_of_rows
 from ringtrue.decks.nastran.loads import LINE_KINDS, LINE_SCALES
 from ringtrue.decks.nastran.results.op2 import Op2Table, read_tables
+from ringtrue.decks.nastran.results.points import POINT_BLOCKS, frames, grids
 from ringtrue.decks.nastran.results.records import LISTED, OTHERS, Key, Layout, layouts
 from ringtrue.decks.nastran.writer import Value, large_card, write_bulk
 from ringtrue.errors import DataError, about
@@ -30,7 +31,7 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model, Table, stacked, table
 from ringtrue.model.sections import SECTIONS
 
-_WANTED = ("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", "BGPDT", "EQEXIN")
+_WANTED = ("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", *POINT_BLOCKS)
 _BLOCK = re.compile(r"(GEOM[1-4]|EPT|MPT|DYNAMICS?)[SN]?")
 _END = 65535
 _BLANK = 0x22002739  # a real field that is blank
@@ -160,6 +161,7 @@ def held_model(path: str | Path, nodes: Int) -> Model | None:
 def _read(path: Path, refuse: bool = True) -> RecordedModel:
     found = _RecordedDeck()
     held: list[str] = []
+    places: dict[str, Op2Table] = {}
     for block in read_tables(path, lambda name: name.startswith(_WANTED)):
         held.append(block.name)
         kind = _BLOCK.fullmatch(block.name)
@@ -174,11 +176,11 @@ def _read(path: Path, refuse: bool = True) -> RecordedModel:
             for body in block.bodies():
                 id_, mpc, spc, load, method = block.ints(body)[:5].tolist()
                 found.subcases.append(Subcase(id_, mpc, spc, load, method))
-        elif block.name.startswith(("BGPDT", "EQEXIN")):
-            name = block.name.rstrip("S")
-            found.places.setdefault(name, [_Words(block, b) for b in block.bodies()])
+        elif block.name.startswith(POINT_BLOCKS):
+            places.setdefault(block.name.rstrip("S"), block)
     if "GRID" not in found.tables:
-        found.tables |= _grids(found.places)
+        found.tables |= grids(places)
+    found.tables |= frames(places, found.tables)
     given = found.given()
     if not given and refuse:
         names = ", ".join(dict.fromkeys(held)) or "nothing"
@@ -225,7 +227,6 @@ class _RecordedDeck:
         self.missing: dict[str, int] = {}
         self.through: list[Row] = []  # SPC1 of a range
         self.sections: dict[str, list[int]] = {}
-        self.places: dict[str, list[_Words]] = {}
 
     def record(self, block: str, words: _Words) -> None:
         """Take a record in, or name it."""
@@ -716,29 +717,4 @@ def _params(w: _Words) -> dict[str, int | float | str]:
         else:
             break
         at += 4 if kind in (1, 2) else 5
-    return out
-
-
-def _grids(places: dict[str, list[_Words]]) -> dict[str, Table]:
-    """GRID without GEOM1: displacement frame and basic coordinates of BGPDT, numbers of EQEXIN.
-
-    The frames themselves are not there.
-    """
-    if "BGPDT" not in places or "EQEXIN" not in places:
-        return {}
-    frame, numbers = places["BGPDT"][0], places["EQEXIN"][0]
-    if frame.ints.size % 4 or numbers.ints.size != frame.ints.size // 2:
-        return {}
-    outer, inner = numbers.ints.reshape(-1, 2).T
-    if not np.array_equal(np.sort(inner), np.arange(1, inner.size + 1)):
-        return {}
-    cd = frame.ints[::4][inner - 1]
-    place = frame.reals.reshape(-1, 4)[inner - 1, 1:]
-    grid = cd >= 0  # -1 for scalar points
-    made: Columns = {"ID": outer[grid], "CD": cd[grid]}
-    made |= {f"X{k + 1}": place[grid, k] for k in range(3)}
-    out = {"GRID": _of_columns("GRID", made)}
-    if not grid.all():
-        place_of = Card("SPOINT", [], -1, 0)
-        out["SPOINT"] = table_of_rows("SPOINT", [(place_of, {"ID": outer[~grid].tolist()})])
     return out

@@ -1,18 +1,23 @@
-"""Modes and static deflections of any file of results, by its content, and of HDF5."""
+"""Modes, static deflections and frequency responses of files of results, by their content."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from ringtrue.core.arrays import Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.results.geometry import held_model
-from ringtrue.decks.nastran.results.op2 import read_op2, read_op2_deflections
+from ringtrue.decks.nastran.results.op2_motions import (
+    read_op2,
+    read_op2_deflections,
+    read_op2_responses,
+)
 from ringtrue.decks.nastran.results.printed import read_f06, read_punch
 from ringtrue.decks.nastran.results.recorded import (
     RecordedDeflections,
@@ -22,6 +27,7 @@ from ringtrue.decks.nastran.results.recorded import (
     motions,
     to_deflections,
     to_mode_set,
+    to_responses,
 )
 from ringtrue.errors import DataError, about
 from ringtrue.io.foreign.parsers import open_hdf5
@@ -236,6 +242,56 @@ def read_nastran_deflections(
     with about(path):
         dofs, moved = to_deflections(found, model)
     return tuple(f"subcase {case}" for case in found.cases), dofs, moved
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NastranResponse:
+    """A frequency response of a subcase, in the basic frame and the units of the run.
+
+    Attributes
+    ----------
+    case : str
+    quantity : str
+        "displacements", "velocities" or "accelerations".
+    frequencies : (f,) float64, Hz
+    dofs : DofSet
+    values : (f, dof) complex128
+    """
+
+    case: str
+    quantity: str
+    frequencies: Float
+    dofs: DofSet
+    values: Complex
+
+
+def read_nastran_responses(
+    path: str | Path, model: Model | None = None
+) -> tuple[NastranResponse, ...]:
+    """Frequency responses of an OP2 file, in SORT1 or SORT2; none of a file without.
+
+    Parameters
+    ----------
+    path : path
+    model : Model, optional
+        The deck of the run: turns motions from the displacement frames (CD). Without it the one
+        that the file holds counts.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, or of another model.
+    """
+    found = read_op2_responses(path) if format_of(path) is Format.OP2 else ()
+    out = []
+    for response in found:
+        own = model or held_model(path, response.nodes[~response.scalar])
+        with about(path):
+            dofs, values = to_responses(response, own)
+        case = f"subcase {response.case}"
+        frequencies = response.frequencies
+        out.append(NastranResponse(case, response.quantity, frequencies, dofs, values))
+    return tuple(out)
 
 
 def asks_for_unit_mass(model: Model) -> bool:

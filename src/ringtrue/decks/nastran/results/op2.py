@@ -15,43 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.decks.nastran.results.recorded import (
-    RecordedDeflections,
-    RecordedModes,
-    deflections,
-    gathered,
-    motions,
-)
-from ringtrue.errors import DataError, about
+from ringtrue.errors import DataError
 from ringtrue.io.files import existing
-from ringtrue.io.foreign.door import door
 
-# approach and table codes; words a node of a real result
-_APPROACHES = {
-    1: "statics",
-    2: "modes",
-    5: "frequency response",
-    6: "transient response",
-    8: "buckling",
-    9: "complex modes",
-    10: "nonlinear statics",
-}
-_QUANTITIES = {
-    1: "displacements",
-    6: "eigenvalues",
-    7: "eigenvectors",
-    10: "velocities",
-    11: "accelerations",
-}
-_REAL = 8
 _PIECE = 100_000  # numbers that are text at once
-_GRID_KEY = (4501, 45)
-# The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
-# GEOM1EX are others.
-_LAMA = frozenset({"LAMA", "LAMAS"})
-_GEOMETRY = frozenset({"GEOM1", "GEOM1S", "GEOM1N"})
-_IN_BASIC = frozenset({"BOUGV1", "BOPHIG"})  # PARAM,OUGCORD,BASIC
-_SHAPES = frozenset({"OUG1", "OUGV1", "OPHIG", "OPHG1"}) | _IN_BASIC
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,121 +218,6 @@ def _table(file: _Op2File, wanted: Callable[[str], bool] | None) -> Op2Table:
     return Op2Table(name, trailer, tuple(records), file.order, file.word)
 
 
-def read_op2(path: str | Path) -> RecordedModes:
-    """Modes of an OP2 file: the first table of real eigenvectors, with LAMA's eigenvalues and modal
-    masses.
-
-    Tables are known by their names (OUG1, OUGV1, OPHIG, OPHG1; BOUGV1, BOPHIG in the basic frame)
-    and their codes.
-
-    Raises
-    ------
-    DataError
-        If the file is damaged or holds no real modes.
-    """
-    lama: tuple[Float, Float] | None = None
-    shapes: list[Op2Table] = []
-    frames: dict[int, int] = {}
-    others: list[str] = []
-    held: dict[str, str] = {}
-    for table in read_tables(path):
-        held[table.name] = held.get(table.name) or described(table)
-        if table.name in _LAMA:
-            lama = lama or _lama(table)
-        elif table.name in _GEOMETRY:
-            frames |= _frames(table)
-        elif _holds(table, "modes", "eigenvectors") and table.name not in _SHAPES:
-            others.append(table.name)
-        elif _holds(table, "modes", "eigenvectors"):
-            if shapes and shapes[0].name in _IN_BASIC and table.name not in _IN_BASIC:
-                shapes = []
-            if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
-                shapes.append(table)
-    if not shapes:
-        but = ""
-        if others:
-            named = ", ".join(dict.fromkeys(others))
-            but = f" but those of {named}, which are not of the whole structure"
-        raise DataError(
-            f"{path}: no real eigenvectors in a table {', '.join(sorted(_SHAPES))}{but}; the file "
-            f"holds {', '.join(name + what for name, what in held.items()) or 'nothing'}; "
-            "ask for DISPLACEMENT(PLOT) = ALL and PARAM,POST,-1"
-        )
-    with about(path), door(path, "OP2 file"):
-        return _gather(shapes, lama, frames)
-
-
-def described(table: Op2Table) -> str:
-    """What a table of motions holds by its codes, " (displacements of statics)"; "" of another."""
-    if not table.name.lstrip("BRT").startswith(("OUG", "OPH")) or len(table.records) < 2:
-        return ""
-    words = table.ints(table.records[1].blocks[0])  # without a copy of the whole table
-    if words.size < 10:
-        return ""
-    sort, code = divmod(int(words[1]), 1000)
-    approach = int(words[0]) // 10
-    if code not in _QUANTITIES or approach not in _APPROACHES:
-        return ""
-    form = "" if words[9] == _REAL else "complex "
-    by = ", SORT2" if sort >= 2 else ""
-    return f" ({form}{_QUANTITIES[code]} of {_APPROACHES[approach]}{by})"
-
-
-def _gather(
-    shapes: list[Op2Table], lama: tuple[Float, Float] | None, frames: dict[int, int]
-) -> RecordedModes:
-    modes: list[int] = []
-    values = []
-    rows = []
-    for table in shapes:
-        data = table.bodies()
-        for ident, body in zip(data[::2], data[1::2], strict=True):
-            mode = int(table.ints(ident)[4])
-            if modes and mode <= modes[-1]:  # the next subcase
-                break
-            modes.append(mode)
-            values.append(float(table.floats(ident)[5]))
-            rows.append(_nodes(table, body))
-    lam = np.array(values)
-    mass = np.full(len(values), np.nan)
-    if lama is not None and modes and max(modes) <= lama[0].size and min(modes) > 0:
-        lam = lama[0][np.array(modes) - 1]
-        mass = lama[1][np.array(modes) - 1]
-    if shapes[0].name in _IN_BASIC:
-        frames = dict.fromkeys(rows[0][0].tolist(), 0) if rows else {}
-    return gathered(lam, mass, rows, frames)
-
-
-def read_op2_deflections(path: str | Path) -> RecordedDeflections | None:
-    """Displacements of the static subcases of an OP2 file; None of a file without.
-
-    Raises
-    ------
-    DataError
-        If the file is damaged, or the subcases are given at different nodes.
-    """
-    cases: list[int] = []
-    rows = []
-    frames: dict[int, int] = {}
-    basic = False
-    with about(path), door(path, "OP2 file"):
-        for table in read_tables(path, lambda name: name in _GEOMETRY | _SHAPES):
-            if table.name in _GEOMETRY:
-                frames |= _frames(table)
-            elif _holds(table, "statics", "displacements"):
-                basic = table.name in _IN_BASIC
-                data = table.bodies()
-                for ident, body in zip(data[::2], data[1::2], strict=True):
-                    cases.append(int(table.ints(ident)[3]))
-                    rows.append(_nodes(table, body))
-        if not rows:
-            return None
-        if basic:
-            frames = dict.fromkeys(rows[0][0].tolist(), 0)
-        m = motions(rows, frames)
-    return deflections(m, tuple(cases))
-
-
 @dataclass(frozen=True, slots=True)
 class GridPointWeight:
     """Mass and centre of gravity (x, y, z) that a run recorded, in the units of its deck."""
@@ -389,61 +241,6 @@ def read_grid_point_weight(path: str | Path) -> GridPointWeight | None:
             centre = values[36:45].reshape(3, 3) @ [x, y, z]
             return GridPointWeight(float(mass), tuple(centre.tolist()))
     return None
-
-
-def _holds(table: Op2Table, approach: str, quantity: str) -> bool:
-    """Whether a table says that it holds such real motions, a mode or case after the other."""
-    if len(table.records) < 3:
-        return False
-    words = table.ints(table.bodies()[0])
-    return words.size >= 10 and words[9] == _REAL and _codes(words) == (approach, quantity)
-
-
-def _codes(words: Int) -> tuple[str | None, str | None]:
-    """The approach and the quantity of the first words of an identification."""
-    return _APPROACHES.get(int(words[0]) // 10), _QUANTITIES.get(int(words[1]))
-
-
-def _nodes(table: Op2Table, body: bytes) -> tuple[Int, NDArray[np.bool_], Float]:
-    whole = len(body) // (_REAL * table.word) * _REAL * table.word
-    if whole != len(body) or not whole:
-        raise DataError(
-            f"table {table.name}: a record of {len(body)} bytes is not of {_REAL} words a node"
-        )
-    words = table.ints(body).reshape(-1, _REAL)
-    scalar = words[:, 1] == 2
-    motion = table.floats(body).reshape(-1, _REAL)[:, 2:].copy()
-    motion[scalar, 1:] = 0.0
-    keep = words[:, 1] <= 2  # not the extra and modal points
-    return words[keep, 0] // 10, scalar[keep], motion[keep]
-
-
-def _lama(table: Op2Table) -> tuple[Float, Float] | None:
-    """Eigenvalues and modal masses; words: mode, order, λ, ω, f, mass, stiffness."""
-    data = table.bodies()
-    if len(data) < 2 or len(data[1]) % (7 * table.word):
-        return None
-    words = table.ints(data[0])
-    if _codes(words) != ("modes", "eigenvalues"):
-        return None
-    rows = table.floats(data[1]).reshape(-1, 7)
-    return rows[:, 2], rows[:, 5]
-
-
-def _frames(table: Op2Table) -> dict[int, int]:
-    """The displacement frame of each GRID; coordinates are single or (in newer files) double
-    precision.
-    """
-    for data in table.bodies():
-        words = table.ints(data)
-        if tuple(words[:2].tolist()) == _GRID_KEY:
-            body = words[3:]
-            double = table.word == 4 and words[2] not in (1, 0) and body.size % 11 == 0
-            width, cd = (11, 8) if double else (8, 5)
-            if body.size % width == 0:
-                rows = body.reshape(-1, width)
-                return dict(zip(rows[:, 0].tolist(), rows[:, cd].tolist(), strict=True))
-    return {}
 
 
 def matrix(table: Op2Table) -> NDArray[Any]:

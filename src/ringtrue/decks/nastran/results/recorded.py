@@ -1,5 +1,5 @@
-"""Modes and static deflections as a program recorded them, and what makes results of them: frames,
-scale and labels.
+"""Modes, static deflections and frequency responses as a program recorded them, and what makes
+results of them: frames, scale and labels.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays
+from ringtrue.core.arrays import Any_, Bool, Float, Int, freeze_arrays
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import DataError
@@ -30,7 +30,7 @@ class RecordedMotions:
     nodes : (n,) int64
     scalar : (n,) bool
         Scalar points: their motion is the first component.
-    motion : (n, 6, m) float64
+    motion : (n, 6, m) float64, of responses complex128
         Translations and rotations in each node's displacement frame (or basic, see `frames`).
     frames : (n,) int64
         The displacement frame (CD) of each node as the file says; -1 where it does not; 0 is basic.
@@ -38,7 +38,7 @@ class RecordedMotions:
 
     nodes: Int
     scalar: Bool
-    motion: Float
+    motion: Any_
     frames: Int
 
 
@@ -51,6 +51,28 @@ class RecordedDeflections(RecordedMotions):
     def __post_init__(self) -> None:
         freeze_arrays(self)
         refuse_large(self.motion, "deflection")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedResponses(RecordedMotions):
+    """Frequency responses (n, 6, f) of a subcase.
+
+    Attributes
+    ----------
+    frequencies : (f,) float64, Hz
+    quantity : str
+        "displacements", "velocities" or "accelerations".
+    case : int
+        Number of the subcase.
+    """
+
+    frequencies: Float
+    quantity: str
+    case: int
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        refuse_large(self.motion, "response")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +111,7 @@ class RecordedModes(RecordedMotions):
         refuse_large(self.motion, "motion")
 
 
-Rows = Sequence[tuple[Int, Bool, Float]]
+Rows = Sequence[tuple[Int, Bool, Any_]]
 
 
 def motions(rows: Rows, frames: dict[int, int] | None = None) -> RecordedMotions:
@@ -134,6 +156,13 @@ def deflections(m: RecordedMotions, cases: tuple[int, ...]) -> RecordedDeflectio
     return RecordedDeflections(**_fields(m), cases=cases)
 
 
+def responses(
+    m: RecordedMotions, frequencies: Float, quantity: str, case: int
+) -> RecordedResponses:
+    """Motions that are frequency responses of a subcase, frequencies (f,) in Hz."""
+    return RecordedResponses(**_fields(m), frequencies=frequencies, quantity=quantity, case=case)
+
+
 def _fields(m: RecordedMotions) -> dict[str, Any]:
     return {name: getattr(m, name) for name in ("nodes", "scalar", "motion", "frames")}
 
@@ -143,6 +172,13 @@ def to_deflections(found: RecordedDeflections, model: Model | None = None) -> tu
     found = _basic(found, model)
     dofs, rows = _labels(found)
     return dofs, found.motion.reshape(-1, len(found.cases))[rows].T
+
+
+def to_responses(found: RecordedResponses, model: Model | None = None) -> tuple[DofSet, Any_]:
+    """DOFs, and responses (frequency, dof) complex128 in the basic frame; see `to_mode_set`."""
+    found = _basic(found, model)
+    dofs, rows = _labels(found)
+    return dofs, found.motion.reshape(-1, found.frequencies.size)[rows].T
 
 
 def to_mode_set(
