@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import sys
 from pathlib import Path
 
+import nicegui
 import pytest
 from nicegui.testing import User
 from simulated import STUDY, visit, written
 
 from ringtrue.errors import ConfigError
-from ringtrue.studio import edits, worker
+from ringtrue.studio import edits, theme, worker
 from ringtrue.studio.session import opened
 from ringtrue.studio.work import Work
 
@@ -134,3 +136,16 @@ def test_the_tour_points_at_screens_and_can_be_closed(tmp_path: Path) -> None:
         await user.should_not_see(marker="tour")
 
     visit(session, scenario)
+
+
+def test_every_class_that_a_page_names_has_a_style() -> None:
+    sheets = [theme.CSS, *(Path(nicegui.__file__).parent / "static").glob("quasar.*.prod.css")]
+    known = "".join(path.read_text() for path in sheets).replace("\\", "")
+    named = re.findall(r'classes\(\s*"([^"]*)"', _sources())
+    missing = {c for text in named for c in text.split() if f".{c}" not in known}
+    # what nothing but the tour and tests look for
+    assert {c for c in missing if not c.startswith("rt-")} == set()
+
+
+def _sources() -> str:
+    return "".join(p.read_text() for p in theme.CSS.parent.rglob("*.py"))

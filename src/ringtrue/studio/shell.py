@@ -245,6 +245,9 @@ def _say_exception(error: Exception) -> None:
 def page(session: StudioSession) -> None:
     """The page of a session, with all its screens."""
     theme.apply()
+    asked = ui.context.client.sub_pages_router.current_path.partition("?")[0].strip("/")
+    if any(s.figures for s in SCREENS if s.name == asked):
+        ui.add_body_html('<script>import("nicegui-plotly")</script>')
     dark = ui.dark_mode(session.dark)
     session.on_theme.subscribe(lambda: dark.set_value(session.dark))
     session.on_documents.subscribe(lambda words: ui.notify(words, timeout=2500))
@@ -379,7 +382,7 @@ def _standing(session: StudioSession, name: str) -> None:
 def _history(session: StudioSession) -> None:
     """What was changed, newest first, as diffs."""
     documents = session.documents
-    with ui.dialog() as dialog, ui.card().classes("w-[720px] max-w-full"):
+    with ui.dialog() as dialog, ui.card().classes("max-w-full").style("width:720px"):
         ui.label("What was changed").classes("text-lg")
         if not documents.steps:
             ui.label("Nothing yet.")
