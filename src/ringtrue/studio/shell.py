@@ -45,7 +45,6 @@ STANDING = {  # of a stage: icon and colour
     "stale": ("update", "warning"),
     "missing": ("radio_button_unchecked", "grey"),
     "problem": ("error", "negative"),
-    "running": ("pending", "primary"),
 }
 
 
@@ -315,15 +314,15 @@ def _header(session: StudioSession, tour: Tour) -> None:
 
 
 def _rail(session: StudioSession, rail: ui.column) -> None:
-    """Screens with the state of their stages, and the run."""
-
-    @ui.refreshable
-    def entries() -> None:
+    """Screens with the state of their stages, and the run; changed in place, so that no click falls
+    on what is drawn anew.
+    """
+    standings: dict[str, ui.row] = {}
+    with rail:
         for screen in SCREENS:
-            here = "rt-here" if frame().screen == screen.name else ""
             with (
                 ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
-                .classes(f"rt-screen {here} rt-tour-screen-{screen.name} w-full rounded-borders")
+                .classes(f"rt-screen rt-tour-screen-{screen.name} w-full rounded-borders")
                 .props(f"dense clickable data-screen={screen.name}")
                 .mark(f"screen-{screen.name}")
             ):
@@ -331,52 +330,72 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
                     ui.icon(screen.icon).classes("text-lg")
                 with ui.item_section():
                     ui.item_label(screen.title)
-                with ui.item_section().props("side"), ui.row().classes("gap-0 no-wrap"):
-                    for state in session.stages:
-                        if state.name in screen.stages:
-                            _standing(session, state.name)
-        if session.problem:
-            ui.label(session.problem).classes("text-negative text-xs q-mt-sm").mark("problem")
-
-    @ui.refreshable
-    def run() -> None:
-        job = session.work.job
-        heading("Run")
-        if job is not None and job.running:
-            ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
-            ui.label(job.lines[-1] if job.lines else "starting").classes("text-xs")
-            ui.button("Stop", icon="stop", on_click=session.work.stop).props(
-                "dense flat no-caps"
-            ).set_enabled(job.state == "running")
-            return
-        if job is not None:
-            ui.label(job.error or job.state).classes(
-                "text-xs " + ("text-negative" if job.error else "opacity-70")
-            ).mark("run-state")
-        with ui.row().classes("items-center no-wrap gap-1"):
-            ui.button(
-                "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
-            ).props("dense flat no-caps no-wrap").classes("rt-tour-run").mark("run").set_enabled(
-                session.config is not None
-            )
-            copy_command(session.work.command())
-
-    with rail:
-        entries()
+                with ui.item_section().props("side"):
+                    standings[screen.name] = ui.row().classes("gap-0 no-wrap")
+        problem = ui.label().classes("text-negative text-xs q-mt-sm").mark("problem")
         ui.separator()
+        run = _run_panel(session)
+    drawn: dict[str, list[tuple[str, str]]] = {}
+
+    def entries() -> None:
+        for screen in SCREENS:
+            stages = [s for s in session.stages if s.name in screen.stages]
+            looks: list[tuple[str, str]] = [
+                (
+                    "problem" if s.problem else s.standing,
+                    s.problem or f"{s.title}: {s.standing}",
+                )
+                for s in stages
+            ]
+            if drawn.get(screen.name) == looks:
+                continue
+            drawn[screen.name] = looks
+            standings[screen.name].clear()
+            with standings[screen.name]:
+                for standing, words in looks:
+                    icon, color = STANDING[standing]
+                    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+        problem.text = session.problem
+        problem.set_visibility(bool(session.problem))
         run()
+
+    entries()
     for event in (session.on_results, session.on_documents):
-        event.subscribe(entries.refresh, expect_args=False)
-        event.subscribe(run.refresh, expect_args=False)
-    session.on_work.subscribe(run.refresh)
+        event.subscribe(entries, expect_args=False)
+    session.on_work.subscribe(run)
 
 
-def _standing(session: StudioSession, name: str) -> None:
-    state = next(s for s in session.stages if s.name == name)
-    standing = "problem" if state.problem else state.standing
-    icon, color = STANDING[standing]
-    words = state.problem or f"{state.title}: {state.standing}"
-    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+def _run_panel(session: StudioSession) -> Callable[[], None]:
+    """The run: how far it is, what ends it, what begins it; gives what shows it as it is now."""
+    heading("Run")
+    bar = ui.linear_progress(show_value=False).props("instant-feedback")
+    words = ui.label().classes("text-xs").mark("run-state")
+    stop = ui.button("Stop", icon="stop", on_click=session.work.stop).props("dense flat no-caps")
+    with ui.row().classes("items-center no-wrap gap-1") as idle:
+        begin = ui.button(
+            "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
+        ).props("dense flat no-caps no-wrap")
+        begin.classes("rt-tour-run").mark("run")
+        copy_command(session.work.command())
+
+    def show() -> None:
+        job = session.work.job
+        running = session.work.running
+        bar.set_visibility(running)
+        stop.set_visibility(running)
+        idle.set_visibility(not running)
+        begin.set_enabled(session.config is not None)
+        words.set_visibility(job is not None)
+        if job is None:
+            return
+        bar.value = job.fraction
+        stop.set_enabled(job.state == "running")
+        said = job.lines[-1] if job.lines else "starting"
+        words.text = said if running else job.error or job.state
+        words.classes(**{"add" if job.error else "remove": "text-negative"})
+
+    show()
+    return show
 
 
 def _history(session: StudioSession) -> None:
