@@ -112,11 +112,11 @@ def heading(text: str) -> None:
     ui.label(text).classes("rt-head mt-2")
 
 
-def fact(name: str, value: str) -> None:
-    """A name and its value on a line."""
+def fact(name: str, value: str = "") -> ui.label:
+    """A name and its value on a line; gives the value, to be changed."""
     with ui.row().classes("w-full items-baseline justify-between no-wrap gap-3"):
         ui.label(name).classes("text-sm opacity-70")
-        ui.label(value).classes("text-sm rt-value text-right")
+        return ui.label(value).classes("text-sm rt-value text-right")
 
 
 def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:

@@ -43,7 +43,6 @@ class Tried:
         self.factors: dict[str, float] = {}
         self.trial: Trial | None = None
         self.input = ""
-        self.deck_objective = 0.0
 
     # --- the panels
 
@@ -68,7 +67,10 @@ class Tried:
     def objective(self) -> None:
         """J of the trial and of the deck, where the sliders are."""
         heading("Objective of the updating")
-        self.facts = ui.column().classes("w-full gap-0").mark("objective")
+        with ui.column().classes("w-full gap-0").mark("objective"):
+            self.cost = fact("J of the trial")
+            self.cost_of_deck = fact("J of the deck")
+            self.deviation = fact("Mean |Δf|")
 
     @property
     def measured(self) -> FrfSet | None:
@@ -120,7 +122,7 @@ class Tried:
     def show(self, model: TrialModel, factors: dict[str, float]) -> None:
         """Draw what follows from some factors."""
         if self.model is not model:
-            self.deck_objective = model.objective({})
+            self.cost_of_deck.text = f"{model.objective({}):.4g}"
         self.model, self.factors = model, factors
         self.trial = model.at(factors)
         self.modes.rows = _mode_rows(self.trial)
@@ -134,12 +136,8 @@ class Tried:
         assert self.model is not None
         assert self.trial is not None
         deviation = np.abs(self.trial.pairs.deviation_percent)
-        self.facts.clear()
-        with self.facts:
-            fact("J of the trial", f"{self.model.objective(self.factors):.4g}")
-            fact("J of the deck", f"{self.deck_objective:.4g}")
-            if deviation.size:
-                fact("Mean |Δf|", f"{float(deviation.mean()):.2f} %")
+        self.cost.text = f"{self.model.objective(self.factors):.4g}"
+        self.deviation.text = f"{float(deviation.mean()):.2f} %" if deviation.size else "no pair"
 
     def _selected(self) -> None:
         if self.trial is None:
