@@ -80,6 +80,7 @@ def identification_figure(
                 showlegend=on == "y",
                 hoverinfo="skip",
             )
+    _add_beyond(fig, shown)
     _add_account(fig, shown, top)
     _add_modes(fig, shown, top)
     fig.update_xaxes(range=[np.log10(low), np.log10(high)] if _wide(shown) else [low, high])
@@ -96,15 +97,42 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     frequency = axis("Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2})
     if _wide(shown):
         frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
-    upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
-    highest = 100 * float(upper.max(initial=0.0))
+    highest = _largest_damping(shown)
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
     level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
     level["tickmode"] = "auto"
     ratio = axis("Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5)
     fig = figure(height, xaxis=frequency, yaxis=order, yaxis2=level, yaxis3=ratio)
-    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 78})
+    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 84})
     return fig
+
+
+def _largest_damping(shown: IdentificationDiagram) -> float:
+    """Of the modes and of their poles, percent."""
+    modes = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
+    poles = [np.nan_to_num(d.poles.damping[d.cluster >= 0]) for d in shown.diagrams]
+    return 100 * max(float(x.max(initial=0.0)) for x in (modes, *poles))
+
+
+def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
+    """The poles that lie above the panel of damping, on its edge."""
+    edge = fig.layout.yaxis3.range[1]
+    f = np.concatenate([np.empty(0), *(d.poles.frequencies for d in shown.diagrams)])
+    damping = np.concatenate([np.empty(0), *(100 * d.poles.damping for d in shown.diagrams)])
+    low, high = shown.span
+    at = np.flatnonzero((damping > edge) & (f >= low) & (f <= high))
+    at = at[_apart(f[at], np.zeros(at.size), shown)]
+    fig.add_scatter(
+        x=f32(f[at]),
+        y=np.full(at.size, 0.95 * edge),
+        yaxis="y3",
+        mode="markers",
+        marker={"symbol": "triangle-up-open", "size": 6, "color": MUTED},
+        name="pole above the axis",
+        showlegend=False,
+        text=[f"{x:.3g}" for x in damping[at]],
+        hovertemplate="%{x:.5g} Hz, damping %{text} %<extra>%{fullData.name}</extra>",
+    )
 
 
 def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:

@@ -52,6 +52,7 @@ def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any
         spec = _recoloured(spec)
         spec["layout"]["hoverlabel"] = {"bgcolor": "#232b34", "font": {"color": DARK_INK}}
     spec["config"] = {"displaylogo": False, "responsive": True}
+    spec["config"]["modeBarButtonsToRemove"] = ["select2d", "lasso2d", "autoScale2d"]
     spec["config"] |= {"scrollZoom": True} if tools else {"displayModeBar": False}
     return spec
 
