@@ -149,3 +149,18 @@ def test_every_class_that_a_page_names_has_a_style() -> None:
 
 def _sources() -> str:
     return "".join(p.read_text() for p in theme.CSS.parent.rglob("*.py"))
+
+
+def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path) -> None:
+    before = written(tmp_path)
+    before.select(pair=(2, 3), mode=2, frequency=4.5, channel="101+Z")
+    before.set_dark(True)
+    after = opened(tmp_path)
+    after.restore(before.kept)
+    assert (after.dark, after.selection) == (True, before.selection)
+    after.select(mode=1)
+    after.restore(before.kept)
+    assert after.selection.mode == 1  # another tab of the browser changes nothing
+    fresh = opened(tmp_path)
+    fresh.restore('[true, {"mode": "many"}]')
+    assert not fresh.dark

@@ -150,11 +150,7 @@ def matrix(
     labelled = percent >= 10
     if not diagonal:
         np.fill_diagonal(labelled, False)
-    numbers: dict[str, object] = {}
-    if size <= TOLD:
-        text = np.where(labelled, np.char.mod("%.0f", percent), "")
-        font = {"size": 9 if size > 12 else 10}
-        numbers = {"xgap": 1, "ygap": 1, "text": text, "texttemplate": "%{text}", "textfont": font}
+    few = size <= TOLD
     fig.add_heatmap(
         z=f32(percent),
         x=list(columns.labels),
@@ -164,7 +160,11 @@ def matrix(
         colorscale=SEQUENTIAL,
         colorbar={"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"},
         hovertemplate=f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>",
-        **numbers,
+        xgap=int(few),
+        ygap=int(few),
+        text=np.where(labelled, np.char.mod("%.0f", percent), "") if few else None,
+        texttemplate="%{text}" if few else None,
+        textfont={"size": 9 if size > 12 else 10},
     )
     return fig
 

@@ -97,7 +97,9 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     frequency = axis("Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2})
     if _wide(shown):
         frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
-    highest = _largest_damping(shown)
+    upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
+    # and of the poles that modes are made of
+    highest = 100 * float(np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, 2)[2])]).max())
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
     level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
     level["tickmode"] = "auto"
@@ -107,44 +109,40 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     return fig
 
 
-def _largest_damping(shown: IdentificationDiagram) -> float:
-    """Of the modes and of their poles, percent."""
-    modes = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
-    poles = [np.nan_to_num(d.poles.damping[d.cluster >= 0]) for d in shown.diagrams]
-    return 100 * max(float(x.max(initial=0.0)) for x in (modes, *poles))
-
-
 def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
     """The poles that lie above the panel of damping, on its edge."""
     edge = fig.layout.yaxis3.range[1]
-    f = np.concatenate([np.empty(0), *(d.poles.frequencies for d in shown.diagrams)])
-    damping = np.concatenate([np.empty(0), *(100 * d.poles.damping for d in shown.diagrams)])
-    low, high = shown.span
-    at = np.flatnonzero((damping > edge) & (f >= low) & (f <= high))
-    at = at[_apart(f[at], np.zeros(at.size), shown)]
+    every = np.hstack([_of_kind(shown, k) for k in range(len(POLES))])
+    f, _, damping = every[:, 100 * every[2] > edge]
+    at = _apart(f, 0 * f, shown)
     fig.add_scatter(
         x=f32(f[at]),
-        y=np.full(at.size, 0.95 * edge),
+        y=0 * f[at] + 0.95 * edge,
         yaxis="y3",
         mode="markers",
         marker={"symbol": "triangle-up-open", "size": 6, "color": MUTED},
         name="pole above the axis",
         showlegend=False,
-        text=[f"{x:.3g}" for x in damping[at]],
+        text=[f"{100 * x:.3g}" for x in damping[at]],
         hovertemplate="%{x:.5g} Hz, damping %{text} %<extra>%{fullData.name}</extra>",
     )
 
 
 def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
     """Frequency, order and damping of the poles of a kind, as many as can be distinguished."""
-    sets = [(d.poles, pole_kinds(d) == kind) for d in shown.diagrams]
-    empty = np.empty(0)
-    f = np.concatenate([empty, *(p.frequencies[at] for p, at in sets)])
-    order = np.concatenate([empty, *(p.order[at] for p, at in sets)])
-    damping = np.concatenate([empty, *(p.damping[at] for p, at in sets)])
+    f, order, damping = _of_kind(shown, kind)
     at = _apart(f, order, shown)
     at = at[:: -(-at.size // most) or 1]
     return f32(f[at]), f32(order[at]), f32(damping[at])
+
+
+def _of_kind(shown: IdentificationDiagram, kind: int) -> Float:
+    """Frequency, order and damping (3, k) of all poles of a kind."""
+    sets = [
+        np.stack([d.poles.frequencies, d.poles.order, d.poles.damping])[:, pole_kinds(d) == kind]
+        for d in shown.diagrams
+    ]
+    return np.hstack([np.empty((3, 0)), *sets])
 
 
 def _apart(f: Float, order: Float, shown: IdentificationDiagram) -> Int:

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import quote, unquote
 from weakref import WeakKeyDictionary
+from zlib import crc32
 
 from nicegui import Client, Event, app, ui
 from nicegui.events import KeyEventArguments
@@ -244,6 +246,7 @@ def _say_exception(error: Exception) -> None:
 def page(session: StudioSession) -> None:
     """The page of a session, with all its screens."""
     theme.apply()
+    _keep(session)
     asked = ui.context.client.sub_pages_router.current_path.partition("?")[0].strip("/")
     if any(s.figures for s in SCREENS if s.name == asked):
         ui.add_body_html('<script>import("nicegui-plotly")</script>')
@@ -282,6 +285,24 @@ def page(session: StudioSession) -> None:
     routes = {f"/{s.name}": shown(s) for s in SCREENS} | {"/": shown(SCREENS[0])}
     frame_.pages = ui.sub_pages(routes).classes("w-full")
     ui.timer(0.5, tour.first_time, once=True)
+
+
+def _keep(session: StudioSession) -> None:
+    """Theme and selection in a cookie of the browser, from where the next studio has them: the
+    cookie is of this study, and, other than the browser's storage, of any port.
+    """
+    name = f"ringtrue-studio-{crc32(str(session.path.resolve()).encode()):08x}"
+    request = ui.context.client.request
+    session.restore(unquote(request.cookies.get(name, "")))
+
+    def keep() -> None:
+        ui.run_javascript(
+            f"document.cookie = '{name}={quote(session.kept)}; path=/; max-age=31536000; "
+            "samesite=strict'"
+        )
+
+    for event in (session.on_theme, session.on_selection):
+        event.subscribe(keep, expect_args=False)
 
 
 def _header(session: StudioSession, tour: Tour) -> None:

@@ -154,7 +154,8 @@ class Tried:
         there = np.flatnonzero(pairing.a == wanted) if wanted is not None else pairing.a[:0]
         if there.size:
             return int(pairing.a[there[0]]), int(pairing.b[there[0]])
-        if wanted is not None and chosen is not None and chosen[1] < len(self.trial.modes):
+        shape = self.trial.pairs.mac.shape
+        if chosen is not None and chosen[0] < shape[0] and chosen[1] < shape[1]:
             return chosen
         return (int(pairing.a[0]), int(pairing.b[0])) if pairing.a.size else None
 
