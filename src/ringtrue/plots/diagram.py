@@ -116,8 +116,8 @@ def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
     f, _, damping = every[:, 100 * every[2] > edge]
     at = _apart(f, 0 * f, shown)
     fig.add_scatter(
-        x=f32(f[at]),
-        y=0 * f[at] + 0.95 * edge,
+        x=f[at],
+        y=[0.95 * edge] * at.size,
         yaxis="y3",
         mode="markers",
         marker={"symbol": "triangle-up-open", "size": 6, "color": MUTED},
