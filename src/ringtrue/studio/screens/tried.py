@@ -49,20 +49,21 @@ class Tried:
     def table(self) -> None:
         """The pairs; a row selects its mode."""
         self.modes = table(MODES, []).on("rowClick", self._row).mark("modes")
+        self.modes.classes("rt-long")
 
-    def build(self) -> None:
-        """The shape of the selected mode, the matrix and the FRF."""
-        with ui.row().classes("w-full no-wrap gap-3 items-start"):
-            with ui.column().classes("w-1/2 min-w-0 gap-0"):
-                self.name = ui.label().classes("rt-head mt-2").mark("shape-name")
-                with ui.element("div").classes("w-full").style("height:34vh"):
-                    self.view = ShapeView(self.session)
-            with ui.column().classes("w-1/2 min-w-0 gap-0"):
-                heading("MAC")
-                self.matrix = ui.plotly({}).classes("w-full").style("height:34vh")
-        self._frf_panel()
+    def shape(self) -> None:
+        """The shape of the selected mode."""
+        self.name = ui.label().classes("rt-head mt-2").mark("shape-name")
+        with ui.element("div").classes("w-full rt-rest"):
+            self.view = ShapeView(self.session)
         frame().keys["play"] = self.view.toggle
         frame().follow(self._selected, self.session.on_selection)
+
+    def figures(self) -> None:
+        """The matrix and the FRF."""
+        heading("MAC")
+        self.matrix = ui.plotly({}).classes("w-full rt-rest")
+        self._frf_panel()
 
     def objective(self) -> None:
         """J of the trial and of the deck, where the sliders are."""
@@ -105,13 +106,13 @@ class Tried:
             return
         self.input = self.input if self.input in inputs else inputs[0]
         with ui.row().classes("w-full items-center no-wrap gap-2"):
-            heading("FRF of the test and of the trial")
+            heading("FRF")
             ui.space()
             self.outputs = output_select(self.session, outputs, self.output).mark("trial-output")
             ui.select(
                 inputs, value=self.input, label="input", on_change=lambda e: self._load(e.value)
             ).props(SELECT).classes("w-36").mark("trial-input")
-        self.plot = ui.plotly({}).classes("w-full").style("height:44vh").mark("trial-frf")
+        self.plot = ui.plotly({}).classes("w-full rt-rest").style("flex-grow:1.4").mark("trial-frf")
 
     def _load(self, input_: str) -> None:
         self.input = input_

@@ -56,13 +56,15 @@ class _UpdateScreen:
                 self.sets()
                 ui.space()
                 run_button(session, "final", "Update")
-            with ui.row().classes("w-full no-wrap gap-3 items-start"):
-                with ui.column().classes("w-2/5 gap-1"):
-                    self.tried = ui.column().classes("w-full gap-1")
+            # all that follows a factor is seen at once: what is long scrolls in its own place
+            with ui.row().classes("w-full no-wrap gap-3").style("height:calc(100vh - 112px)"):
+                with ui.column().classes("w-2/5 h-full no-wrap gap-1"):
+                    self.tried = ui.column().classes("w-full no-wrap gap-1 rt-long")
                     self.follows.objective()
-                with ui.column().classes("grow min-w-0 gap-0"):
+                    self.follows.shape()
+                with ui.column().classes("grow h-full min-w-0 no-wrap gap-0"):
                     self.follows.table()
-            self.follows.build()
+                    self.follows.figures()
             self.results()
         self.inspected()
         frame().follow(self._results_changed, session.on_results, session.on_theme)
