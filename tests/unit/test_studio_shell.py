@@ -13,10 +13,11 @@ import pytest
 from nicegui.testing import User
 from simulated import STUDY, visit, written
 
+from ringtrue.core.iterate import IterationText
 from ringtrue.errors import ConfigError
 from ringtrue.studio import edits, theme, worker
 from ringtrue.studio.session import opened
-from ringtrue.studio.work import Work
+from ringtrue.studio.work import Job, Work
 
 
 def test_edits_are_said_and_undone_on_the_page(tmp_path: Path) -> None:
@@ -164,3 +165,15 @@ def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path)
     fresh = opened(tmp_path)
     fresh.restore('[true, {"mode": "many"}]')
     assert not fresh.dark
+
+
+def test_a_run_says_its_iterations_with_their_values(capsys: pytest.CaptureFixture[str]) -> None:
+    said = IterationText("set: iteration 2: 3.5")
+    said.values = {"J": 3.5, "columns": 1.2}
+    worker._report(0.5, said)
+    worker._report(0.6, "modes at the updated point")
+    job = Job("update", "")
+    for line in capsys.readouterr().out.splitlines(keepends=True):
+        job.heard(line)
+    assert job.steps == [{"J": 3.5, "columns": 1.2}]
+    assert job.lines == ["set: iteration 2: 3.5", "modes at the updated point"]

@@ -97,6 +97,7 @@ export class Picture {
 
   contents(scene, theme, few = false) {
     const { state, body, wire } = this, { ink, beam } = theme, select = [...rgb(theme.select), 1];
+    if (this.look) this.look.dark = theme === THEMES.dark;
     const modes = state.mode !== null || this.kept.model.size > 0;
     if (body && state.still) body.draw("edges", scene, { still: true, tint: [...ink, 0.28], wide: 1 });
     if (body && state.model === "ghost") {

@@ -5,11 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import plotly.graph_objects as go
 from nicegui import ui
 
 from ringtrue.api.trial import TrialModel
 from ringtrue.core.parameters import Parameter
 from ringtrue.errors import RingtrueError
+from ringtrue.plots.style import axis, figure, log_axis
 from ringtrue.plots.updating import convergence, path
 from ringtrue.studio import edits, theme
 from ringtrue.studio.screens.tried import Tried
@@ -24,6 +26,7 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
+from ringtrue.studio.work import Job
 from ringtrue.study.results import SetResult, UncertaintyStage, UpdateStage
 
 THROTTLE_S = 0.05  # between two positions of a slider that is dragged
@@ -48,6 +51,8 @@ class _UpdateScreen:
         self.factors: dict[str, float] = {}
         self.follows = Tried(session)
         self.sliders: dict[str, tuple[ui.slider, ui.label]] = {}
+        self.live: tuple[ui.linear_progress, ui.plotly, ui.column] | None = None
+        self.drawn: list[dict[str, float]] = []
 
     def build(self) -> None:
         session = self.session
@@ -237,15 +242,31 @@ class _UpdateScreen:
     def inspected(self) -> None:
         """The run while there is one, else the selected candidate with its bounds."""
         job = self.session.work.job
+        if job is not None and job.running:
+            self._running(job)
+            return
+        self.live = None
         with inspector():
-            if job is not None and job.running:
-                heading("Run")
-                ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
-                with ui.column().classes("w-full gap-0 rt-mono"):
-                    for line in job.lines[-TAIL:]:
-                        ui.label(line)
-                return
             self._candidate()
+
+    def _running(self, job: Job) -> None:
+        """How far the run is, J and the factors so far; the figure stays while it grows."""
+        if self.live is None:
+            with inspector():
+                heading("Run")
+                bar = ui.linear_progress(show_value=False).props("instant-feedback")
+                plot = ui.plotly({}).classes("w-full").style("height:300px").mark("live")
+                self.live = bar, plot, ui.column().classes("w-full gap-0 rt-mono")
+        bar, plot, lines = self.live
+        bar.value = job.fraction
+        plot.set_visibility(bool(job.steps))
+        if job.steps and job.steps is not self.drawn:
+            self.drawn = job.steps
+            plot.update_figure(theme.drawn(_live(job.steps), dark=self.session.dark, tools=False))
+        lines.clear()
+        with lines:
+            for line in job.lines[-TAIL:]:
+                ui.label(line)
 
     def _candidate(self) -> None:
         config = self.session.config
@@ -271,6 +292,22 @@ class _UpdateScreen:
     def _set_bound(self, at: int, name: str, key: str, value: object) -> None:
         words = f"{key} bound of {name}"
         self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
+
+
+def _live(steps: list[dict[str, float]]) -> go.Figure:
+    """J and, below it, the factors over the iterations of a run."""
+    fig = figure(
+        300,
+        xaxis=axis("Iteration", anchor="y2", rangemode="tozero"),
+        yaxis=log_axis("J", domain=[0.56, 1]),
+        yaxis2=axis("Factor", domain=[0, 0.46]),
+        margin={"l": 44, "r": 6, "t": 8, "b": 40},
+        showlegend=False,
+    )
+    for name in steps[-1]:
+        on = "y" if name == "J" else "y2"
+        fig.add_scatter(y=[s[name] for s in steps], name=name, yaxis=on, mode="lines+markers")
+    return fig
 
 
 PARAMETERS = {
