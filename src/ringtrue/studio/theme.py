@@ -45,8 +45,8 @@ def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any
     spec: dict[str, Any] = figure.to_plotly_json()
     layout = spec["layout"]
     layout["height"] = None
-    if tools:  # they stand above the legend
-        layout["margin"] = {**layout["margin"], "t": max(52, layout["margin"].get("t", 0))}
+    if tools and layout.get("showlegend", True):  # they stand above a legend of two rows
+        layout["margin"] = {**layout["margin"], "t": max(64, layout["margin"].get("t", 0))}
     layout["uirevision"] = "kept"  # zoom and hidden traces stay when the figure changes
     layout["paper_bgcolor"] = layout["plot_bgcolor"] = "rgba(0,0,0,0)"
     layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": DARK_MUTED if dark else MUTED}

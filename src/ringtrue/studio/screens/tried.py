@@ -192,7 +192,7 @@ class Tried:
         ends = (float(trial.freqs[0]), float(trial.freqs[-1]))
         marks = figures.Marks(modes, ends, self.session.selection.frequency)
         figure = figures.frf(curves, frf_unit(measured), marks)
-        spec: dict[str, Any] = theme.drawn(figure, dark=self.session.dark)
+        spec: dict[str, Any] = theme.drawn(figure, dark=self.session.dark, tools=False)
         spec["layout"]["uirevision"] = f"{output} {self.input}"
         self.plot.update_figure(spec)
 

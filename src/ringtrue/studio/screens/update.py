@@ -51,7 +51,8 @@ class _UpdateScreen:
         self.factors: dict[str, float] = {}
         self.follows = Tried(session)
         self.sliders: dict[str, tuple[ui.slider, ui.label]] = {}
-        self.live: tuple[ui.linear_progress, ui.plotly, ui.column] | None = None
+        self.live: tuple[ui.linear_progress, ui.column, ui.column] | None = None
+        self.growing: ui.plotly | None = None
         self.drawn: list[dict[str, float]] = []
 
     def build(self) -> None:
@@ -245,7 +246,7 @@ class _UpdateScreen:
         if job is not None and job.running:
             self._running(job)
             return
-        self.live = None
+        self.live = self.growing = None
         with inspector():
             self._candidate()
 
@@ -255,14 +256,18 @@ class _UpdateScreen:
             with inspector():
                 heading("Run")
                 bar = ui.linear_progress(show_value=False).props("instant-feedback")
-                plot = ui.plotly({}).classes("w-full").style("height:300px").mark("live")
-                self.live = bar, plot, ui.column().classes("w-full gap-0 rt-mono")
-        bar, plot, lines = self.live
+                place = ui.column().classes("w-full")
+                self.live = bar, place, ui.column().classes("w-full gap-0 rt-mono")
+        bar, place, lines = self.live
         bar.value = job.fraction
-        plot.set_visibility(bool(job.steps))
         if job.steps and job.steps is not self.drawn:
             self.drawn = job.steps
-            plot.update_figure(theme.drawn(_live(job.steps), dark=self.session.dark, tools=False))
+            spec = theme.drawn(_live(job.steps), dark=self.session.dark, tools=False)
+            if self.growing is not None:
+                self.growing.update_figure(spec)
+            else:
+                with place:
+                    self.growing = ui.plotly(spec).classes("w-full").style("height:300px")
         lines.clear()
         with lines:
             for line in job.lines[-TAIL:]:
