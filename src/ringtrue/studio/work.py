@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import shlex
 import sys
 from collections.abc import Callable
@@ -11,9 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from signal import SIGINT
 
+from pydantic import TypeAdapter
+
 from ringtrue.studio.worker import DONE, STOPPED
 
 MOST_LINES = 400  # of progress that are kept
+_VALUES = TypeAdapter(dict[str, float])
 
 
 @dataclass(slots=True)
@@ -49,7 +51,7 @@ class Job:
         self.fraction = float(fraction)
         self.lines = [*self.lines, text][-MOST_LINES:]
         if values:
-            step = json.loads(values)
+            step = _VALUES.validate_json(values)
             # another set of parameters begins anew
             same = self.steps if self.steps and self.steps[-1].keys() == step.keys() else []
             self.steps = [*same, step]
