@@ -115,6 +115,8 @@ class _ModelScreen:
 
     async def _changed(self) -> None:
         deck = await drawn_deck(self.session)
+        if self.holder.is_deleted:  # the page was left meanwhile
+            return
         if deck is not self.deck:
             frame().rebuild()
         elif deck is not None:

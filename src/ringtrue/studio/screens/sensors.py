@@ -146,7 +146,10 @@ class _SensorsScreen:
         await self._changed()
 
     async def _changed(self) -> None:
-        if await drawn_deck(self.session) is not self.deck:
+        deck = await drawn_deck(self.session)
+        if self.holder.is_deleted:
+            return
+        if deck is not self.deck:
             frame().rebuild()
             return
         await self._place()
