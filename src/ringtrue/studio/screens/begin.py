@@ -67,8 +67,8 @@ async def build(session: StudioSession) -> None:
         spinner = ui.spinner()
         found = await run.io_bound(candidates, session.path.parent)
         if spinner.is_deleted:  # the page was left meanwhile
-        return
-    spinner.delete()
+            return
+        spinner.delete()
         chosen: dict[str, str] = {}
         for role, (kind, label) in ROLES.items():
             names = (found or {}).get(kind, [])
