@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -214,7 +215,8 @@ def copy_command(command: str) -> None:
 
 
 def _copy(text: str) -> None:
-    ui.clipboard.write(text)
+    # a page without the focus may not write; no exception of the page then
+    ui.run_javascript(f"navigator.clipboard?.writeText({json.dumps(text)}).catch(console.info)")
     ui.notify(f"copied: {text}", timeout=2000)
 
 
