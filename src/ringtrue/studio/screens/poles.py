@@ -138,9 +138,9 @@ class _PolesScreen:
                 value=self.record,
                 on_change=lambda e: session.select(record=e.value, frequency=None, order=None),
             ).props("dense no-caps unelevated toggle-color=primary").mark("record")
-            ui.label(
-                "Click a pole to pick it, a mode for its evidence; draw one onto another to merge."
-            ).classes("text-sm opacity-70 ellipsis")
+            ui.label("Click a pole or a mode; draw one onto another to merge.").classes(
+                "text-sm opacity-70 ellipsis"
+            )
             ui.space()
             run_button(session, "identify", "Identify anew")
 
