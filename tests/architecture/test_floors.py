@@ -48,7 +48,7 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "report": {"docx", "jinja2", "plotly"},
     "cli": {"typer", "rich", "click"},
     "demos": {"h5py"},
-    "studio": {"nicegui", "plotly", "starlette", "tomlkit"},
+    "studio": {"nicegui", "plotly", "pydantic", "starlette", "tomlkit"},
 }
 SHALLOW = {"api", "core", "demos", "errors", "io", "plots", "report", "study", "viewer"}
 STDLIB_OK = set(__import__("sys").stdlib_module_names) | {"numpy", "scipy", "ringtrue"}

@@ -83,12 +83,9 @@ def press(page: chromium.Page, text: str) -> None:
 
 
 def go(page: chromium.Page, title: str, name: str) -> None:
-    """Open a screen; once more where the list of screens was drawn anew under the pointer."""
-    for _ in range(5):
-        press(page, title)
-        if page.until(f"location.pathname === '/{name}'", 3.0):
-            return
-    raise AssertionError(f"{title} does not open")
+    """Open a screen by a click on the list of screens."""
+    press(page, title)
+    assert page.until(f"location.pathname === '/{name}'", PATIENCE), f"{title} does not open"
 
 
 def write(page: chromium.Page, button: str, label: str, text: str) -> None:
@@ -115,7 +112,7 @@ def up_to_date(page: chromium.Page, title: str) -> None:
     script = f"""(() => {{
       const item = [...document.querySelectorAll('.rt-rail .q-item')].find((e) => e.innerText.split('\\n').includes({json.dumps(title)}));
       const icons = [...item.querySelectorAll('.q-item__section--side:last-child i')].map((i) => i.innerText);
-      return icons.length > 0 && icons.every((i) => i === 'check_circle') && !document.querySelector('.rt-rail .q-linear-progress');
+      return icons.length > 0 && icons.every((i) => i === 'check_circle') && !document.querySelector('.rt-rail .q-linear-progress:not(.hidden)');
     }})()"""
     found(page, script)
 

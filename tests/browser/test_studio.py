@@ -15,6 +15,7 @@ from pathlib import Path
 
 import chromium
 import pytest
+from clicks import fill, found, press, see
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
 
@@ -75,3 +76,30 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
     assert pick.order == place["order"]
     assert pick.frequency == pytest.approx(place["hz"], rel=1e-6)
     assert json.loads((folder / ".ringtrue-studio.json").read_text())["done"] == 1
+
+
+MODES = """(() => {
+  const plot = document.querySelector('.js-plotly-plot'), box = plot?.getBoundingClientRect();
+  const marks = plot?._fullData?.find((d) => d.name === 'natural mode' && d.customdata && d.yaxis === 'y');
+  const { xaxis, yaxis } = plot?._fullLayout || {};
+  return marks && [...marks.x].slice(-2).map((x, k) => ({ hz: x, at: [box.left + xaxis._offset + xaxis.d2p(x),
+    box.top + yaxis._offset + yaxis.d2p(marks.y[k])] }));
+})()"""
+
+
+def test_a_mode_that_is_drawn_onto_another_is_merged_with_it(
+    served: tuple[Path, str], tmp_path: Path
+) -> None:
+    folder, address = served
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=address.replace("/?", "/poles?"))
+        one, other = found(page, MODES)
+        for kind, mark in (("Moved", one), ("Pressed", one), ("Moved", other), ("Released", other)):
+            page.mouse(f"mouse{kind}", tuple(mark["at"]), held=kind != "Moved")
+            page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+        fill(page, "Reason", "one mode, split in two")
+        press(page, "Write")
+        see(page, "merged")
+        assert page.complaints() == []
+    (merge,) = read_choice(folder / "choice.toml").merges
+    assert merge.frequencies == pytest.approx((one["hz"], other["hz"]), rel=1e-6)

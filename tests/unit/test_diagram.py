@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -112,6 +113,21 @@ def test_the_figure_has_three_singular_values_and_every_class() -> None:
     assert "line of a machine" in above["harmonic mode"].text[0]
     below = {t.name: t for t in fig.data if t.yaxis == "y3"}
     assert below["natural mode"].error_y.array == pytest.approx([0.1, 0.1])
+
+
+def test_poles_above_the_panel_of_damping_are_marked_on_its_edge() -> None:
+    of = shown(400)
+    (diagram,) = of.diagrams
+    unstable, taken = (np.flatnonzero((diagram.cluster >= 0) == t)[0] for t in (False, True))
+    pole = diagram.poles.pole.copy()
+    pole[unstable] = pole[unstable].imag * (-0.5 + 1j)
+    pole[taken] = pole[taken].imag * (-0.2 + 1j)
+    poles = replace(diagram.poles, pole=pole)
+    fig = identification_figure(replace(of, diagrams=(replace(diagram, poles=poles),)))
+    (edge,) = (t for t in fig.data if t.name == "pole above the axis")
+    assert 20 < fig.layout.yaxis3.range[1] < 25  # a pole of a candidate mode is inside
+    assert edge.text == (f"{100 * poles.damping[unstable]:.3g}",)
+    assert edge.y[0] < fig.layout.yaxis3.range[1]
 
 
 def test_a_page_holds_every_pole_of_a_large_record_in_a_megabyte() -> None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import sys
 from pathlib import Path
 
+import nicegui
 import pytest
 from nicegui.testing import User
 from simulated import STUDY, visit, written
 
+from ringtrue.core.iterate import IterationText
 from ringtrue.errors import ConfigError
-from ringtrue.studio import edits, worker
+from ringtrue.studio import edits, theme, worker
 from ringtrue.studio.session import opened
-from ringtrue.studio.work import Work
+from ringtrue.studio.work import Job, Work
 
 
 def test_edits_are_said_and_undone_on_the_page(tmp_path: Path) -> None:
@@ -134,3 +137,43 @@ def test_the_tour_points_at_screens_and_can_be_closed(tmp_path: Path) -> None:
         await user.should_not_see(marker="tour")
 
     visit(session, scenario)
+
+
+def test_every_class_that_a_page_names_has_a_style() -> None:
+    sheets = [theme.CSS, *(Path(nicegui.__file__).parent / "static").glob("quasar.*.prod.css")]
+    known = "".join(path.read_text() for path in sheets).replace("\\", "")
+    named = re.findall(r'classes\(\s*"([^"]*)"', _sources())
+    missing = {c for text in named for c in text.split() if f".{c}" not in known}
+    # what nothing but the tour and tests look for
+    assert {c for c in missing if not c.startswith("rt-")} == set()
+
+
+def _sources() -> str:
+    return "".join(p.read_text() for p in theme.CSS.parent.rglob("*.py"))
+
+
+def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path) -> None:
+    before = written(tmp_path)
+    before.select(pair=(2, 3), mode=2, frequency=4.5, channel="101+Z")
+    before.set_dark(True)
+    after = opened(tmp_path)
+    after.restore(before.kept)
+    assert (after.dark, after.selection) == (True, before.selection)
+    after.select(mode=1)
+    after.restore(before.kept)
+    assert after.selection.mode == 1  # another tab of the browser changes nothing
+    fresh = opened(tmp_path)
+    fresh.restore('[true, {"mode": "many"}]')
+    assert not fresh.dark
+
+
+def test_a_run_says_its_iterations_with_their_values(capsys: pytest.CaptureFixture[str]) -> None:
+    said = IterationText("set: iteration 2: 3.5")
+    said.values = {"J": 3.5, "columns": 1.2}
+    worker._report(0.5, said)
+    worker._report(0.6, "modes at the updated point")
+    job = Job("update", "")
+    for line in capsys.readouterr().out.splitlines(keepends=True):
+        job.heard(line)
+    assert job.steps == [{"J": 3.5, "columns": 1.2}]
+    assert job.lines == ["set: iteration 2: 3.5", "modes at the updated point"]

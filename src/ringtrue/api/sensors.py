@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ringtrue.api.models import open_model
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.display import Displayed
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.sensor_mapping import Alignment, default_tolerance
+from ringtrue.correlation.sensor_mapping import Alignment
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
@@ -107,16 +106,16 @@ def place_sensors(
     fit = alignment(test, opened, align) if align else None
     if fit is not None:
         test = fit.move(test)
-    ids, xyz = opened.seats
-    metres = xyz * opened.length
-    distance, nearest = KDTree(metres).query(test.xyz)
+    ids, _ = opened.seats
+    near, usual = opened.near_seats
+    distance, nearest = near.query(test.xyz)
     return PlacedSensors(
         test=test,
         points=test.points,
         node=ids[nearest],
         distance=np.asarray(distance),
-        tolerance=default_tolerance(metres) if tolerance is None else tolerance,
+        tolerance=usual if tolerance is None else tolerance,
         alignment="" if fit is None else alignment_text(fit),
         _fit=fit,
-        _nodes=(ids, metres),
+        _nodes=(ids, near.data),
     )

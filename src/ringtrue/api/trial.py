@@ -69,7 +69,7 @@ class TrialModel:
         self.parameters: ParameterSet = session.parameters
         self._session = session
         self._model = model
-        self._last: tuple[bytes, tuple[Float, Float]] | None = None
+        self._last: tuple[bytes, Trial] | None = None
 
     def at(self, factors: Mapping[str, float]) -> Trial:
         """The model at factors by the names of candidates; the others have 1.
@@ -80,9 +80,9 @@ class TrialModel:
             If there is no such candidate, or a factor is outside of its bounds.
         """
         x = self._point(factors)
-        lam, y = self._coordinates(x)
-        seen = self._model.model.basis.observe[self._model.rows] @ y
-        return self._trial(Linearisation.of_modes(x, frequencies(lam), seen))
+        if self._last is None or self._last[0] != x.tobytes():
+            self._last = x.tobytes(), self._trial(self._model.modes(x))
+        return self._last[1]
 
     def full(self, factors: Mapping[str, float]) -> Trial:
         """The same by a full solution, which takes as long as the modes of the deck."""
@@ -99,15 +99,14 @@ class TrialModel:
 
     def shape(self, factors: Mapping[str, float], mode: int) -> ModeSet:
         """One mode, from 0, at the translations of the nodes that are drawn, X Y Z node by node."""
-        lam, y = self._coordinates(self._point(factors))
+        lam, y = self._model.model.coordinates(self._point(factors))
         if not 0 <= mode < lam.size:
             raise ConfigError(f"mode {mode}: allowed are 0 to {lam.size - 1}")
-        free = self._model.model.basis.vectors @ y[:, mode]
-        at, labels = self._drawn
+        vectors, labels = self._drawn
         return ModeSet(
             frequencies=frequencies(lam[[mode]]),
             damping=np.zeros(1),
-            shapes=np.asarray(at @ free)[:, None],
+            shapes=vectors @ y[:, [mode]],
             labels=labels,
             norm=Norm.MASS,
             source="reduced model",
@@ -123,12 +122,12 @@ class TrialModel:
             If the test has no such FRF at channels of its sheet.
         """
         measured = self._measured(output, input_)
-        model = self._responding
+        model = self._model.model
         x = self._point(factors)
         lam, y = model.coordinates(x)
         rows = [self._session.own.rows([c]) for c in (output, input_)]
         out, into = (model.basis.observe[r] @ y for r in rows)
-        rest = flexibility(model, x, *rows) - (out / (lam - model.shift)) @ into.T
+        rest = flexibility(self._responding, x, *rows) - (out / (lam - model.shift)) @ into.T
         stored: CorrelateStage = self._session.get("correlate")
         trial = self.at(factors)
         pairings = trial.pairs.pairing, stored.rigid_initial.pairing
@@ -137,14 +136,15 @@ class TrialModel:
         return like_measured(measured, modes, (out, into), rest, self._session.unit)
 
     @cached_property
-    def _drawn(self) -> tuple[sparse.csr_array, DofSet]:
-        """The translations of the nodes that are drawn by the free DOFs, and their labels."""
+    def _drawn(self) -> tuple[Float, DofSet]:
+        """The basis at the translations of the nodes that are drawn, and their labels."""
         analysis = self._session.own.deck.analysis
         stage: ModelStage = self._session.get("model")
         labels = translations(stage.scene)
         at, sign = analysis.dofs.align(labels)
         rows = sparse.csr_array(analysis.system.transform)[at]
-        return sparse.csr_array(rows.multiply(sign[:, None])), labels
+        rows = sparse.csr_array(rows.multiply(sign[:, None]))
+        return np.asarray(rows @ self._model.model.basis.vectors), labels
 
     @cached_property
     def _responding(self) -> ReducedModel:
@@ -169,13 +169,6 @@ class TrialModel:
             raise DataError(f"no FRF {output} / {input_} at channels of the sheet was measured")
         at = np.array([outputs.index(output)]), np.array([inputs.index(input_)])
         return every.part(np.arange(every.freqs.size), *at)
-
-    def _coordinates(self, x: Float) -> tuple[Float, Float]:
-        """λ and the modes in the basis at x; those of the last x are known."""
-        key = x.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = key, self._model.model.coordinates(x)
-        return self._last[1]
 
     def _point(self, factors: Mapping[str, float]) -> Float:
         names = self.parameters.names

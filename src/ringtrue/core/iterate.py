@@ -5,7 +5,7 @@ Progress of long work is a callable of the share done, 0 to 1, and of the work u
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
@@ -25,6 +25,13 @@ def part(progress: Progress | None, begin: float, end: float) -> Progress:
     if progress is None:
         return quiet
     return lambda fraction, text: progress(begin + (end - begin) * fraction, text)
+
+
+class IterationText(str):
+    """What progress says of an iteration, with its state, and values by name for who draws them."""
+
+    state: object = None
+    values: Mapping[str, float] = {}
 
 
 class Outcome(StrEnum):
@@ -108,5 +115,7 @@ def iterate(
         if len(states) > limit:
             return Iteration(tuple(states), Outcome.MAX_ITERATIONS)
         if progress is not None:
-            progress((len(states) - 1) / limit, f"iteration {len(states) - 1}: {value:.6g}")
+            said = IterationText(f"iteration {len(states) - 1}: {value:.6g}")
+            said.state = states[-1]
+            progress((len(states) - 1) / limit, said)
         states.append(algorithm.step(states[-1]))

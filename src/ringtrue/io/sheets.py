@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import defaultdict
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from ringtrue.core.channels import LINEAR, input_id, other_names
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import DataError, about, did_you_mean
-from ringtrue.io.files import existing, read_text, refuse_large, refuse_twice
+from ringtrue.io.files import LARGEST, existing, read_text, refuse_large, refuse_twice
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import read_sheet, sheet_names
 from ringtrue.io.recognition import Format, format_of, refuse_format
@@ -283,9 +284,10 @@ def _number(row: Row, name: str, where: str, default: float | None = None) -> fl
         value = float(text if text.count(",") != 1 or "." in text else text.replace(",", "."))
     except ValueError as exc:
         raise DataError(f"{where}: {name} is {text!r}; it must be a number") from exc
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         raise DataError(f"{where}: {name} is {text!r}; it must be finite")
-    refuse_large(np.array(value), f"{where}: {name}")
+    if abs(value) > LARGEST:  # a sheet has thousands of numbers
+        refuse_large(np.array(value), f"{where}: {name}")
     return value
 
 

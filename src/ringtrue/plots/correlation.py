@@ -138,29 +138,19 @@ def matrix(
     """
     percent = 100 * np.asarray(mac)
     size = max(percent.shape, default=1)
+    look = {"type": "category", "showgrid": False, "ticks": "", "showline": False}
+    look["tickfont"] = {"size": 10 if size > 12 else 11}
     fig = figure(
         height or int(np.clip(150 + 23 * percent.shape[0], 260, 720)),
-        xaxis=axis(
-            columns.title,
-            type="category",
-            tickangle=-90 if size > 8 else 0,
-            showgrid=False,
-            ticks="",
-        ),
-        yaxis=axis(
-            rows.title,
-            type="category",
-            autorange="reversed",
-            showgrid=False,
-            ticks="",
-        ),
+        xaxis=axis(columns.title, tickangle=-90 if size > 8 else 0, **look),
+        yaxis=axis(rows.title, autorange="reversed", **look),
+        plot_bgcolor="#eef1f4",
+        margin={"t": 12, "r": 8, "l": 50, "b": 50},
     )
-    for a in (fig.layout.xaxis, fig.layout.yaxis):
-        a.update(tickfont={"size": 10 if size > 12 else 11}, showline=False)
     labelled = percent >= 10
     if not diagonal:
         np.fill_diagonal(labelled, False)
-    bar = {"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"}
+    few = size <= TOLD
     fig.add_heatmap(
         z=f32(percent),
         x=list(columns.labels),
@@ -168,19 +158,14 @@ def matrix(
         zmin=0,
         zmax=100,
         colorscale=SEQUENTIAL,
-        colorbar=bar,
+        colorbar={"thickness": 10, "outlinewidth": 0, "ticksuffix": " %"},
+        hovertemplate=f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>",
+        xgap=int(few),
+        ygap=int(few),
+        text=np.where(labelled, np.char.mod("%.0f", percent), "") if few else None,
+        texttemplate="%{text}" if few else None,
+        textfont={"size": 9 if size > 12 else 10},
     )
-    if size <= TOLD:
-        text = np.where(labelled, np.char.mod("%.0f", percent), "")
-        fig.data[0].update(
-            xgap=1,
-            ygap=1,
-            text=text,
-            texttemplate="%{text}",
-            textfont={"size": 9 if size > 12 else 10},
-        )
-    fig.data[0].hovertemplate = f"%{{y}}<br>%{{x}}<br>{name} %{{z:.1f}} %<extra></extra>"
-    fig.update_layout(plot_bgcolor="#eef1f4", margin={"t": 12, "r": 8, "l": 50, "b": 50})
     return fig
 
 
@@ -209,7 +194,7 @@ def table_matrix(table: CorrelationTable, *, subspace: bool = False) -> go.Figur
         name="subspace MAC of pairs" if subspace else "MAC",
     )
     pairs = zip(table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True)
-    fig.update_layout(shapes=[_outline(i, j) for i, j in pairs])
+    fig.layout.shapes = [_outline(i, j) for i, j in pairs]
     return fig
 
 

@@ -80,6 +80,7 @@ def identification_figure(
                 showlegend=on == "y",
                 hoverinfo="skip",
             )
+    _add_beyond(fig, shown)
     _add_account(fig, shown, top)
     _add_modes(fig, shown, top)
     fig.update_xaxes(range=[np.log10(low), np.log10(high)] if _wide(shown) else [low, high])
@@ -97,26 +98,51 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     if _wide(shown):
         frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
     upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
-    highest = 100 * float(upper.max(initial=0.0))
+    # and of the poles that modes are made of
+    highest = 100 * float(np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, 2)[2])]).max())
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
     level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
     level["tickmode"] = "auto"
     ratio = axis("Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5)
     fig = figure(height, xaxis=frequency, yaxis=order, yaxis2=level, yaxis3=ratio)
-    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 78})
+    fig.update_layout(hovermode="closest", margin={"r": 60, "t": 84})
     return fig
+
+
+def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
+    """The poles that lie above the panel of damping, on its edge."""
+    edge = fig.layout.yaxis3.range[1]
+    every = np.hstack([_of_kind(shown, k) for k in range(len(POLES))])
+    f, _, damping = every[:, 100 * every[2] > edge]
+    at = _apart(f, 0 * f, shown)
+    fig.add_scatter(
+        x=f[at],
+        y=[0.95 * edge] * at.size,
+        yaxis="y3",
+        mode="markers",
+        marker={"symbol": "triangle-up-open", "size": 6, "color": MUTED},
+        name="pole above the axis",
+        showlegend=False,
+        text=[f"{100 * x:.3g}" for x in damping[at]],
+        hovertemplate="%{x:.5g} Hz, damping %{text} %<extra>%{fullData.name}</extra>",
+    )
 
 
 def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
     """Frequency, order and damping of the poles of a kind, as many as can be distinguished."""
-    sets = [(d.poles, pole_kinds(d) == kind) for d in shown.diagrams]
-    empty = np.empty(0)
-    f = np.concatenate([empty, *(p.frequencies[at] for p, at in sets)])
-    order = np.concatenate([empty, *(p.order[at] for p, at in sets)])
-    damping = np.concatenate([empty, *(p.damping[at] for p, at in sets)])
+    f, order, damping = _of_kind(shown, kind)
     at = _apart(f, order, shown)
     at = at[:: -(-at.size // most) or 1]
     return f32(f[at]), f32(order[at]), f32(damping[at])
+
+
+def _of_kind(shown: IdentificationDiagram, kind: int) -> Float:
+    """Frequency, order and damping (3, k) of all poles of a kind."""
+    sets = [
+        np.stack([d.poles.frequencies, d.poles.order, d.poles.damping])[:, pole_kinds(d) == kind]
+        for d in shown.diagrams
+    ]
+    return np.hstack([np.empty((3, 0)), *sets])
 
 
 def _apart(f: Float, order: Float, shown: IdentificationDiagram) -> Int:

@@ -83,15 +83,18 @@ def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
     fig = figure(
         520,
         xaxis=axis(anchor="y", matches="x2", showticklabels=False),
-        yaxis=axis(f"Re H, {unit}", **upper) if parts else log_axis(f"|H|, {unit}", **upper),
+        yaxis=axis(f"Re H, {unit}", **upper)
+        if parts
+        else log_axis(f"|H|, {unit}", dtick=1, **upper),
         xaxis2=axis("Frequency, Hz", anchor="y2", range=[0, shown]),
         yaxis2=axis(f"Im H, {unit}", **lower)
         if parts
         else axis("Phase, °", tickvals=ticks, range=[ticks[0] - 10, ticks[-1] + 10], **lower),
+        margin={"l": 72, "r": 16, "t": 30, "b": 44},
+        hovermode="closest",
+        dragmode="zoom",
+        shapes=_marked(marks, top),
     )
-    fig.update_layout(margin={"l": 72, "t": 30}, hovermode="closest", dragmode="zoom")
-    if not parts:
-        fig.update_yaxes(dtick=1, selector={"type": "log"})
     for name, look in LOOKS.items():
         for c in (c for c in curves if c.name == name):
             if parts:
@@ -111,7 +114,6 @@ def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
                 showlegend=False,
                 **shared,
             )
-    fig.update_layout(shapes=_marked(marks, top))
     return fig
 
 

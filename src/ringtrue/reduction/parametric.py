@@ -10,7 +10,7 @@ derivatives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg, sparse
@@ -68,6 +68,10 @@ class ReducedModel:
     active: tuple[int, ...]
     base: Float
     scale: int = 0
+    # the lowest modes at the last x, by what was asked; `replace` begins without
+    _last: dict[str, tuple[bytes, Float, Float]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @property
     def parameters(self) -> ParameterSet:
@@ -122,13 +126,19 @@ class ReducedModel:
 
     def modes(self, x: Float) -> Linearisation:
         """Modes only (sensitivities with no columns)."""
-        lam, y = self._solve(self.full_vector(x), all_modes=False)
+        lam, y = self.coordinates(x)
         seen = self.basis.observe @ y
         return Linearisation.of_modes(x, frequencies(lam), seen)
 
     def coordinates(self, x: Float) -> tuple[Float, Float]:
-        """λ (m,) and the modes in the basis (r, m) at x."""
-        return self._solve(self.full_vector(x), all_modes=False)
+        """λ (m,) and the modes in the basis (r, m) at x; those of the last x are kept."""
+        everything = self.full_vector(x)
+        known = self._last.get("modes")
+        if known is None or known[0] != everything.tobytes():
+            lam, y = self._solve(everything, all_modes=False)
+            lam.flags.writeable = y.flags.writeable = False
+            known = self._last["modes"] = everything.tobytes(), lam, y
+        return known[1:]
 
     def vectors(self, x: Float) -> tuple[Float, Float]:
         """λ (m,) and φ (f, m) at x, in the free DOFs."""

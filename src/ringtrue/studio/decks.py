@@ -106,13 +106,20 @@ async def drawn_deck(session: StudioSession) -> DrawnDeck | None:
         return await _drawn_deck(session)
 
 
+def known_deck(session: StudioSession) -> DrawnDeck | None:
+    """The deck where it was drawn already; None where it was not, or has changed since."""
+    model = session.config.model if session.config is not None else None
+    known = _DRAWN.get(session)
+    if model is None or known is None or known[0] != _state(model, known[1].opened):
+        return None
+    return known[1]
+
+
 async def _drawn_deck(session: StudioSession) -> DrawnDeck | None:
     model = session.config.model if session.config is not None else None
-    if model is None:
-        return None
-    known = _DRAWN.get(session)
-    if known is not None and known[0] == _state(model, known[1].opened):
-        return known[1]
+    known = known_deck(session)
+    if model is None or known is not None:
+        return known
     if model.refine and session.deck is None:
         await session.refresh()  # it alone refines
     path = session.documents.folder / model.deck

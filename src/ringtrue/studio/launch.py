@@ -9,13 +9,16 @@ import threading
 import webbrowser
 from collections.abc import Callable
 from contextvars import Context
+from functools import partial
 from pathlib import Path
 
-from nicegui import app, ui
+from nicegui import app, run, ui
 from starlette.responses import FileResponse
 
 from ringtrue.errors import ConfigError
+from ringtrue.studio.decks import deck_check, drawn_deck
 from ringtrue.studio.guard import Guard
+from ringtrue.studio.screens import SCREENS
 from ringtrue.studio.screens.verdict import PAGE as REPORT
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import page, watch
@@ -53,7 +56,7 @@ def serve(
     app.add_middleware(Guard, token=token, port=port)
     watch(session)
     app.get(REPORT)(lambda: FileResponse(session.path.with_name("report.html")))
-    app.on_startup(session.refresh)
+    app.on_startup(partial(_prepared, session))
 
     async def announce() -> None:
         await _served(port)
@@ -75,7 +78,19 @@ def serve(
         show=False,
         show_welcome_message=False,
         reconnect_timeout=30.0,
+        tailwind=False,  # studio.css has the classes
+        gzip_middleware_factory=None,  # nothing leaves this machine
     )
+
+
+async def _prepared(session: StudioSession) -> None:
+    """Read what is stored, and the deck, before a page asks for it."""
+    reading = asyncio.create_task(session.refresh())
+    await run.io_bound(lambda: [screen.build for screen in SCREENS])
+    await reading
+    deck = await drawn_deck(session)
+    if deck is not None:
+        await deck_check(session, deck)
 
 
 async def _served(port: int) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nicegui import Event, run
+from pydantic import TypeAdapter, ValidationError
 
 import ringtrue as rt
 from ringtrue.api.studies import Study, store_of
@@ -55,6 +56,9 @@ class Selection:
     pair: tuple[int, int] | None = None
     channel: str = ""
     region: str = ""
+
+
+_KEPT = TypeAdapter(tuple[bool, Selection])
 
 
 class StudioSession:
@@ -107,6 +111,7 @@ class StudioSession:
         self._stored = NEVER
         self._read_store = NEVER
         self._trial: tuple[str, TrialModel] | None = None
+        self._restored = False
         self._read()
 
     # --- the selection
@@ -117,6 +122,20 @@ class StudioSession:
         if new != self.selection:
             self.selection = new
             self.on_selection.emit(new)
+
+    @property
+    def kept(self) -> str:
+        """Theme and selection, as a browser keeps them."""
+        return _KEPT.dump_json((self.dark, self.selection)).decode()
+
+    def restore(self, kept: str) -> None:
+        """Take theme and selection as a browser kept them, as long as nothing was selected here."""
+        if kept and not self._restored:
+            try:
+                self.dark, self.selection = _KEPT.validate_json(kept)
+            except ValidationError:
+                log.info("what the browser kept is not of this version")
+        self._restored = True
 
     def set_dark(self, dark: bool) -> None:
         """Change the theme of all tabs."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import quote, unquote
 from weakref import WeakKeyDictionary
+from zlib import crc32
 
 from nicegui import Client, Event, app, ui
 from nicegui.events import KeyEventArguments
@@ -45,7 +48,6 @@ STANDING = {  # of a stage: icon and colour
     "stale": ("update", "warning"),
     "missing": ("radio_button_unchecked", "grey"),
     "problem": ("error", "negative"),
-    "running": ("pending", "primary"),
 }
 
 
@@ -113,11 +115,11 @@ def heading(text: str) -> None:
     ui.label(text).classes("rt-head mt-2")
 
 
-def fact(name: str, value: str) -> None:
-    """A name and its value on a line."""
+def fact(name: str, value: str = "") -> ui.label:
+    """A name and its value on a line; gives the value, to be changed."""
     with ui.row().classes("w-full items-baseline justify-between no-wrap gap-3"):
         ui.label(name).classes("text-sm opacity-70")
-        ui.label(value).classes("text-sm rt-value text-right")
+        return ui.label(value).classes("text-sm rt-value text-right")
 
 
 def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
@@ -213,7 +215,8 @@ def copy_command(command: str) -> None:
 
 
 def _copy(text: str) -> None:
-    ui.clipboard.write(text)
+    # a page without the focus may not write; no exception of the page then
+    ui.run_javascript(f"navigator.clipboard?.writeText({json.dumps(text)}).catch(console.info)")
     ui.notify(f"copied: {text}", timeout=2000)
 
 
@@ -245,6 +248,10 @@ def _say_exception(error: Exception) -> None:
 def page(session: StudioSession) -> None:
     """The page of a session, with all its screens."""
     theme.apply()
+    _keep(session)
+    asked = ui.context.client.sub_pages_router.current_path.partition("?")[0].strip("/")
+    if any(s.figures for s in SCREENS if s.name == asked):
+        ui.add_body_html('<script>import("nicegui-plotly")</script>')
     dark = ui.dark_mode(session.dark)
     session.on_theme.subscribe(lambda: dark.set_value(session.dark))
     session.on_documents.subscribe(lambda words: ui.notify(words, timeout=2500))
@@ -282,6 +289,24 @@ def page(session: StudioSession) -> None:
     ui.timer(0.5, tour.first_time, once=True)
 
 
+def _keep(session: StudioSession) -> None:
+    """Theme and selection in a cookie of the browser, from where the next studio has them: the
+    cookie is of this study, and, other than the browser's storage, of any port.
+    """
+    name = f"ringtrue-studio-{crc32(str(session.path.resolve()).encode()):08x}"
+    request = ui.context.client.request
+    session.restore(unquote(request.cookies.get(name, "")))
+
+    def keep() -> None:
+        ui.run_javascript(
+            f"document.cookie = '{name}={quote(session.kept)}; path=/; max-age=31536000; "
+            "samesite=strict'"
+        )
+
+    for event in (session.on_theme, session.on_selection):
+        event.subscribe(keep, expect_args=False)
+
+
 def _header(session: StudioSession, tour: Tour) -> None:
     with ui.header(bordered=True).classes("items-center py-0 px-3 gap-2 h-12 bg-primary"):
         ui.label("ringtrue").classes("text-base font-semibold")
@@ -312,15 +337,15 @@ def _header(session: StudioSession, tour: Tour) -> None:
 
 
 def _rail(session: StudioSession, rail: ui.column) -> None:
-    """Screens with the state of their stages, and the run."""
-
-    @ui.refreshable
-    def entries() -> None:
+    """Screens with the state of their stages, and the run; changed in place, so that no click falls
+    on what is drawn anew.
+    """
+    standings: dict[str, ui.row] = {}
+    with rail:
         for screen in SCREENS:
-            here = "rt-here" if frame().screen == screen.name else ""
             with (
                 ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
-                .classes(f"rt-screen {here} rt-tour-screen-{screen.name} w-full rounded-borders")
+                .classes(f"rt-screen rt-tour-screen-{screen.name} w-full rounded-borders")
                 .props(f"dense clickable data-screen={screen.name}")
                 .mark(f"screen-{screen.name}")
             ):
@@ -328,58 +353,78 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
                     ui.icon(screen.icon).classes("text-lg")
                 with ui.item_section():
                     ui.item_label(screen.title)
-                with ui.item_section().props("side"), ui.row().classes("gap-0 no-wrap"):
-                    for state in session.stages:
-                        if state.name in screen.stages:
-                            _standing(session, state.name)
-        if session.problem:
-            ui.label(session.problem).classes("text-negative text-xs q-mt-sm").mark("problem")
-
-    @ui.refreshable
-    def run() -> None:
-        job = session.work.job
-        heading("Run")
-        if job is not None and job.running:
-            ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
-            ui.label(job.lines[-1] if job.lines else "starting").classes("text-xs")
-            ui.button("Stop", icon="stop", on_click=session.work.stop).props(
-                "dense flat no-caps"
-            ).set_enabled(job.state == "running")
-            return
-        if job is not None:
-            ui.label(job.error or job.state).classes(
-                "text-xs " + ("text-negative" if job.error else "opacity-70")
-            ).mark("run-state")
-        with ui.row().classes("items-center no-wrap gap-1"):
-            ui.button(
-                "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
-            ).props("dense flat no-caps no-wrap").classes("rt-tour-run").mark("run").set_enabled(
-                session.config is not None
-            )
-            copy_command(session.work.command())
-
-    with rail:
-        entries()
+                with ui.item_section().props("side"):
+                    standings[screen.name] = ui.row().classes("gap-0 no-wrap")
+        problem = ui.label().classes("text-negative text-xs q-mt-sm").mark("problem")
         ui.separator()
+        run = _run_panel(session)
+    drawn: dict[str, list[tuple[str, str]]] = {}
+
+    def entries() -> None:
+        for screen in SCREENS:
+            stages = [s for s in session.stages if s.name in screen.stages]
+            looks: list[tuple[str, str]] = [
+                (
+                    "problem" if s.problem else s.standing,
+                    s.problem or f"{s.title}: {s.standing}",
+                )
+                for s in stages
+            ]
+            if drawn.get(screen.name) == looks:
+                continue
+            drawn[screen.name] = looks
+            standings[screen.name].clear()
+            with standings[screen.name]:
+                for standing, words in looks:
+                    icon, color = STANDING[standing]
+                    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+        problem.text = session.problem
+        problem.set_visibility(bool(session.problem))
         run()
+
+    entries()
     for event in (session.on_results, session.on_documents):
-        event.subscribe(entries.refresh, expect_args=False)
-        event.subscribe(run.refresh, expect_args=False)
-    session.on_work.subscribe(run.refresh)
+        event.subscribe(entries, expect_args=False)
+    session.on_work.subscribe(run)
 
 
-def _standing(session: StudioSession, name: str) -> None:
-    state = next(s for s in session.stages if s.name == name)
-    standing = "problem" if state.problem else state.standing
-    icon, color = STANDING[standing]
-    words = state.problem or f"{state.title}: {state.standing}"
-    ui.icon(icon, color=color).classes("text-sm").tooltip(words)
+def _run_panel(session: StudioSession) -> Callable[[], None]:
+    """The run: how far it is, what ends it, what begins it; gives what shows it as it is now."""
+    heading("Run")
+    bar = ui.linear_progress(show_value=False).props("instant-feedback")
+    words = ui.label().classes("text-xs").mark("run-state")
+    stop = ui.button("Stop", icon="stop", on_click=session.work.stop).props("dense flat no-caps")
+    with ui.row().classes("items-center no-wrap gap-1") as idle:
+        begin = ui.button(
+            "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()
+        ).props("dense flat no-caps no-wrap")
+        begin.classes("rt-tour-run").mark("run")
+        copy_command(session.work.command())
+
+    def show() -> None:
+        job = session.work.job
+        running = session.work.running
+        bar.set_visibility(running)
+        stop.set_visibility(running)
+        idle.set_visibility(not running)
+        begin.set_enabled(session.config is not None)
+        words.set_visibility(job is not None)
+        if job is None:
+            return
+        bar.value = job.fraction
+        stop.set_enabled(job.state == "running")
+        said = job.lines[-1] if job.lines else "starting"
+        words.text = said if running else job.error or job.state
+        words.classes(**{"add" if job.error else "remove": "text-negative"})
+
+    show()
+    return show
 
 
 def _history(session: StudioSession) -> None:
     """What was changed, newest first, as diffs."""
     documents = session.documents
-    with ui.dialog() as dialog, ui.card().classes("w-[720px] max-w-full"):
+    with ui.dialog() as dialog, ui.card().classes("max-w-full").style("width:720px"):
         ui.label("What was changed").classes("text-lg")
         if not documents.steps:
             ui.label("Nothing yet.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import plotly.graph_objects as go
@@ -20,29 +21,7 @@ DARK_SEQUENTIAL = (
     (0.75, "#5fa6c8"),
     (1.0, "#d5eefa"),
 )
-CSS = """
-body { font-family: system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-serif }
-.nicegui-content { padding: 0 }
-.rt-mono { font-family: ui-monospace, 'SF Mono', Menlo, Consolas, monospace; font-size: 12px }
-.rt-diff { white-space: pre; overflow-x: auto; line-height: 1.45 }
-.rt-head { font-size: 11px; letter-spacing: .06em; text-transform: uppercase; opacity: .65 }
-.rt-value { font-variant-numeric: tabular-nums }
-.q-table td, .q-table th { font-variant-numeric: tabular-nums }
-.q-btn--dense.q-btn--rectangle { padding: .285em .7em }
-.rt-rail .q-btn--dense.q-btn--rectangle { padding: .285em }
-.rt-tour { position: fixed; z-index: 6000; left: 240px; top: 64px; padding: 12px;
-  border: 1px solid #d55e00 }
-.rt-pointed { outline: 2px solid #d55e00; outline-offset: 2px; border-radius: 4px }
-.body--light .rt-here { background: #dde6ee } .body--dark .rt-here { background: #263340 }
-.q-table--dense .q-table td, .q-table--dense .q-table th { padding: 2px 8px }
-.modebar-btn .icon { height: 1em !important; width: 1em !important }
-.body--light .rt-rail { background: #f4f6f8 }
-.body--dark .rt-rail { background: #12161b }
-.body--dark { background: #161b21 }
-.body--dark .text-primary { --q-primary: #7db3e0 }
-.body--light .rt-add { background: #e3f4e6 } .body--light .rt-del { background: #fbe6e2 }
-.body--dark .rt-add { background: #17361f } .body--dark .rt-del { background: #45211b }
-"""
+CSS = Path(__file__).with_name("studio.css")
 
 
 def apply() -> None:
@@ -66,6 +45,8 @@ def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any
     spec: dict[str, Any] = figure.to_plotly_json()
     layout = spec["layout"]
     layout["height"] = None
+    if tools and layout.get("showlegend", True):  # they stand above a legend of two rows
+        layout["margin"] = {**layout["margin"], "t": max(64, layout["margin"].get("t", 0))}
     layout["uirevision"] = "kept"  # zoom and hidden traces stay when the figure changes
     layout["paper_bgcolor"] = layout["plot_bgcolor"] = "rgba(0,0,0,0)"
     layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": DARK_MUTED if dark else MUTED}
@@ -73,6 +54,7 @@ def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any
         spec = _recoloured(spec)
         spec["layout"]["hoverlabel"] = {"bgcolor": "#232b34", "font": {"color": DARK_INK}}
     spec["config"] = {"displaylogo": False, "responsive": True}
+    spec["config"]["modeBarButtonsToRemove"] = ["select2d", "lasso2d", "autoScale2d"]
     spec["config"] |= {"scrollZoom": True} if tools else {"displayModeBar": False}
     return spec
 

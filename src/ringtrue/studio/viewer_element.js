@@ -65,7 +65,9 @@ export default {
       known.state = { ...known.state, ...change };
       if (Object.keys(change).length) view.show(change);
       if (known.playing !== this.playing && (known.playing !== undefined || this.playing)) {
-        if (this.playing) view.play();
+        // what else is on the page comes before the first motion
+        if (this.playing && known.playing === undefined) (window.requestIdleCallback || setTimeout)(() => this.playing && !this.gone && view.play());
+        else if (this.playing) view.play();
         else view.pause();
       }
       known.playing = this.playing;

@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from signal import SIGINT
 
+from pydantic import TypeAdapter
+
 from ringtrue.studio.worker import DONE, STOPPED
 
 MOST_LINES = 400  # of progress that are kept
+_VALUES = TypeAdapter(dict[str, float])
 
 
 @dataclass(slots=True)
@@ -27,6 +30,8 @@ class Job:
         Done, 0 to 1.
     lines : list of str
         Of its progress.
+    steps : list of dict
+        J and the factors at the iterations of the set that is updated.
     state : {"running", "stopping", "done", "stopped", "failed"}
     error : str
         Why it failed.
@@ -36,8 +41,20 @@ class Job:
     first: str
     fraction: float = 0.0
     lines: list[str] = field(default_factory=list)
+    steps: list[dict[str, float]] = field(default_factory=list)
     state: str = "running"
     error: str = ""
+
+    def heard(self, line: str) -> None:
+        """Take a line of its process: fraction, words, and values of an iteration."""
+        fraction, text, values = line.rstrip("\r\n").split("\t")
+        self.fraction = float(fraction)
+        self.lines = [*self.lines, text][-MOST_LINES:]
+        if values:
+            step = _VALUES.validate_json(values)
+            # another set of parameters begins anew
+            same = self.steps if self.steps and self.steps[-1].keys() == step.keys() else []
+            self.steps = [*same, step]
 
     @property
     def running(self) -> bool:
@@ -95,9 +112,7 @@ class Work:
         assert process.stderr is not None
         said = asyncio.create_task(process.stderr.read())
         async for line in process.stdout:
-            fraction, _, text = line.decode(errors="replace").rstrip().partition("\t")
-            job.fraction = float(fraction)
-            job.lines = [*job.lines, text][-MOST_LINES:]
+            job.heard(line.decode(errors="replace"))
             self._changed()
         error = (await said).decode(errors="replace").strip()
         status = await process.wait()

@@ -8,6 +8,7 @@ closed. What was finished is stored, the next run resumes.
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import threading
@@ -15,13 +16,15 @@ from pathlib import Path
 from signal import SIGINT, SIGTERM, default_int_handler, raise_signal, signal
 
 import ringtrue as rt
+from ringtrue.core.iterate import IterationText
 
 DONE, FAILED, STOPPED = 0, 1, 130
 
 
 def _report(fraction: float, text: str) -> None:
     words = " ".join(text.split())
-    sys.stdout.write(f"{fraction:.4f}\t{words}\n")
+    values = json.dumps(dict(text.values)) if isinstance(text, IterationText) else ""
+    sys.stdout.write(f"{fraction:.4f}\t{words}\t{values}\n")
     sys.stdout.flush()
 
 

@@ -17,7 +17,7 @@ from ringtrue.core.iterate import Progress, part
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation, TestModel
-from ringtrue.correlation.sensor_mapping import Method, observe
+from ringtrue.correlation.sensor_mapping import Method, default_tolerance, observe
 from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import NotConverged
 from ringtrue.model.frames import diagonal, positions
@@ -106,6 +106,14 @@ class Opened:
             size = diagonal(xyz)
             keep[~moves] = KDTree(xyz[moves]).query(xyz[~moves])[0] > ROUNDING * size
         return (ids[keep], xyz[keep]) if keep.any() else (ids, xyz)
+
+    @cached_property
+    def near_seats(self) -> tuple[KDTree, float]:
+        """The places of `seats` to look nodes up in, m, and how far a sensor may be from its node
+        where nothing is said, m.
+        """
+        metres = self.seats[1] * self.length
+        return KDTree(metres), default_tolerance(metres)
 
     @property
     def moves(self) -> Bool:

@@ -82,6 +82,7 @@ vec3 four(vec3 a, vec3 b, vec3 c, vec3 d, float t) {
   return t < .333 ? mix(a, b, t * 3.) : t < .667 ? mix(b, c, t * 3. - 1.) : mix(c, d, t * 3. - 2.);
 }
 vec3 ramp(float t) {
+  if (uSigned == 2) t = 1. - t; // what is large stands out from a dark page, too
   if (uSigned == 1) return t < .5 ? mix(vec3(.129, .400, .675), vec3(.95, .95, .93), t * 2.)
     : mix(vec3(.95, .95, .93), vec3(.698, .094, .169), t * 2. - 1.);
   return four(vec3(.949, .953, .918), vec3(.561, .816, .729), vec3(.169, .549, .745), vec3(.145, .204, .580), t);
@@ -284,7 +285,7 @@ export class Body {
     gl.uniform1i(at.uKind, look.kind || 0);
     gl.uniform1i(at.uPick, scene.pick ? 1 : 0);
     gl.uniform1i(at.uShade, look.shade || 0);
-    gl.uniform1i(at.uSigned, look.signed ? 1 : 0);
+    gl.uniform1i(at.uSigned, look.signed ? 1 : look.dark ? 2 : 0);
     gl.uniform2fv(at.uRange, look.range || [0, 1]);
     if (at.uSize) gl.uniform2f(at.uSize, scene.width / 2, scene.height / 2);
     if (at.uWide) gl.uniform1f(at.uWide, (look.wide || 1) * scene.ratio);

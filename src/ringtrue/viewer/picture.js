@@ -22,11 +22,14 @@ export class Picture {
     requestAnimationFrame(() => {
       this.queued = false;
       if (this.gone) return;
-      const begin = performance.now();
-      this.paint({ coarse: moving ? this.coarse : 0 });
-      this.pace(performance.now() - begin, moving);
+      const begin = performance.now(), coarse = moving ? this.coarse : this.heavy && !this.settled ? 1 : 0;
+      this.paint({ coarse });
+      const took = performance.now() - begin;
+      this.pace(took, moving);
+      if (!coarse) this.heavy = took > SLOW; // then what is clicked is answered by a coarse picture first
+      this.settled = false;
       clearTimeout(this.settling);
-      if (moving && this.coarse) this.settling = setTimeout(() => this.clock.playing || this.draw(), STILL);
+      if (coarse) this.settling = setTimeout(() => { this.settled = true; if (!this.clock.playing) this.draw(); }, STILL);
     });
   }
 
@@ -94,6 +97,7 @@ export class Picture {
 
   contents(scene, theme, few = false) {
     const { state, body, wire } = this, { ink, beam } = theme, select = [...rgb(theme.select), 1];
+    if (this.look) this.look.dark = theme === THEMES.dark;
     const modes = state.mode !== null || this.kept.model.size > 0;
     if (body && state.still) body.draw("edges", scene, { still: true, tint: [...ink, 0.28], wide: 1 });
     if (body && state.model === "ghost") {

@@ -66,6 +66,8 @@ async def build(session: StudioSession) -> None:
         ui.label(f"It begins as {session.path}, from files in its folder.").classes("opacity-70")
         spinner = ui.spinner()
         found = await run.io_bound(candidates, session.path.parent)
+        if spinner.is_deleted:  # the page was left meanwhile
+            return
         spinner.delete()
         chosen: dict[str, str] = {}
         for role, (kind, label) in ROLES.items():

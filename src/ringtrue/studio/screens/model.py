@@ -21,6 +21,7 @@ from ringtrue.studio.decks import (
     deck_check,
     deck_units,
     drawn_deck,
+    known_deck,
     solve_deck,
     stored_modes,
 )
@@ -65,8 +66,12 @@ class _ModelScreen:
     def build(self) -> None:
         session = self.session
         self.holder = ui.column().classes("w-full gap-1 p-2")
-        with self.holder:
-            ui.spinner(size="lg").classes("self-center q-ma-xl")
+        deck = known_deck(session)
+        if deck is not None:
+            self._drawn(deck)
+        else:
+            with self.holder:
+                ui.spinner(size="lg").classes("self-center q-ma-xl")
         ui.timer(0.0, self.load, once=True)
         frame().follow(self._selected, session.on_selection)
         frame().follow(self._changed, session.on_documents, session.on_results)
@@ -81,12 +86,23 @@ class _ModelScreen:
         deck = await drawn_deck(session)
         if self.holder.is_deleted:
             return
-        self.holder.clear()
         if deck is None:
+            self.holder.clear()
             with self.holder:
                 no_deck()
             return
+        if deck is not self.deck:
+            self._drawn(deck)
+        self.check = await deck_check(session, deck)
+        if not self.holder.is_deleted:
+            self.findings.refresh()
+            self.facts.refresh()
+
+    def _drawn(self, deck: DrawnDeck) -> None:
+        """The deck, with what is known of it."""
+        session = self.session
         self.deck = deck
+        self.holder.clear()
         with self.holder:
             self.bar()
             self.viewer = deck_view(session, {"model": deck.arrays}, ["element"], below=318)
@@ -96,13 +112,11 @@ class _ModelScreen:
                 self.findings()
                 self.facts()
         self._selected()
-        self.check = await deck_check(session, deck)
-        if not self.holder.is_deleted:
-            self.findings.refresh()
-            self.facts.refresh()
 
     async def _changed(self) -> None:
         deck = await drawn_deck(self.session)
+        if self.holder.is_deleted:  # the page was left meanwhile
+            return
         if deck is not self.deck:
             frame().rebuild()
         elif deck is not None:
@@ -427,7 +441,7 @@ class _ModelScreen:
             k: f"{p.name}: {p.what} ({p.inside} of {len(p.elements)} elements selected)"
             for k, p in enumerate(found)
         }
-        with self.holder, ui.dialog() as dialog, ui.card().classes("w-[560px]"):
+        with self.holder, ui.dialog() as dialog, ui.card().style("width:560px"):
             ui.label("Candidate region").classes("text-base")
             name = ui.input("Name").classes("w-full").props("autofocus").mark("region-name")
             what = ui.select(options, value=[0], multiple=True, label="One factor on")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -33,6 +34,21 @@ from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
 SAME = 0.01  # relative: a frequency of a choice means a mode as near as that
 PICK = {"symbol": "star", "size": 13, "color": "#e69f00", "line": {"width": 1, "color": "#7a5200"}}
+PICKED = "your pick"  # the name of its marks
+# A mark of a pick or a mode that is drawn onto another one: plotly would take that for a zoom.
+DRAWN = """(e) => {
+  const own = (p) => p.data.name === '@PICKED@' || p.customdata !== undefined;
+  const under = () => plot._hoverdata?.find(own);
+  const plot = e.currentTarget, from = under(), { clientX, clientY } = e;
+  if (!from || e.button) return;
+  const ended = (up) => {
+    const to = under();
+    if (to && Math.hypot(up.clientX - clientX, up.clientY - clientY) > 4) emit([from.x, to.x]);
+    else if (to) plot.emit('plotly_click', { points: [to] });
+  };
+  e.stopPropagation();
+  addEventListener('mouseup', ended, { once: true, capture: true });
+}"""
 REJECT = {"symbol": "x-thin", "size": 13, "line": {"width": 2.5, "color": "#c0392b"}}
 
 
@@ -82,6 +98,11 @@ class _PolesScreen:
             self.plot = ui.plotly(self._figure()).classes("w-full").style("height:50vh")
             self.plot.on("plotly_click", self._clicked, ["points"]).mark("diagram")
             self.plot.on("plotly_hover", self._hovered, ["points"], throttle=0.1)
+            self.plot.on(
+                "mousedown.capture",
+                lambda e: self.ask_merge(e.args),
+                js_handler=DRAWN.replace("@PICKED@", PICKED),
+            )
             self.synthesis = Synthesis(session, lambda: (self.record, self.found, self.choice))
             self.synthesis.build()
             with ui.row().classes("w-full no-wrap gap-4 items-start"):
@@ -117,7 +138,7 @@ class _PolesScreen:
                 value=self.record,
                 on_change=lambda e: session.select(record=e.value, frequency=None, order=None),
             ).props("dense no-caps unelevated toggle-color=primary").mark("record")
-            ui.label("Click a pole to pick it, a mode for its evidence.").classes(
+            ui.label("Click a pole or a mode; draw one onto another to merge.").classes(
                 "text-sm opacity-70 ellipsis"
             )
             ui.space()
@@ -135,7 +156,7 @@ class _PolesScreen:
             y=[p.order or 1.06 * top for p in picked],
             mode="markers",
             marker=PICK,
-            name="your pick",
+            name=PICKED,
             hovertemplate=hover,
         )
         figure.add_scatter(
@@ -270,9 +291,8 @@ class _PolesScreen:
         entry = {"frequency": frequency, "reason": reason, "record": self.record}
         self.session.edit_choice(f"rejected {frequency:.5g} Hz", edits.add_entry("reject", entry))
 
-    def merge(self, frequency: float, other: float, reason: str) -> None:
+    def merge(self, low: float, high: float, reason: str) -> None:
         """Say that two modes are one."""
-        low, high = sorted((frequency, other))
         entry = {"frequencies": [low, high], "reason": reason, "record": self.record}
         self.session.edit_choice(
             f"merged {low:.5g} and {high:.5g} Hz", edits.add_entry("merge", entry)
@@ -291,15 +311,18 @@ class _PolesScreen:
         if not near:
             return
 
-        def ask(other: float) -> None:
-            title = f"Merge {f:.5g} and {other:.5g} Hz into one mode"
-            ask_reason(title, partial(self.merge, f, other))
-
         ui.select(
             {float(there[j]): f"{there[j]:.5g} Hz" for j in near},
             label="Merge with",
-            on_change=lambda e: ask(float(e.value)),
+            on_change=lambda e: self.ask_merge([f, float(e.value)]),
         ).props(SELECT).classes("w-full").mark("merge")
+
+    def ask_merge(self, frequencies: Sequence[float]) -> None:
+        """Ask why two modes are one: both were chosen, or one was drawn onto the other."""
+        low, high = sorted(map(float, frequencies))
+        if low < high:
+            title = f"Merge {low:.5g} and {high:.5g} Hz into one mode"
+            ask_reason(title, partial(self.merge, low, high))
 
     def _unmerge(self, number: int, frequency: float) -> None:
         self._remove("merge", number, frequency)

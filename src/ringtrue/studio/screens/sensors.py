@@ -117,6 +117,7 @@ class _SensorsScreen:
     def build(self) -> None:
         session = self.session
         self.holder = ui.column().classes("w-full gap-1 p-2")
+        self._inspector()
         ui.timer(0.0, self.load, once=True)
         frame().follow(self._changed, session.on_documents, session.on_results)
         frame().follow(self._selected, session.on_selection)
@@ -145,7 +146,10 @@ class _SensorsScreen:
         await self._changed()
 
     async def _changed(self) -> None:
-        if await drawn_deck(self.session) is not self.deck:
+        deck = await drawn_deck(self.session)
+        if self.holder.is_deleted:
+            return
+        if deck is not self.deck:
             frame().rebuild()
             return
         await self._place()
@@ -359,10 +363,42 @@ class _SensorsScreen:
 
     # --- the inspector
 
+    def _inspector(self) -> None:
+        """What `inspected` fills, and the list of channels, which is too long to be made at each
+        click.
+        """
+        with inspector():
+            self.about = ui.column().classes("w-full gap-1")
+            self.exchange = (
+                ui.select(
+                    [],
+                    label="Exchange with",
+                    with_input=True,
+                    on_change=lambda e: self.try_swap(str(e.value or "")),
+                )
+                .props("dense options-dense outlined clearable")
+                .classes("w-full")
+                .mark("partner")
+            )
+            self.exchange.set_visibility(False)
+            self.after = ui.column().classes("w-full gap-1")
+
     def inspected(self) -> None:
         """The selected channel, and what would explain the test better."""
-        with inspector():
+        for column in (self.about, self.after):
+            column.clear()
+        if self.exchange.options != list(self.names):
+            self.exchange.set_options(list(self.names))
+        name = self.session.selection.channel
+        self.exchange.set_visibility(name in self.names)
+        self.exchange.value = self.partner or None
+        with self.about:
             self._channel()
+        with self.after:
+            if self.partner:
+                swapped = {name: (self.partner, 1.0), self.partner: (name, 1.0)}
+                self._gain("Exchanged", swapped).mark("swap-gain")
+                _button("Exchange", "swap_horiz", self.swap)
             self._doctor()
 
     def _channel(self) -> None:
@@ -391,18 +427,6 @@ class _SensorsScreen:
                 _button(axis, "", partial(self.turn, axis)).tooltip(
                     f"All channels of point {point} by 90° about {axis}"
                 )
-        others = [c for c in self.names if c != name]
-        ui.select(
-            others,
-            value=self.partner or None,
-            label="Exchange with",
-            with_input=True,
-            on_change=lambda e: self.try_swap(str(e.value or "")),
-        ).props("dense options-dense outlined clearable").classes("w-full").mark("partner")
-        if self.partner:
-            swapped = {name: (self.partner, 1.0), self.partner: (name, 1.0)}
-            self._gain("Exchanged", swapped).mark("swap-gain")
-            _button("Exchange", "swap_horiz", self.swap)
 
     def _gain(self, what: str, reads: Mapping[str, tuple[str, float]]) -> ui.label:
         """What reading some channels otherwise does to the pairs, filled in when it is computed."""
@@ -418,9 +442,10 @@ class _SensorsScreen:
 
     def try_swap(self, partner: str) -> None:
         """See what an exchange would do."""
-        self.partner = partner
-        self._marked()
-        self.inspected()
+        if partner != self.partner:
+            self.partner = partner if partner != self.session.selection.channel else ""
+            self._marked()
+            self.inspected()
 
     def _doctor(self) -> None:
         stage: CorrelateStage | None = self.session.stage("correlate")

@@ -43,32 +43,35 @@ class Tried:
         self.factors: dict[str, float] = {}
         self.trial: Trial | None = None
         self.input = ""
-        self.deck_objective = 0.0
 
     # --- the panels
 
     def table(self) -> None:
         """The pairs; a row selects its mode."""
         self.modes = table(MODES, []).on("rowClick", self._row).mark("modes")
+        self.modes.classes("rt-long")
 
-    def build(self) -> None:
-        """The shape of the selected mode, the matrix and the FRF."""
-        with ui.row().classes("w-full no-wrap gap-3 items-start"):
-            with ui.column().classes("w-1/2 min-w-0 gap-0"):
-                self.name = ui.label().classes("rt-head mt-2").mark("shape-name")
-                with ui.element("div").classes("w-full").style("height:34vh"):
-                    self.view = ShapeView(self.session)
-            with ui.column().classes("w-1/2 min-w-0 gap-0"):
-                heading("MAC")
-                self.matrix = ui.plotly({}).classes("w-full").style("height:34vh")
-        self._frf_panel()
+    def shape(self) -> None:
+        """The shape of the selected mode."""
+        self.name = ui.label().classes("rt-head mt-2").mark("shape-name")
+        with ui.element("div").classes("w-full rt-rest"):
+            self.view = ShapeView(self.session)
         frame().keys["play"] = self.view.toggle
         frame().follow(self._selected, self.session.on_selection)
+
+    def figures(self) -> None:
+        """The matrix and the FRF."""
+        heading("MAC")
+        self.matrix = ui.plotly({}).classes("w-full rt-rest")
+        self._frf_panel()
 
     def objective(self) -> None:
         """J of the trial and of the deck, where the sliders are."""
         heading("Objective of the updating")
-        self.facts = ui.column().classes("w-full gap-0").mark("objective")
+        with ui.column().classes("w-full gap-0").mark("objective"):
+            self.cost = fact("J of the trial")
+            self.cost_of_deck = fact("J of the deck")
+            self.deviation = fact("Mean |Δf|")
 
     @property
     def measured(self) -> FrfSet | None:
@@ -103,13 +106,13 @@ class Tried:
             return
         self.input = self.input if self.input in inputs else inputs[0]
         with ui.row().classes("w-full items-center no-wrap gap-2"):
-            heading("FRF of the test and of the trial")
+            heading("FRF")
             ui.space()
             self.outputs = output_select(self.session, outputs, self.output).mark("trial-output")
             ui.select(
                 inputs, value=self.input, label="input", on_change=lambda e: self._load(e.value)
             ).props(SELECT).classes("w-36").mark("trial-input")
-        self.plot = ui.plotly({}).classes("w-full").style("height:44vh").mark("trial-frf")
+        self.plot = ui.plotly({}).classes("w-full rt-rest").style("flex-grow:1.4").mark("trial-frf")
 
     def _load(self, input_: str) -> None:
         self.input = input_
@@ -120,7 +123,7 @@ class Tried:
     def show(self, model: TrialModel, factors: dict[str, float]) -> None:
         """Draw what follows from some factors."""
         if self.model is not model:
-            self.deck_objective = model.objective({})
+            self.cost_of_deck.text = f"{model.objective({}):.4g}"
         self.model, self.factors = model, factors
         self.trial = model.at(factors)
         self.modes.rows = _mode_rows(self.trial)
@@ -134,12 +137,8 @@ class Tried:
         assert self.model is not None
         assert self.trial is not None
         deviation = np.abs(self.trial.pairs.deviation_percent)
-        self.facts.clear()
-        with self.facts:
-            fact("J of the trial", f"{self.model.objective(self.factors):.4g}")
-            fact("J of the deck", f"{self.deck_objective:.4g}")
-            if deviation.size:
-                fact("Mean |Δf|", f"{float(deviation.mean()):.2f} %")
+        self.cost.text = f"{self.model.objective(self.factors):.4g}"
+        self.deviation.text = f"{float(deviation.mean()):.2f} %" if deviation.size else "no pair"
 
     def _selected(self) -> None:
         if self.trial is None:
@@ -156,7 +155,8 @@ class Tried:
         there = np.flatnonzero(pairing.a == wanted) if wanted is not None else pairing.a[:0]
         if there.size:
             return int(pairing.a[there[0]]), int(pairing.b[there[0]])
-        if wanted is not None and chosen is not None and chosen[1] < len(self.trial.modes):
+        shape = self.trial.pairs.mac.shape
+        if chosen is not None and chosen[0] < shape[0] and chosen[1] < shape[1]:
             return chosen
         return (int(pairing.a[0]), int(pairing.b[0])) if pairing.a.size else None
 
@@ -192,7 +192,7 @@ class Tried:
         ends = (float(trial.freqs[0]), float(trial.freqs[-1]))
         marks = figures.Marks(modes, ends, self.session.selection.frequency)
         figure = figures.frf(curves, frf_unit(measured), marks)
-        spec: dict[str, Any] = theme.drawn(figure, dark=self.session.dark)
+        spec: dict[str, Any] = theme.drawn(figure, dark=self.session.dark, tools=False)
         spec["layout"]["uirevision"] = f"{output} {self.input}"
         self.plot.update_figure(spec)
 

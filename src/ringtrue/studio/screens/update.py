@@ -5,11 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import plotly.graph_objects as go
 from nicegui import ui
 
 from ringtrue.api.trial import TrialModel
 from ringtrue.core.parameters import Parameter
 from ringtrue.errors import RingtrueError
+from ringtrue.plots.style import axis, figure, log_axis
 from ringtrue.plots.updating import convergence, path
 from ringtrue.studio import edits, theme
 from ringtrue.studio.screens.tried import Tried
@@ -24,6 +26,7 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
+from ringtrue.studio.work import Job
 from ringtrue.study.results import SetResult, UncertaintyStage, UpdateStage
 
 THROTTLE_S = 0.05  # between two positions of a slider that is dragged
@@ -48,6 +51,9 @@ class _UpdateScreen:
         self.factors: dict[str, float] = {}
         self.follows = Tried(session)
         self.sliders: dict[str, tuple[ui.slider, ui.label]] = {}
+        self.live: tuple[ui.linear_progress, ui.column, ui.column] | None = None
+        self.growing: ui.plotly | None = None
+        self.drawn: list[dict[str, float]] = []
 
     def build(self) -> None:
         session = self.session
@@ -56,13 +62,15 @@ class _UpdateScreen:
                 self.sets()
                 ui.space()
                 run_button(session, "final", "Update")
-            with ui.row().classes("w-full no-wrap gap-3 items-start"):
-                with ui.column().classes("w-2/5 gap-1"):
-                    self.tried = ui.column().classes("w-full gap-1")
+            # all that follows a factor is seen at once: what is long scrolls in its own place
+            with ui.row().classes("w-full no-wrap gap-3").style("height:calc(100vh - 112px)"):
+                with ui.column().classes("w-2/5 h-full no-wrap gap-1"):
+                    self.tried = ui.column().classes("w-full no-wrap gap-1 rt-long")
                     self.follows.objective()
-                with ui.column().classes("grow min-w-0 gap-0"):
+                    self.follows.shape()
+                with ui.column().classes("grow h-full min-w-0 no-wrap gap-0"):
                     self.follows.table()
-            self.follows.build()
+                    self.follows.figures()
             self.results()
         self.inspected()
         frame().follow(self._results_changed, session.on_results, session.on_theme)
@@ -235,15 +243,35 @@ class _UpdateScreen:
     def inspected(self) -> None:
         """The run while there is one, else the selected candidate with its bounds."""
         job = self.session.work.job
+        if job is not None and job.running:
+            self._running(job)
+            return
+        self.live = self.growing = None
         with inspector():
-            if job is not None and job.running:
-                heading("Run")
-                ui.linear_progress(job.fraction, show_value=False).props("instant-feedback")
-                with ui.column().classes("w-full gap-0 rt-mono"):
-                    for line in job.lines[-TAIL:]:
-                        ui.label(line)
-                return
             self._candidate()
+
+    def _running(self, job: Job) -> None:
+        """How far the run is, J and the factors so far; the figure stays while it grows."""
+        if self.live is None:
+            with inspector():
+                heading("Run")
+                bar = ui.linear_progress(show_value=False).props("instant-feedback")
+                place = ui.column().classes("w-full")
+                self.live = bar, place, ui.column().classes("w-full gap-0 rt-mono")
+        bar, place, lines = self.live
+        bar.value = job.fraction
+        if job.steps and job.steps is not self.drawn:
+            self.drawn = job.steps
+            spec = theme.drawn(_live(job.steps), dark=self.session.dark, tools=False)
+            if self.growing is not None:
+                self.growing.update_figure(spec)
+            else:
+                with place:
+                    self.growing = ui.plotly(spec).classes("w-full").style("height:300px")
+        lines.clear()
+        with lines:
+            for line in job.lines[-TAIL:]:
+                ui.label(line)
 
     def _candidate(self) -> None:
         config = self.session.config
@@ -269,6 +297,22 @@ class _UpdateScreen:
     def _set_bound(self, at: int, name: str, key: str, value: object) -> None:
         words = f"{key} bound of {name}"
         self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
+
+
+def _live(steps: list[dict[str, float]]) -> go.Figure:
+    """J and, below it, the factors over the iterations of a run."""
+    fig = figure(
+        300,
+        xaxis=axis("Iteration", anchor="y2", rangemode="tozero"),
+        yaxis=log_axis("J", domain=[0.56, 1]),
+        yaxis2=axis("Factor", domain=[0, 0.46]),
+        margin={"l": 44, "r": 6, "t": 8, "b": 40},
+        showlegend=False,
+    )
+    for name in steps[-1]:
+        on = "y" if name == "J" else "y2"
+        fig.add_scatter(y=[s[name] for s in steps], name=name, yaxis=on, mode="lines+markers")
+    return fig
 
 
 PARAMETERS = {

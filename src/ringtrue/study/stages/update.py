@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.iterate import Progress, part, quiet
+from ringtrue.core.iterate import IterationText, Progress, part, quiet
 from ringtrue.core.side_by_side import Workers, side_by_side
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import NumericalError
@@ -56,7 +56,7 @@ from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, s
 from ringtrue.updating.selection import selection_rules
 from ringtrue.updating.selection.candidates import elements_of
 from ringtrue.updating.selection.screening import of_parameter
-from ringtrue.updating.solver import Solution
+from ringtrue.updating.solver import DescentState, Solution
 from ringtrue.updating.strategy import Settled, displaced, whole_cost
 from ringtrue.updating.target import Target, Weights, match
 
@@ -97,11 +97,16 @@ def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
         If a reduced model does not follow its full one.
     """
     problem = case.problem
+
+    def steps(_fraction: float, text: str) -> None:
+        progress(0.0, _with_values(text, text, problem))
+
+    how = replace(case.how, steps=steps)
     y = case.start
     path: list[Evaluated] = []
     error = np.inf
     for _ in range(ROUNDS):
-        end = case.how.run(problem, progress, start=y)
+        end = how.run(problem, progress, start=y)
         path += end.path[1:] if path else end.path
         y = end.solution.y
         problem, error = _verified(problem, end.solution)
@@ -109,7 +114,7 @@ def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
             break
     if error >= CLOSE:
         raise not_verified(error)
-    end = case.how.run(problem, progress, start=y)
+    end = how.run(problem, progress, start=y)
     whole = replace(end, path=(*path, *end.path[1:]))
     result = summary(problem, case.name, whole, case.data)
     return FinishedSet(result, displaced(problem, end.solution.end), 0)
@@ -297,6 +302,17 @@ def _at_least(problem: Problem, found: Float) -> Weights:
     return replace(stated, frequency=frequency, mac=mac)
 
 
+def _with_values(words: str, text: str, problem: Problem) -> str:
+    """Words of an iteration that carry J and the factors there."""
+    state = text.state if isinstance(text, IterationText) else None
+    if not isinstance(state, DescentState):
+        return words
+    said = IterationText(words)
+    factors = problem.parameters.factors(state.at.x).tolist()
+    said.values = {"J": state.at.cost, **dict(zip(problem.parameters.names, factors, strict=True))}
+    return said
+
+
 def update_by_runs(case: SetUpdate, progress: Progress) -> FinishedSet:
     """Update on the full decks of all configurations. A run that fails at a trial point is a
     rejected step.
@@ -312,7 +328,8 @@ def update_by_runs(case: SetUpdate, progress: Progress) -> FinishedSet:
     def steps(_fraction: float, text: str) -> None:
         runs = sum(m.ledger.runs for m in models)
         done = runs / (runs + USUAL_RUNS)
-        progress(done, f"{case.name}: {text}, {runs} runs of {models[0].solver.name}")
+        words = f"{case.name}: {text}, {runs} runs of {models[0].solver.name}"
+        progress(done, _with_values(words, text, problem))
 
     how = replace(case.how, course=course_of_runs(case.how.settings), steps=steps)
     end = how.run(problem, progress)
