@@ -132,18 +132,26 @@ class Files:
             print(f"cannot be read: {e}")
             found.broken += 1
             return
+        gone = self._gone(found)
+        if gone:  # history and file are two files: the studio may be between them
+            time.sleep(2.0)
+            gone = self._gone(found)
+        if gone:
+            print(f"lost: {gone}")
+        found.lost += len(gone)
+
+    def _gone(self, found: Clicked) -> list[str]:
+        """What was written and is not there; counts further steps of the history."""
         gone = [line for path, line in self.written if line not in path.read_text()]
         documents = Documents(self.study)
         found.edits += max(len(documents.steps) - self.steps, 0)
         self.steps = len(documents.steps)
         try:
             for edit in documents.steps[documents.done - 1].edits if documents.done else ():
-                edit.applied((folder / edit.name).read_text(), back=True)
+                edit.applied((self.study.parent / edit.name).read_text(), back=True)
         except RingtrueError as e:
             gone.append(str(e))
-        if gone:
-            print(f"lost: {gone}")
-        found.lost += len(gone)
+        return gone
 
 
 class Hands:
