@@ -55,7 +55,7 @@ class ChangedDecks:
 
 DECKS = ChangedDecks()
 Bridge = Callable[[Opened], Observation]
-Edit = Callable[[Opened], Opened | None]  # None where the deck has no place for a cause
+Edit = Callable[[Opened], list[Opened]]  # changed decks, none where it has no place for a cause
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +101,8 @@ class UpdatedDeck:
         start = self._seen(self.opened)
         value = self._value(start)
         out = []
-        for cause, edit, std in CAUSES:
-            changed = edit(self.opened)
-            if changed is None:
-                continue
+        every = ((cause, deck, std) for cause, edit, std in CAUSES for deck in edit(self.opened))
+        for cause, changed, std in every:
             try:
                 now = self._seen(changed)
             except RingtrueError:  # a changed deck that has no modes is no cause
@@ -162,9 +160,9 @@ class UpdatedDeck:
 def _edited(edit: Callable[[Model], Model | None]) -> Edit:
     """Of an opened deck, by its cards."""
 
-    def changed(opened: Opened) -> Opened | None:
+    def changed(opened: Opened) -> list[Opened]:
         model = edit(opened.model)
-        return None if model is None else Opened(model, opened.length)
+        return [] if model is None else [Opened(model, opened.length)]
 
     return changed
 
@@ -194,12 +192,28 @@ def _flexible(*cards: str) -> Edit:
     return _edited(edit)
 
 
-def _spread(model: Model) -> Model | None:
-    """With half of each point mass on the nodes that elements join to its own."""
+def _spread(opened: Opened) -> list[Opened]:
+    """With half of each point mass on the nodes that elements join to its own: all elements, or
+    those of one property, which joins half of the masses or more.
+    """
+    model = opened.model
     if "CONM2" not in model or not len(model["CONM2"]):
-        return None
+        return []
+    at = model["GRID"].find(np.unique(model["CONM2"]["G"]))
+    some = sparse.csr_array(np.isin(np.arange(len(model["GRID"])), at)[None].astype(float))
+    every = [_joined(model)]
+    pids = {p for card in NODES if card in model for p in np.unique(model[card]["PID"]).tolist()}
+    for pid in sorted(pids) if len(pids) > 1 else ():
+        near = _joined(model, pid)
+        if 2 * ((some @ near).toarray() * some.toarray() > 0).sum() >= at.size:
+            every.append(near)
+    changed = (_with_spread_masses(model, near) for near in every)
+    return [Opened(deck, opened.length) for deck in changed if deck is not None]
+
+
+def _with_spread_masses(model: Model, near: sparse.csr_array) -> Model | None:
+    """With half of each point mass on nodes that are near (n, n) to its own."""
     masses = model["CONM2"]
-    near = _joined(model)
     place = {n: i for i, n in enumerate(model["GRID"].ids.tolist())}
     rows = []
     nodes = []
@@ -222,8 +236,8 @@ def _spread(model: Model) -> Model | None:
     return replace(model, tables={**model.tables, "CONM2": stacked(less, more)})
 
 
-def _joined(model: Model) -> sparse.csr_array:
-    """Which nodes elements join, (n, n)."""
+def _joined(model: Model, pid: int | None = None) -> sparse.csr_array:
+    """Which nodes elements join, those of one property or all, (n, n)."""
     ids = model["GRID"].ids
     rows = []
     cols = []
@@ -232,6 +246,8 @@ def _joined(model: Model) -> sparse.csr_array:
         if card not in model or card not in ELEMENTS:
             continue
         t = model[card]
+        if pid is not None:
+            t = t.take(np.flatnonzero(t["PID"] == pid))
         corners = t.stack(*names)
         at = model["GRID"].find(corners.ravel())
         owner = first + np.repeat(np.arange(len(t)), corners.shape[1])
@@ -250,15 +266,15 @@ def _joined(model: Model) -> sparse.csr_array:
 def _soft_joints(rigid: float) -> Edit:
     """With members of bars on springs about all axes at both ends, of `rigid` EI/L."""
 
-    def edit(opened: Opened) -> Opened | None:
+    def edit(opened: Opened) -> list[Opened]:
         model = whole_mesh(opened.model)
         m = mesh(model)
         there = {c: np.arange(len(model[c])) for c in LINES if c in model and len(model[c])}
         if not there:
-            return None
+            return []
         springs = end_springs(m, there, rigid)
         if not np.isfinite(springs).any():
-            return None
+            return []
         change = Sum(m.size)
         first = 0
         for _, at, part in pieces(m, there):
@@ -271,7 +287,7 @@ def _soft_joints(rigid: float) -> Edit:
         changed.__dict__["analysis"] = EmbeddedAnalysis(
             model, replace(system, stiffness=sparse.csr_array(soft))
         )
-        return changed
+        return [changed]
 
     return edit
 
@@ -284,7 +300,7 @@ CAUSES: tuple[tuple[str, Edit, float], ...] = (
     ("coupled mass", _edited(_coupled), 1.0),
     ("shear flexibility of bars", _flexible("PBAR", "PBEAM"), 1.0),
     ("transverse shear flexibility of plates", _flexible("PSHELL"), 1.5),
-    ("point masses that are spread", _edited(_spread), 1.0),
+    ("point masses that are spread", _spread, 1.0),
     ("joints that give", _soft_joints(25.0), 1.0),
     ("joints that give", _soft_joints(8.0), 1.0),
 )
