@@ -162,7 +162,20 @@ def channels_select(
 
 
 def nothing_yet(session: StudioSession, text: str, until: str) -> None:
-    """What a screen shows in place of results that are not stored, with what makes them."""
+    """What a screen shows in place of results that are not stored, with what makes them; the screen
+    is built anew when they are there.
+    """
+
+    def stored() -> object:
+        return session.stage(until) if until else session.study
+
+    before = stored()
+
+    def look() -> None:
+        if stored() is not before:
+            frame().rebuild()
+
+    frame().follow(look, session.on_results)
     with ui.column().classes("w-full items-center q-pa-xl gap-2"):
         ui.icon("hourglass_empty").classes("text-4xl opacity-40")
         ui.label(text)

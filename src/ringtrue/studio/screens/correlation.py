@@ -57,7 +57,6 @@ def states(session: StudioSession) -> dict[str, tuple[CorrelationTable, Evidence
 def build(session: StudioSession) -> None:
     """Fill the page."""
     if not states(session):
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "No correlation is stored.", "correlate")
         return
     _CorrelationScreen(session).build()

@@ -39,7 +39,6 @@ def build(session: StudioSession) -> None:
     """Fill the page."""
     stage: IdentifyStage | None = session.stage("identify")
     if stage is None or stage.frfs is None:
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "No FRFs are stored: the study has none, or was not run.", "identify")
         return
     _FrfsScreen(session, stage, stage.frfs).build()

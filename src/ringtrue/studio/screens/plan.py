@@ -110,7 +110,6 @@ def build(session: StudioSession) -> None:
         no_deck()
         return
     if session.stage("model") is None:
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "No modes of the deck are stored.", "model")
         return
     if config.plan is None:

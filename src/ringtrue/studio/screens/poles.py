@@ -57,7 +57,6 @@ def build(session: StudioSession) -> None:
     stage: IdentifyStage | None = session.stage("identify")
     if not sources(stage):
         text = "No diagram is stored: the study has no records or FRFs, or was not run."
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, text, "identify")
         return
     _PolesScreen(session).build()

@@ -36,7 +36,6 @@ TAIL = 14  # lines of progress
 def build(session: StudioSession) -> None:
     """Fill the page."""
     if session.stage("correlate") is None:
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "The updating follows from a correlation.", "correlate")
         return
     _UpdateScreen(session).build()

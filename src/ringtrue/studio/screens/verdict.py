@@ -21,7 +21,6 @@ PAGE = "/report.html"  # where `launch` serves the report
 def build(session: StudioSession) -> None:
     """Fill the page."""
     if session.study is None:
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "Nothing was run yet.", "")
         return
     _VerdictScreen(session).build()

@@ -45,7 +45,6 @@ LEAST_TOP = 2.0  # of the colours of a concentration: 1 is an error that is spre
 def build(session: StudioSession) -> None:
     """Fill the page."""
     if session.stage("localise") is None:
-        frame().follow(frame().rebuild, session.on_results)
         nothing_yet(session, "No localisation is stored.", "localise")
         return
     _WhereScreen(session).build()
