@@ -67,8 +67,8 @@ class _CorrelationScreen:
 
     def __init__(self, session: StudioSession) -> None:
         self.session = session
-        there = list(states(session))
-        self.state = "final" if "final" in there else there[0]
+        self.there = list(states(session))
+        self.state = "final" if "final" in self.there else self.there[0]
         self.kind = "MAC"
         self.arrangement = "overlaid"
         self.shown: list[ShapeView] = []
@@ -107,8 +107,15 @@ class _CorrelationScreen:
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
         keys["play"] = self._toggle
-        events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
-        frame().follow(self._update, *events)
+        frame().follow(self._update, session.on_documents, session.on_theme, session.on_selection)
+        frame().follow(self._results, session.on_results)
+
+    def _results(self) -> None:
+        """The same with new results; other states than before, or none, are another screen."""
+        if list(states(self.session)) == self.there:
+            self._update()
+        else:
+            frame().rebuild()
 
     def _update(self) -> None:
         self.plot.update_figure(self._figure())
@@ -124,7 +131,7 @@ class _CorrelationScreen:
     def _bar(self) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             ui.toggle(
-                list(states(self.session)),
+                self.there,
                 value=self.state,
                 on_change=lambda e: self._show(state=e.value),
             ).props("dense no-caps unelevated").mark("state")
