@@ -107,17 +107,13 @@ class _CorrelationScreen:
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
         keys["play"] = self._toggle
-        frame().follow(self._update, session.on_documents, session.on_theme, session.on_selection)
-        frame().follow(self._results, session.on_results)
-
-    def _results(self) -> None:
-        """The same with new results; other states than before, or none, are another screen."""
-        if list(states(self.session)) == self.there:
-            self._update()
-        else:
-            frame().rebuild()
+        events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
+        frame().follow(self._update, *events)
 
     def _update(self) -> None:
+        if list(states(self.session)) != self.there:  # a run has begun or ended
+            frame().rebuild()
+            return
         self.plot.update_figure(self._figure())
         self.pairs.refresh()
         self._show_pair()

@@ -122,6 +122,9 @@ class _PolesScreen:
         frame().follow(self._update, *events)
 
     def _update(self) -> None:
+        if self.record not in sources(self.session.stage("identify")):  # a run has begun
+            frame().rebuild()
+            return
         assert self.plot is not None
         self.plot.update_figure(self._figure())
         self.automatic.refresh()
