@@ -63,7 +63,7 @@ RUNS = {  # name of the results: script and its options
     "mixed_modes": "bench/correlation.py groups",
     "localisation": "bench/localisation.py",
     "form_patterns": "bench/form_patterns.py",
-    "form_coverage": "bench/form_coverage.py",
+    "form_coverage": "bench/form_coverage.py --full",
     "updating": "bench/updating.py starts",
     "updating_cost": "bench/updating.py cost",
     "published": "bench/published.py",

@@ -93,6 +93,10 @@ class Frame:
         self.keys.clear()
 
 
+# plotly gives up a zoom that changes nothing by a promise that is rejected without a reason
+QUIET = (
+    "addEventListener('unhandledrejection', (e) => e.reason === undefined && e.preventDefault())"
+)
 _FRAMES: WeakKeyDictionary[Client, Frame] = WeakKeyDictionary()
 
 
@@ -262,6 +266,7 @@ def page(session: StudioSession) -> None:
     """The page of a session, with all its screens."""
     theme.apply()
     _keep(session)
+    ui.add_head_html(f"<script>{QUIET}</script>")
     asked = ui.context.client.sub_pages_router.current_path.partition("?")[0].strip("/")
     if any(s.figures for s in SCREENS if s.name == asked):
         ui.add_body_html('<script>import("nicegui-plotly")</script>')
