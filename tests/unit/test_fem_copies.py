@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,24 @@ def some(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Together], int]
     made: list[Region] = regions(groups, union(g.rows for g in groups))
     m = mesh(model)
     return [Together.of(m, made), *(Together.of(m, [r]) for r in made)], len(every)
+
+
+def test_mass_that_a_list_shares_is_seen_at_each_point(tmp_path: Path) -> None:
+    """Its card is no property of an element: nothing is copied."""
+    path = tmp_path / "model.bdf"
+    listed = DECK.replace("CEND\n", "CEND\nNSM = 5\n").replace(
+        "ENDDATA", "NSM1,5,PSHELL,9.,1\nENDDATA"
+    )
+    path.write_text(listed.lstrip())
+    m = mesh(rt.read_deck(path))
+    every = (
+        Parameter("t", (CardField("PSHELL", 1, "T"),), 0.5, 2.0),
+        Parameter("list", (CardField("NSM1", 5, "VALUE"),), 0.5, 2.0),
+    )
+    groups = [g for i, p in enumerate(every) for g in groups_of(m.model, i, p)]
+    (region,) = regions(groups, union(g.rows for g in groups))
+    (found,) = Together.of(m, [region]).entries([np.array([1.0, 1.0]), np.array([1.0, 2.0])])
+    assert np.abs(found[1] - found[0]).max() > 0.1 * 9.0 / 4  # a quarter of a cell a node
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-30])

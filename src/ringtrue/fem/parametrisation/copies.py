@@ -6,7 +6,7 @@ elements at many factors come from one call.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import CardField
-from ringtrue.fem.element_cards import batches
+from ringtrue.fem.element_cards import ELEMENTS, batches
 from ringtrue.fem.mesh import Mesh, Rows
 from ringtrue.fem.parametrisation.changed_model import FOLLOWERS, with_entries
 from ringtrue.model.cards import MADE
@@ -93,6 +93,8 @@ class Copies:
 
         `changed` takes them with a factor for each copy, (count,).
         """
+        if self.count == 1:
+            return list(some)
         out = []
         for t in some:
             if t.card in self.named and t.id in self.named[t.card]:
@@ -102,11 +104,12 @@ class Copies:
         return out
 
 
-def copyable(m: Mesh, rows: Rows) -> bool:
+def copyable(m: Mesh, rows: Rows, targets: Iterable[CardField]) -> bool:
     """Whether copies have the matrices of the originals: no element looks for others by their ids,
-    or shares a mass with them.
+    or shares a mass with them; and all fields are those of elements, properties and materials.
     """
-    return not m.model.case.nsm and not any(card in rows for card in FOLLOWERS)
+    alone = not m.model.case.nsm and not any(card in rows for card in FOLLOWERS)
+    return alone and all(t.card in ELEMENTS or t.card.startswith(CARDS) for t in targets)
 
 
 def _named(model: Model, rows: Rows) -> Rows:

@@ -246,7 +246,8 @@ class Together:
         of : callable (matrices (e, d, d)) -> (e, d, d), optional
             What of the matrices is wanted in place of themselves.
         """
-        most = MOST_COPIES if copyable(self.mesh, self.rows) else 1
+        targets = (t for g in self.groups for t in g.targets)
+        most = MOST_COPIES if copyable(self.mesh, self.rows, targets) else 1
         parts = [
             self._some(np.array(points[k : k + most]), of) for k in range(0, len(points), most)
         ]
