@@ -64,11 +64,7 @@ def _recoloured(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _recoloured(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        if len(value) == len(SEQUENTIAL) and tuple(map(tuple, _pairs(value))) == SEQUENTIAL:
+        if tuple(tuple(v) for v in value if isinstance(v, list | tuple)) == SEQUENTIAL:
             return [list(stop) for stop in DARK_SEQUENTIAL]
         return [_recoloured(v) for v in value]
     return ON_DARK.get(value, value) if isinstance(value, str) else value
-
-
-def _pairs(value: Any) -> list[Any]:
-    return [v for v in value if isinstance(v, list | tuple)]

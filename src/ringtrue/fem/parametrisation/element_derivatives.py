@@ -163,7 +163,8 @@ def element_derivatives(
     for sweep in _merged(model, bundles):
         yield from _stepped(m, sweep, moduli, own)
     for layer in moduli:
-        yield from _nominal(m, layer)
+        for card, at, part in pieces(m, _owned(layer), SPAN):
+            yield from _proportional(layer, card, at, part)
     for i, p in enumerate(parameters):
         for move in moves(p):
             yield from _by_differences(m, i, move, own)
@@ -361,11 +362,6 @@ def _stepped(
 
 def _owned(owner: dict[str, Int]) -> Rows:
     return {c: np.flatnonzero(o >= 0) for c, o in owner.items()}
-
-
-def _nominal(m: Mesh, layer: dict[str, Int]) -> Iterator[ElementDerivatives]:
-    for card, at, part in pieces(m, _owned(layer), SPAN):
-        yield from _proportional(layer, card, at, part)
 
 
 def _proportional(

@@ -175,7 +175,7 @@ def fit_backbone(
         inverse = np.linalg.pinv(a.T @ a, hermitian=True)
         linear = inverse @ (a.T @ y)
         squares = float((np.abs(y - a @ linear) ** 2).sum())
-        if best is None or best[0] - squares > _critical(false_alarm, d - best[1]):
+        if best is None or best[0] - squares > chdtri(2 * max(d - best[1], 1), false_alarm):
             best = (squares, d, linear, inverse)
     assert best is not None
     squares, d, linear, inverse = best
@@ -210,10 +210,6 @@ def fit_backbone(
     middle = float(np.median(amplitudes)) / reference
     known = {k: smooth[i] / reference for i, k in enumerate(used)}
     return found, _factors(parts, known, terms / rate, middle)
-
-
-def _critical(false_alarm: float, degrees: int) -> float:
-    return float(chdtri(2 * max(degrees, 1), false_alarm))
 
 
 def _smooth(values: Complex, weights: Float, at: Int, part: Envelope) -> Float:

@@ -373,7 +373,12 @@ class _PolesScreen:
         """What the choice says of this record."""
         choice = self.choice
         rows: list[dict[str, object]] = [
-            {"id": f"p{k}", "what": "pick", "f": f"{p.frequency:.6g}", "why": _pick_words(p.order)}
+            {
+                "id": f"p{k}",
+                "what": "pick",
+                "f": f"{p.frequency:.6g}",
+                "why": f"order {p.order}" if p.order else "the automatic mode",
+            }
             for k, p in enumerate(choice.picks)
         ]
         rows += [
@@ -440,7 +445,3 @@ def merge_of(choice: Choice, record: str, frequency: float) -> int | None:
         if merge.record in (record, "") and near < SAME:
             return k
     return None
-
-
-def _pick_words(order: int) -> str:
-    return f"order {order}" if order else "the automatic mode"
