@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.fem.constraints import supports
 from ringtrue.fem.element_cards import ELEMENTS
 from ringtrue.fem.elements.bar import measure, section
-from ringtrue.fem.mesh import Mesh, Rows
+from ringtrue.fem.mesh import Mesh, Rows, unit
 from ringtrue.model.references import REFERENCES
 from ringtrue.model.refine import LINES
 
@@ -64,8 +64,7 @@ def _pairs(m: Mesh, nodes: Int, kind: Int) -> tuple[Bool, Int]:
     """Which ends (e, 2) of bars between these nodes meet others, and pairs of bars (k, 2) that are
     one member.
     """
-    along = m.xyz[nodes[:, 1]] - m.xyz[nodes[:, 0]]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit(m.xyz[nodes[:, 1]] - m.xyz[nodes[:, 0]])
     away = np.stack([along, -along], axis=1).reshape(-1, 3)
     flat = nodes.ravel()
     ends = np.bincount(flat, minlength=len(m.xyz))
