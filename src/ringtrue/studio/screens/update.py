@@ -91,11 +91,12 @@ class _UpdateScreen:
         try:
             self.model = await self.session.trial_model()
         except RingtrueError as e:
-            self.tried.clear()
-            with self.tried:
-                ui.label(str(e)).classes("text-sm")
+            if not self.tried.is_deleted:
+                self.tried.clear()
+                with self.tried:
+                    ui.label(str(e)).classes("text-sm")
             return
-        if self.model is not None:
+        if self.model is not None and not self.tried.is_deleted:  # the page was left meanwhile
             kept = {n: self.factors.get(n, 1.0) for n in self.model.parameters.names}
             self._rows()
             self.put(kept)
@@ -294,6 +295,9 @@ class _UpdateScreen:
             ).mark(f"bound-{key}")
 
     def _set_bound(self, at: int, name: str, key: str, value: object) -> None:
+        if value in ("", None):  # an emptied field: the bound stays
+            self.inspected()
+            return
         words = f"{key} bound of {name}"
         self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
 
