@@ -68,10 +68,8 @@ class ReducedModel:
     active: tuple[int, ...]
     base: Float
     scale: int = 0
-    # the lowest modes at the last x, by what was asked; `replace` begins without
-    _last: dict[str, tuple[bytes, Float, Float]] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    # the lowest modes at the last x; `replace` begins without
+    _last: dict[bytes, tuple[Float, Float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def parameters(self) -> ParameterSet:
@@ -133,12 +131,13 @@ class ReducedModel:
     def coordinates(self, x: Float) -> tuple[Float, Float]:
         """λ (m,) and the modes in the basis (r, m) at x; those of the last x are kept."""
         everything = self.full_vector(x)
-        known = self._last.get("modes")
-        if known is None or known[0] != everything.tobytes():
+        key = everything.tobytes()
+        if key not in self._last:
             lam, y = self._solve(everything, all_modes=False)
             lam.flags.writeable = y.flags.writeable = False
-            known = self._last["modes"] = everything.tobytes(), lam, y
-        return known[1:]
+            self._last.clear()
+            self._last[key] = lam, y
+        return self._last[key]
 
     def vectors(self, x: Float) -> tuple[Float, Float]:
         """λ (m,) and φ (f, m) at x, in the free DOFs."""

@@ -199,13 +199,12 @@ def _spread(opened: Opened) -> list[Opened]:
     model = opened.model
     if "CONM2" not in model or not len(model["CONM2"]):
         return []
-    at = model["GRID"].find(np.unique(model["CONM2"]["G"]))
-    some = sparse.csr_array(np.isin(np.arange(len(model["GRID"])), at)[None].astype(float))
+    carry = np.isin(model["GRID"].ids, model["CONM2"]["G"])
     every = [_joined(model)]
     pids = {p for card in NODES if card in model for p in np.unique(model[card]["PID"]).tolist()}
     for pid in sorted(pids) if len(pids) > 1 else ():
         near = _joined(model, pid)
-        if 2 * ((some @ near).toarray() * some.toarray() > 0).sum() >= at.size:
+        if 2 * np.count_nonzero(near.diagonal()[carry]) >= np.count_nonzero(carry):
             every.append(near)
     changed = (_with_spread_masses(model, near) for near in every)
     return [Opened(deck, opened.length) for deck in changed if deck is not None]

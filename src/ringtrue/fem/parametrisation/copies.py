@@ -6,7 +6,7 @@ elements at many factors come from one call.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import CardField
-from ringtrue.fem.element_cards import ELEMENTS, batches
+from ringtrue.fem.element_cards import ELEMENTS
 from ringtrue.fem.mesh import Mesh, Rows
 from ringtrue.fem.parametrisation.changed_model import FOLLOWERS, with_entries
 from ringtrue.model.cards import MADE
@@ -54,8 +54,12 @@ class Copies:
 
     @classmethod
     def of(cls, m: Mesh, rows: Rows, count: int) -> Copies:
-        """Of the rows of element cards; see `copyable`."""
+        """Of the rows of element cards; see `copyable`. One copy is the model as it is."""
         model = m.model
+        if count == 1:
+            whole = {card: np.arange(len(model[card])) for card in rows}
+            none = {card: np.zeros_like(at) for card, at in whole.items()}
+            return cls(m, rows, originals=whole, number=none, named={}, stride=0, count=1)
         named = _named(model, rows)
         ids = {card: model[card].ids[at] for card, at in named.items()}
         numbered = (c for c in model.tables if c.startswith(CARDS) and c != "PARAM")
@@ -82,11 +86,6 @@ class Copies:
             stride=stride,
             count=count,
         )
-
-    @property
-    def batches(self) -> Iterator[tuple[str, Int]]:
-        """Card and rows of like elements; see `element_cards.batches`."""
-        return batches(self.mesh.model, self.rows)
 
     def targets(self, some: Sequence[CardField]) -> list[CardField]:
         """The fields that are of all copies of these; none of those that no element here names.

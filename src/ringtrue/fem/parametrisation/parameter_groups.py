@@ -59,12 +59,8 @@ class ParameterGroup:
             or f"{self.matrix} of elements"
         )
 
-    def scaled(
-        self, part: ElementMatrices, card: str, at: Int, a: float | complex | Any_
-    ) -> ElementMatrices:
-        """The matrices of rows `at` (e,) of a card with its factor, or one of each (e,), if it is
-        one on them.
-        """
+    def scaled(self, part: ElementMatrices, card: str, at: Int, a: Any_) -> ElementMatrices:
+        """The matrices of rows `at` (e,) of a card with its factors (e,), if it is one on them."""
         if not self.matrix:
             return part
         on = np.isin(at, self.rows.get(card, at[:0]))
@@ -128,15 +124,28 @@ def built(
     """Element matrices of the rows with the groups at their factors; none feels the fields of one
     it is not in.
     """
-    model = m.model
-    for g, a in zip(groups, factors, strict=True):
-        model = changed(model, g.parameter.name, g.targets, a) if g.targets and a != 1 else model
-    there = with_listed_mass(Mesh(model, m.xyz, m.cd, m.scalar))
+    targets = [g.targets for g in groups]
+    return _built(Copies.of(m, rows, 1), groups, targets, np.array(factors)[:, None])
+
+
+def _built(
+    copies: Copies,
+    groups: Sequence[ParameterGroup],
+    targets: Sequence[Sequence[CardField]],
+    factors: Any_,
+) -> list[ElementMatrices]:
+    """The same of copies, with the targets of each group there and its factors (groups, count)."""
+    model = copies.mesh.model
+    for g, wide, a in zip(groups, targets, factors, strict=True):
+        if wide and (a != 1).any():
+            model = changed(model, g.parameter.name, wide, a)
+    there = with_listed_mass(replace(copies.mesh, model=model))
     out = list[ElementMatrices]()
-    for card, at in batches(model, rows):
+    for card, at in batches(model, copies.rows):
         part = ELEMENTS[card](there.rows(card, at))
+        originals = copies.originals[card][at]
         for g, a in zip(groups, factors, strict=True):
-            part = g.scaled(part, card, at, a)
+            part = g.scaled(part, card, originals, a[copies.number[card][at]])
         out.append(part)
     return out
 
@@ -258,19 +267,7 @@ class Together:
         if count not in self._copies:
             self._copies[count] = self._copied(count)
         copies, targets, places = self._copies[count]
-        model = copies.mesh.model
-        for g, wide in zip(self.groups, targets, strict=True):
-            a = points[:, g.which]
-            if wide and (a != 1).any():
-                model = changed(model, g.parameter.name, wide, a)
-        there = with_listed_mass(replace(copies.mesh, model=model))
-        made = list[ElementMatrices]()
-        for card, at in batches(model, copies.rows):
-            part = ELEMENTS[card](there.rows(card, at))
-            for g in (g for g in self.groups if g.matrix):
-                a = points[copies.number[card][at], g.which]
-                part = g.scaled(part, card, copies.originals[card][at], a)
-            made.append(part)
+        made = _built(copies, self.groups, targets, points[:, [g.which for g in self.groups]].T)
         return [
             ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of, count)
             for on in places
@@ -281,7 +278,8 @@ class Together:
         elements of each region are, and where.
         """
         copies = Copies.of(self.mesh, self.rows, count)
-        there = [(card, copies.originals[card][at]) for card, at in copies.batches]
+        every = batches(copies.mesh.model, copies.rows)
+        there = [(card, copies.originals[card][at]) for card, at in every]
         places = []
         for rows in self.regions:
             on = [np.flatnonzero(np.isin(at, rows.get(card, ()))) for card, at in there]
