@@ -28,6 +28,7 @@ from ringtrue.study.opened import Opened
 from ringtrue.updating.form_uncertainty import CauseEffect
 from ringtrue.updating.problem import Evaluated, Problem
 from ringtrue.updating.selection.form_changes import softer
+from ringtrue.updating.selection.generation import connectivity
 from ringtrue.updating.uncertainty import energy_shares
 
 
@@ -199,14 +200,18 @@ def _spread(opened: Opened) -> list[Opened]:
     model = opened.model
     if "CONM2" not in model or not len(model["CONM2"]):
         return []
+    cards = [c for c in NODES if c in model and c in ELEMENTS]
+    if not cards:
+        return []
+    touch = connectivity(model, cards)
+    pid = np.concatenate([model[c]["PID"] for c in cards])
     carry = np.isin(model["GRID"].ids, model["CONM2"]["G"])
-    every = [_joined(model)]
-    pids = {p for card in NODES if card in model for p in np.unique(model[card]["PID"]).tolist()}
-    for pid in sorted(pids) if len(pids) > 1 else ():
-        near = _joined(model, pid)
-        if 2 * np.count_nonzero(near.diagonal()[carry]) >= np.count_nonzero(carry):
-            every.append(near)
-    changed = (_with_spread_masses(model, near) for near in every)
+    every = [touch]
+    kinds = np.unique(pid).tolist()
+    for own in (touch[pid == p] for p in kinds if len(kinds) > 1):
+        if 2 * np.count_nonzero(own[:, carry].sum(axis=0)) >= np.count_nonzero(carry):
+            every.append(own)
+    changed = (_with_spread_masses(model, sparse.csr_array(x.T @ x)) for x in every)
     return [Opened(deck, opened.length) for deck in changed if deck is not None]
 
 
@@ -233,33 +238,6 @@ def _with_spread_masses(model: Model, near: sparse.csr_array) -> Model | None:
     kept = np.where(np.isin(np.arange(len(masses)), at), 0.5, 1.0)
     less = masses.with_column("M", masses["M"] * kept)
     return replace(model, tables={**model.tables, "CONM2": stacked(less, more)})
-
-
-def _joined(model: Model, pid: int | None = None) -> sparse.csr_array:
-    """Which nodes elements join, those of one property or all, (n, n)."""
-    ids = model["GRID"].ids
-    rows = []
-    cols = []
-    first = 0
-    for card, names in NODES.items():
-        if card not in model or card not in ELEMENTS:
-            continue
-        t = model[card]
-        if pid is not None:
-            t = t.take(np.flatnonzero(t["PID"] == pid))
-        corners = t.stack(*names)
-        at = model["GRID"].find(corners.ravel())
-        owner = first + np.repeat(np.arange(len(t)), corners.shape[1])
-        rows.append(owner[at >= 0])
-        cols.append(at[at >= 0])
-        first += len(t)
-    if not rows:
-        return sparse.csr_array((ids.size, ids.size))
-    row = np.concatenate(rows)
-    touch = sparse.csr_array(
-        (np.ones(row.size), (row, np.concatenate(cols))), shape=(first, ids.size)
-    )
-    return sparse.csr_array(touch.T @ touch)
 
 
 def _soft_joints(rigid: float) -> Edit:
