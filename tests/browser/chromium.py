@@ -105,13 +105,13 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, expression: str, seconds: float = PATIENCE) -> bool:
-        """Whether the expression becomes true in time."""
+    def until(self, expression: str, seconds: float = PATIENCE, *, every: float = 0.2) -> bool:
+        """Whether the expression becomes true in time; asked `every` so many seconds."""
         end = time.monotonic() + seconds
         while not self.evaluate(expression):
             if time.monotonic() > end:
                 return False
-            time.sleep(0.2)
+            time.sleep(every)
         return True
 
     def complaints(self) -> list[str]:

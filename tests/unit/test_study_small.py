@@ -5,6 +5,7 @@ structure.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -267,6 +268,13 @@ def test_what_a_plan_cannot_do_is_refused(tmp_path: Path, asked: str, told: str)
         small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n" + FLOORS + asked
     )
     with pytest.raises(ConfigError, match=told):
+        run_study(small_study.write_study(tmp_path, toml))
+
+
+def test_a_plan_needs_modes(tmp_path: Path) -> None:
+    below = re.sub(r"fmax = \S+", "fmax = 0.5", small_study.MODEL)
+    toml = below + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n"
+    with pytest.raises(ConfigError, match=r"no mode below 0\.5 Hz"):
         run_study(small_study.write_study(tmp_path, toml))
 
 

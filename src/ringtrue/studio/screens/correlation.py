@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 BOTH_TESTS = "ambient and hammer"
 DIFFERENCE = "difference"
+MATRICES = ("MAC", "subspace MAC")  # whose cells can be selected
 DECISIONS = ("lock", "forbid")
 
 
@@ -88,7 +89,7 @@ class _CorrelationScreen:
     def kinds(self) -> list[str]:
         """The matrices that there are."""
         checks = self.measures.checks if self.measures is not None else ()
-        return ["MAC", "subspace MAC", *(check.name for check in checks)]
+        return [*MATRICES, *(check.name for check in checks)]
 
     def build(self) -> None:
         session = self.session
@@ -107,8 +108,8 @@ class _CorrelationScreen:
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
         keys["play"] = self._toggle
-        events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
-        frame().follow(self._update, *events)
+        frame().follow(self._update, session.on_documents, session.on_results, session.on_theme)
+        frame().follow(self._selected, session.on_selection)
 
     def _update(self) -> None:
         if list(states(self.session)) != self.there:  # a run has begun or ended
@@ -118,6 +119,14 @@ class _CorrelationScreen:
         self.pairs.refresh()
         self._show_pair()
         self.inspected()
+
+    def _selected(self) -> None:
+        """Another cell: its shapes first."""
+        self._show_pair()
+        outlined = self._outlined()
+        self.plot.figure["layout"]["shapes"] = outlined
+        self.plot.run_plot_method("relayout", {"shapes": outlined})
+        self.cell.refresh()
 
     def _show(self, **change: str) -> None:
         for name, value in change.items():
@@ -146,21 +155,24 @@ class _CorrelationScreen:
             figure = orthogonality(check, found)
         else:
             figure = table_matrix(found, subspace=self.kind == "subspace MAC")
+        self.axes = list(figure.data[0].x), list(figure.data[0].y)
+        drawn = theme.drawn(figure, dark=self.session.dark, tools=False)
+        self.outlines = list(drawn["layout"].get("shapes", ()))
+        drawn["layout"]["shapes"] = self._outlined()
+        return drawn
+
+    def _outlined(self) -> list[dict[str, Any]]:
+        """What is outlined in the matrix, and the selected cell."""
         pair = self.session.selection.pair
-        names = list(figure.data[0].x), list(figure.data[0].y)
-        if pair is not None and check is None:
-            column, row = self._label(1, pair[1]), self._label(0, pair[0])
-            if column in names[0] and row in names[1]:
-                x, y = names[0].index(column), names[1].index(row)
-                figure.add_shape(
-                    type="rect",
-                    x0=x - 0.5,
-                    x1=x + 0.5,
-                    y0=y - 0.5,
-                    y1=y + 0.5,
-                    line={"width": 3, "color": "#2f9e44"},
-                )
-        return theme.drawn(figure, dark=self.session.dark, tools=False)
+        if pair is None or self.kind not in MATRICES:
+            return self.outlines
+        column, row = self._label(1, pair[1]), self._label(0, pair[0])
+        if column not in self.axes[0] or row not in self.axes[1]:
+            return self.outlines
+        x, y = self.axes[0].index(column), self.axes[1].index(row)
+        edges = {"x0": x - 0.5, "x1": x + 0.5, "y0": y - 0.5, "y1": y + 0.5}
+        line = {"width": 3, "color": "#2f9e44"}
+        return [*self.outlines, {"type": "rect", **edges, "line": line}]
 
     def _label(self, side: int, k: int) -> str:
         hz = (self.table.all_test_hz, self.table.all_fe_hz)[side]
@@ -168,7 +180,7 @@ class _CorrelationScreen:
 
     def _clicked(self, event: GenericEventArguments) -> None:
         points = event.args.get("points") or []
-        if not points or self.kind not in ("MAC", "subspace MAC"):
+        if not points or self.kind not in MATRICES:
             return
         test = labels(self.table.all_test_hz).index(str(points[0]["y"]))
         fe = labels(self.table.all_fe_hz).index(str(points[0]["x"]))
@@ -279,11 +291,13 @@ class _CorrelationScreen:
     def inspected(self) -> None:
         """The selected cell, the decisions of the user, the gates."""
         with inspector():
-            self._cell()
+            self.cell()
             self._decisions()
             self._gates()
 
-    def _cell(self) -> None:
+    @ui.refreshable_method
+    def cell(self) -> None:
+        """The selected cell and what can be decided of it."""
         pair = self.session.selection.pair
         found = self.table
         heading("Cell")

@@ -160,6 +160,11 @@ def plan_problem(session: Session, plan: PlanSection, *, stored: bool = False) -
     A candidate is of the first region that names it; boxes and exclusions take candidates away,
     fixed nodes always stay. With `stored` the motion is that of the stored modes where all
     candidates are drawn, and nothing is solved.
+
+    Raises
+    ------
+    ConfigError
+        If a fixed node is not in the deck, or the deck has no mode up to `fmax`.
     """
     model: ModelStage = session.get("model")
     grid = session.initial.model["GRID"]
@@ -179,6 +184,10 @@ def plan_problem(session: Session, plan: PlanSection, *, stored: bool = False) -
         motion = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[seat]
     else:
         motion = session.initial.modes(session.first_fmax).modes.shapes[node_rows(session, nodes)]
+    if not motion.shape[2]:
+        raise ConfigError(
+            f"[plan]: the deck has no mode below {session.first_fmax:g} Hz: raise [model] fmax"
+        )
     xyz = positions(session.initial.model)[rows] * session.length
     here = np.intersect1d(plan.exclude, nodes).tolist()
     keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
