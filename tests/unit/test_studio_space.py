@@ -13,7 +13,7 @@ from nicegui.testing import User
 from simulated import DECK, on, opened, visit, written
 
 import ringtrue as rt
-from ringtrue.studio import sheet_edits
+from ringtrue.studio import edits, sheet_edits
 from ringtrue.studio.screens.sensors import gain
 
 PATIENCE = 300  # tenths of a second: something hangs, not that the machine is busy
@@ -55,6 +55,9 @@ def test_a_part_of_the_model_becomes_a_candidate_region(ran: Path, tmp_path: Pat
         modes.set_value(0)
         assert view.props["state"]["mode"] == "FE 1"
         assert session.selection.pair == (0, 0)
+        session.edit("fmax", edits.put(("model", "fmax"), 5.0))  # its modes may be others
+        await user.should_see(marker="solve", retries=PATIENCE)
+        assert view.props["state"]["mode"] is None
 
     on("model", session, scenario)
     assert session.config is not None

@@ -120,6 +120,9 @@ class _ModelScreen:
         if deck is not self.deck:
             frame().rebuild()
         elif deck is not None:
+            known = self.modes
+            if self.mode is not None and (known is None or self.mode >= len(known)):
+                self.show_mode(None)  # solved anew up to another frequency
             self.bar.refresh()
             self.inspected()
 
