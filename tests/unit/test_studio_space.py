@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -55,9 +56,22 @@ def test_a_part_of_the_model_becomes_a_candidate_region(ran: Path, tmp_path: Pat
         modes.set_value(0)
         assert view.props["state"]["mode"] == "FE 1"
         assert session.selection.pair == (0, 0)
-        session.edit("fmax", edits.put(("model", "fmax"), 5.0))  # its modes may be others
+        session.edit("fmax", edits.put(("model", "fmax"), 3.0))  # its modes are others
         await user.should_see(marker="solve", retries=PATIENCE)
-        assert view.props["state"]["mode"] is None
+        user.find(marker="solve").click()
+        await user.should_see(marker="mode", retries=PATIENCE)
+        (modes,) = user.find(marker="mode").elements
+        assert isinstance(modes, ui.select)
+        modes.set_value(max(modes.options))
+        rt.run_study(session.path, until="model")
+        await session.refresh()
+        for _ in range(PATIENCE):  # fewer are known now
+            (modes,) = user.find(marker="mode").elements
+            assert isinstance(modes, ui.select)
+            if modes.value == -1:
+                return
+            await asyncio.sleep(0.1)
+        raise AssertionError("a mode that is no longer known is shown")
 
     on("model", session, scenario)
     assert session.config is not None
