@@ -56,7 +56,7 @@ def plate(
 
 def same(found: HammerResult, fn: np.ndarray, zeta: np.ndarray, phi: np.ndarray) -> None:
     modes = found.modes
-    assert len(modes) == fn.size, (modes.frequencies, found.rejected)
+    assert len(modes) == fn.size, (modes.frequencies, found.others.sentences())
     np.testing.assert_allclose(modes.frequencies, fn, rtol=1e-3)
     np.testing.assert_allclose(modes.damping, zeta, rtol=0.02)
     assert np.diag(mac(modes.shapes, phi)).min() > EXACT
@@ -113,6 +113,6 @@ def test_a_crowded_band(seed: int) -> None:
         1 - mac(found.modes.shapes, phi)
     )
     mode, true = linear_sum_assignment(far)
-    assert len(mode) == len(found.modes) >= fn.size - 3, found.rejected
+    assert len(mode) == len(found.modes) >= fn.size - 3, found.others.sentences()
     assert far[mode, true].max() < 1  # a neighbour that is missed costs half a bandwidth
     assert not any(n.startswith("the responses disagree") for n in found.notes)

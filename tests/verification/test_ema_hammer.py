@@ -13,9 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ringtrue.core.choice import Choice, Pick
 from ringtrue.core.modes import Norm
+from ringtrue.core.notes import SUMMARIES, Note, summary
 from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import DataError
+from ringtrue.identification.frf.confidence import DroppedPole, doubtful_candidates
 from ringtrue.identification.frf.data_checks import lines_between, sound_pairs
 from ringtrue.identification.frf.lines import cmif, prepare
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
@@ -212,7 +215,7 @@ def test_modes_of_complex_shapes_are_found() -> None:
     r = identify_hammer(
         replace(frfs, data=h, coherence=np.full(h.shape, np.nan)), HammerModes(5.0, 100.0)
     )
-    assert len(r.modes) == FN.size, r.rejected
+    assert len(r.modes) == FN.size, r.others.sentences()
     assert np.diag(mac(r.modes.shapes, phi)).min() > 0.98
 
 
@@ -479,3 +482,53 @@ def test_a_turned_driving_point_is_told_in_frfs_of_poor_phase(sign: float) -> No
     phase = 0.7 * np.sin(np.arange(frfs.freqs.size) * 0.7)
     poor = replace(frfs, data=sign * frfs.data * np.exp(1j * phase)[:, None, None])
     assert len(sound_pairs(poor)) == (2 if sign > 0 else 0)
+
+
+def test_a_doubtful_mode_is_listed_and_taken_up() -> None:
+    """A mode of an eighth of the response of its neighbours, 14 dB over the noise."""
+    rng = np.random.default_rng(2)
+    fn = np.array([20.0, 31.0, 50.0])
+    phi = rng.standard_normal((12, fn.size))
+    phi[0] = 1.0
+    phi[:, 1] *= 0.08
+    freqs = np.linspace(0.1, 80.0, 800)
+    s = 2j * np.pi * freqs
+    w = 2 * np.pi * fn
+    g = s[:, None] ** 2 / (s[:, None] ** 2 + 0.02 * w * s[:, None] + w**2)
+    h = np.einsum("fk,ok,ik->foi", g, phi, phi[:2])
+    sigma = 0.05 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
+    h += sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    outputs = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(12))
+    inputs = tuple(Channel(f"{i + 1}+Z", "force", "N") for i in range(2))
+    frfs = FrfSet(h, freqs, outputs, inputs, np.full(h.shape, np.nan), np.ones(2), "accelerance")
+    strict = HammerModes(5.0, 75.0, confidence_min=0.95)
+    found = identify_hammer(frfs, strict)
+    assert found.modes.frequencies == pytest.approx(fn[[0, 2]], rel=1e-3)
+    assert found.others.classes == ("doubtful",)
+    (doubtful,) = found.others.modes.frequencies
+    assert doubtful == pytest.approx(31.0, rel=3e-3)
+    assert summary(found.others.notes[0]) in SUMMARIES.values()
+    taken = identify_hammer(frfs, strict, choice=Choice((Pick(doubtful),)))
+    assert taken.modes.frequencies == pytest.approx(fn, rel=3e-3)
+    assert taken.reasons[1].startswith("taken up by hand")
+    assert not len(taken.others)
+
+
+def test_a_candidate_that_came_back_is_not_doubtful() -> None:
+    def one(f: float, shape: list[float], *, alone: bool, confidence: float = 0.4) -> DroppedPole:
+        pole = 2 * np.pi * f * complex(-0.01, 1.0)
+        note = Note("pole gain", "warning", f"{f:.5g} Hz", {"why": "weak"})
+        return DroppedPole(pole, np.ones(1), np.array(shape), 0.1, 0.1, confidence, alone, note)
+
+    modes = np.array([10.0, 20.0])
+    shapes = np.array([[1.0, 0.0], [0.0, 1.0]])
+    candidates = [
+        one(10.05, [1.0, 0.1], alone=False),  # the shape of the mode there
+        one(20.05, [1.0, 0.1], alone=True),  # there was no other at that time
+        one(20.05, [1.0, 0.2], alone=False),  # beside the mode, with another shape
+        one(20.06, [1.0, 0.3], alone=False, confidence=0.3),  # the same once more
+        one(15.0, [1.0, 1.0], alone=True, confidence=0.05),
+        one(40.0, [1.0, 1.0], alone=True),  # out of the band
+    ]
+    (left,) = doubtful_candidates(candidates, modes, shapes, (5.0, 30.0))
+    assert left is candidates[2]

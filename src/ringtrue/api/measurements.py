@@ -139,7 +139,7 @@ class TestModes(Displayed):
     @property
     def others(self) -> OtherCandidates:
         """Doubtful modes and harmonics, which are not among the modes."""
-        if isinstance(self.result, AmbientResult | SetupsResult | DecayResult):
+        if isinstance(self.result, AmbientResult | SetupsResult | DecayResult | HammerResult):
             return self.result.others
         return OtherCandidates.none(self.channels)
 

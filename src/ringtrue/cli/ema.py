@@ -27,7 +27,6 @@ from ringtrue.cli.identify import (
 from ringtrue.cli.show import Json, file_to, progress
 from ringtrue.core.choice import Choice, Hit
 from ringtrue.errors import ConfigError, about
-from ringtrue.identification.frf.pipeline import HammerResult
 from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import write_frfs
 from ringtrue.io.setup_tables import WiredFile, read_setup_table
@@ -123,8 +122,7 @@ def ema(
             write_frfs(frfs_to, measured.frfs)
         found = identify_frfs(measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show)
     write_pages(files[0], found, choice_to, diagram, sheet, hits)
-    rejected = found.result.rejected if isinstance(found.result, HammerResult) else ()
-    none = ("no mode of this band has a confidence above the limit", *rejected[-5:])
+    none = ("no mode of this band has a confidence above the limit", *found.others.sentences())
     title = " ".join(map(str, files))
     return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none, why=why)
 

@@ -58,6 +58,11 @@ SENTENCES = {
         "channel {subject}: wraps {count} times from one end of its range to the other: too few "
         "bits, or an overflow; left out"
     ),
+    "pole orders": "{why}",
+    "pole gain": "{why}",
+    "pole share": "{why}",
+    "pole damping": "{why}",
+    "pole double": "{why}",
     "candidate setups": "{found} of {setups} setups show it: a chance, or a machine of theirs",
     "channel clipped": (
         "channel {subject}: clipped at {value:.4g} {unit} in {samples:,} of {total:,} samples"
@@ -200,6 +205,11 @@ SUMMARIES = {
     "candidate steady": "steady amplitude: a machine",
     "candidate edge": "edge of the recorder's filter",
     "candidate setups": "too few setups show it",
+    "pole orders": "few model orders show it",
+    "pole gain": "adds little to the fit",
+    "pole share": "little of the response there",
+    "pole damping": "damping not known or out of range",
+    "pole double": "like a stronger mode near it",
 }
 
 

@@ -65,7 +65,13 @@ class FrfFit:
             If a pick means no pole.
         """
         sets = [d.poles for d in found.diagrams]
-        poles = current_poles(found.modes, sets, choice, decay=self.frfs.window_decay)
+        poles = current_poles(
+            found.modes,
+            sets,
+            choice,
+            decay=self.frfs.window_decay,
+            doubtful=found.others.modes,
+        )
         return fit_poles(self.frfs, self.lines, poles)
 
 
@@ -92,7 +98,7 @@ def fitted_spectra(found: IdentifiedModes, choice: Choice | None) -> tuple[Fitte
         If a pick means no pole.
     """
     sets = [d.poles for d in found.diagrams]
-    poles = current_poles(found.modes, sets, choice)
+    poles = current_poles(found.modes, sets, choice, doubtful=found.others.modes)
     f = np.abs(poles) / (2 * np.pi)
     out = []
     for d in found.diagrams:

@@ -22,7 +22,7 @@ from ringtrue.identification.ambient.confidence import BandModes, Row, listed
 from ringtrue.identification.ambient.spectral_bins import CandidateModes, groups_table, stacked
 from ringtrue.identification.ambient.ssi_cov import BandPoles
 from ringtrue.identification.common.stabilisation import CUT, PoleSet, cluster_poles, distances
-from ringtrue.identification.frf.confidence import CandidatePoles
+from ringtrue.identification.frf.confidence import CandidatePoles, DroppedPole
 from ringtrue.identification.frf.refinement import Refined
 from ringtrue.identification.frf.split_modes import support
 from ringtrue.shapes import mac
@@ -157,6 +157,8 @@ class HandPoles:
         Fitted modes that stay.
     added : CandidatePoles
         Poles that join them.
+    taken : tuple of int
+        Doubtful modes that are among these.
     said : tuple of str
         For each kept and then each added mode what the hand did; empty for nothing.
     notes : tuple of str
@@ -165,6 +167,7 @@ class HandPoles:
 
     keep: Bool
     added: CandidatePoles
+    taken: tuple[int, ...]
     said: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -181,7 +184,7 @@ def hand_poles(
     band: tuple[float, float],
     *,
     decay: float = 0.0,
-    source: str = "",
+    doubtful: Sequence[DroppedPole] = (),
 ) -> HandPoles:
     """Apply a choice to the automatic fit; fitted modes outside the reported band stay in any case.
 
@@ -195,7 +198,8 @@ def hand_poles(
         What is reported.
     decay : float, 1/s
         Exponential window still in `sets`.
-    source : str
+    doubtful : sequence of DroppedPole
+        A pick may mean one of these, too.
 
     Raises
     ------
@@ -208,17 +212,23 @@ def hand_poles(
     keep = ~inside | choice.automatic
     added: list[tuple[complex, Complex]] = []
     texts: list[str] = []
+    taken: list[int] = []
     plain = [p for p in choice.picks if not p.order]
-    at = match(np.array([p.frequency for p in plain]), np.where(inside, f, np.inf))
+    here = np.where(inside, f, np.inf)
+    at = _meant(plain, here, np.array([d.frequency for d in doubtful]))
     for pick, k in zip(plain, at.tolist(), strict=True):
-        if k >= 0:
+        if k >= f.size:
+            taken.append(k - f.size)
+            added.append((doubtful[taken[-1]].pole, doubtful[taken[-1]].participation))
+            texts.append("taken up by hand")
+        elif k >= 0:
             keep[k] = True
             said[k] = "confirmed by hand"
         else:
-            added.append(_pole(pick, sets, decay, source))
+            added.append(_pole(pick, sets, decay, choice.source))
             texts.append("chosen by hand")
     for pick in (p for p in choice.picks if p.order):
-        pole, part = _pole(pick, sets, decay, source)
+        pole, part = _pole(pick, sets, decay, choice.source)
         added.append((pole, part))
         texts.append(f"chosen by hand, order {pick.order}")
         replaced = inside & (np.abs(fit.poles - pole) < 0.5 * np.abs(pole.real))
@@ -231,14 +241,28 @@ def hand_poles(
     parts = np.array([v for _, v in added], dtype=np.complex128).reshape(len(added), n_in)
     more = CandidatePoles(poles, parts, support(poles, parts, sets, decay), np.zeros(poles.size))
     kept = [said[k] for k in np.flatnonzero(keep)]
-    return HandPoles(keep, more, (*kept, *texts), tuple(notes))
+    return HandPoles(keep, more, tuple(taken), (*kept, *texts), tuple(notes))
+
+
+def _meant(picks: Sequence[Pick], modes: Float, doubtful: Float) -> Int:
+    """Position of the mode that each pick means, then of the doubtful mode; -1 for neither. A mode
+    is meant rather than a doubtful one, but for the digits of the latter.
+    """
+    wanted = np.array([p.frequency for p in picks])
+    penalty = np.repeat([0.0, 1.0], [modes.size, doubtful.size])
+    return match(wanted, np.concatenate([modes, doubtful]), penalty)
 
 
 def current_poles(
-    modes: ModeSet, sets: Sequence[PoleSet], choice: Choice | None, *, decay: float = 0.0
+    modes: ModeSet,
+    sets: Sequence[PoleSet],
+    choice: Choice | None,
+    *,
+    decay: float = 0.0,
+    doubtful: ModeSet | None = None,
 ) -> Complex:
     """Poles (m,), rad/s, of the automatic modes after a choice, before it is replayed: what is
-    picked has the pole of its diagram.
+    picked has its own pole if it is a doubtful mode, else that of its diagram.
 
     Parameters
     ----------
@@ -249,20 +273,23 @@ def current_poles(
     choice : Choice, optional
     decay : float, 1/s
         Exponential window still in `sets`.
+    doubtful : ModeSet, optional
+        Further candidates.
 
     Raises
     ------
     DataError
         If a pick means no pole.
     """
-    zeta = np.nan_to_num(modes.damping, nan=0.01)
-    size = 2 * np.pi * modes.frequencies
-    own: Complex = size * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
+    own = _poles_of(modes)
     if choice is None:
         return own
-    keep = np.full(own.size, choice.automatic)
+    if doubtful is not None and len(doubtful):
+        own = np.concatenate([own, _poles_of(doubtful)])
+    keep = np.arange(own.size) < len(modes) * choice.automatic
     plain = [p for p in choice.picks if not p.order]
-    at = match(np.array([p.frequency for p in plain]), modes.frequencies)
+    f = np.abs(own) / (2 * np.pi)
+    at = _meant(plain, f[: len(modes)], f[len(modes) :])
     keep[at[at >= 0]] = True
     picked = [p for p, k in zip(plain, at.tolist(), strict=True) if k < 0]
     picked += [p for p in choice.picks if p.order]
@@ -275,6 +302,12 @@ def current_poles(
         choice, np.abs(both) / (2 * np.pi), np.abs(both), keep=keep, said=[""] * both.size
     )
     return np.asarray(both[keep])
+
+
+def _poles_of(modes: ModeSet) -> Complex:
+    zeta = np.nan_to_num(modes.damping, nan=0.01)
+    size = 2 * np.pi * modes.frequencies
+    return np.asarray(size * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0))))
 
 
 def _pole(

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float
+from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty
+from ringtrue.core.notes import Note
 from ringtrue.identification.frf.lines import Lines
 from ringtrue.identification.frf.refinement import Refined
 from ringtrue.shapes import mac, mpc
@@ -33,6 +35,10 @@ class EvidenceLimits:
         Least number of lines there.
     double : float
         MAC above which a weaker mode is the double of a stronger one near it.
+    doubtful : float
+        Confidence above which a candidate that is no mode is listed as doubtful.
+    same : float
+        MAC above which two candidates within half a bandwidth are the same.
     """
 
     gain: float = 12.0
@@ -42,6 +48,8 @@ class EvidenceLimits:
     around: float = 2.0
     lines: int = 12
     double: float = 0.9
+    doubtful: float = 0.1
+    same: float = 0.8
 
 
 LIMITS = EvidenceLimits()
@@ -95,11 +103,14 @@ class Assessment:
     frequency : (c,) float64, Hz
     confidence : (c,) float64, 0..1
     reason : tuple of str
+    doubt : tuple of str
+        Code of a note: the aspect that speaks most against it.
     """
 
     frequency: Float
     confidence: Float
     reason: tuple[str, ...]
+    doubt: tuple[str, ...]
 
     def describe(self, k: int) -> str:
         """One line on a candidate."""
@@ -157,19 +168,135 @@ def assess_candidates(
     clear &= (share > LIMITS.visible) & (gains.factor > 0.99)
     seen = np.where(needed | (not strict), 1.0, share)
     faint = [f"only {100 * x:.0f} % of the response at its frequency" for x in seen]
-    aspects = [
-        _stable(candidates, clear, needed),
-        gains,
-        _aspect(np.clip((seen - 0.02) / 0.1, 0, 1), [""] * seen.size, faint),
-        _damped(fit, zeta, damping_max),
-        _double(lines, fit, candidates, total, strict=strict),
-        _Aspect(np.ones(zeta.size), tuple(f"MPC {value:.3f}" for value in collinear)),
-    ]
-    confidence = np.prod([a.factor for a in aspects], axis=0)
+    aspects = {
+        "pole orders": _stable(candidates, clear, needed),
+        "pole gain": gains,
+        "pole share": _aspect(np.clip((seen - 0.02) / 0.1, 0, 1), [""] * seen.size, faint),
+        "pole damping": _damped(fit, zeta, damping_max),
+        "pole double": _double(lines, fit, candidates, total, strict=strict),
+    }
+    factors = np.array([a.factor for a in aspects.values()])
+    codes = list(aspects)
     reasons = []
     for k in range(fit.poles.size):
-        reasons.append("; ".join(a.text[k] for a in aspects if a.text[k]))
-    return Assessment(fit.frequencies, confidence, tuple(reasons))
+        texts = [a.text[k] for a in aspects.values()]
+        reasons.append("; ".join([*filter(None, texts), f"MPC {collinear[k]:.3f}"]))
+    return Assessment(
+        fit.frequencies,
+        factors.prod(axis=0),
+        tuple(reasons),
+        tuple(codes[worst] for worst in factors.argmin(axis=0).tolist()),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DroppedPole:
+    """A candidate as it was when the fit went on without it.
+
+    Attributes
+    ----------
+    pole : complex, rad/s
+    participation : (in,) complex128
+    shape : (out,) complex128, largest component 1
+    std_frequency : float, Hz
+    std_damping : float
+    confidence : float
+    alone : bool
+        No candidate that was kept is within its half bandwidth.
+    note : Note
+        The evidence.
+    """
+
+    pole: complex
+    participation: Complex
+    shape: Complex
+    std_frequency: float
+    std_damping: float
+    confidence: float
+    alone: bool
+    note: Note
+
+    @property
+    def frequency(self) -> float:
+        """Hz."""
+        return abs(self.pole) / (2 * np.pi)
+
+    @property
+    def damping(self) -> float:
+        """Fraction of critical."""
+        return -self.pole.real / abs(self.pole)
+
+
+def dropped(fit: Refined, assessment: Assessment, k: int, keep: Bool) -> DroppedPole:
+    """A candidate of a fit, from 0, of which those of `keep` (c,) stay."""
+    far = np.abs(fit.frequencies[keep] - fit.frequencies[k])
+    frequency = float(fit.frequencies[k])
+    why = {"why": assessment.reason[k]}
+    shape = fit.shapes[:, k]
+    return DroppedPole(
+        pole=complex(fit.poles[k]),
+        participation=fit.participation[k],
+        shape=shape / shape[np.abs(shape).argmax()],
+        std_frequency=float(fit.std_frequency[k]),
+        std_damping=float(fit.std_damping[k]),
+        confidence=float(assessment.confidence[k]),
+        alone=bool((far >= fit.damping[k] * frequency).all()),
+        note=Note(assessment.doubt[k], "warning", f"{frequency:.5g} Hz", why),
+    )
+
+
+def doubtful_candidates(
+    candidates: Sequence[DroppedPole],
+    frequencies: Float,
+    shapes: Complex,
+    band: tuple[float, float],
+) -> list[DroppedPole]:
+    """Candidates with some evidence for them that are none of the modes, each once, ascending.
+
+    Parameters
+    ----------
+    candidates : sequence of DroppedPole
+        Of all turns of the fit.
+    frequencies, shapes : (m,) float64, Hz; (out, m) complex128
+        Of the modes.
+    band : (float, float), Hz
+        What is reported.
+    """
+    known = list(zip(frequencies.tolist(), shapes.T, strict=True))
+    kept: list[DroppedPole] = []
+    for c in sorted(candidates, key=lambda x: -x.confidence):
+        inside = band[0] <= c.frequency <= band[1]
+        if c.confidence < LIMITS.doubtful or not inside:
+            continue
+        near = [shape for f, shape in known if abs(f - c.frequency) < c.damping * c.frequency]
+        # one that was alone there was found again later
+        if near and (c.alone or mac(c.shape[:, None], np.array(near).T).max() > LIMITS.same):
+            continue
+        kept.append(c)
+        known.append((c.frequency, c.shape))
+    return sorted(kept, key=lambda x: x.frequency)
+
+
+def as_other_candidates(doubtful: Sequence[DroppedPole], modes: ModeSet) -> OtherCandidates:
+    """Doubtful modes at the channels of `modes`."""
+    if not doubtful:
+        return OtherCandidates.none(modes.channels)
+    shapes = np.stack([c.shape for c in doubtful], axis=1)
+    found = ModeSet(
+        frequencies=np.array([c.frequency for c in doubtful]),
+        damping=np.array([c.damping for c in doubtful]),
+        shapes=shapes,
+        labels=modes.labels,
+        source=modes.source,
+        confidence=np.array([c.confidence for c in doubtful]),
+    )
+    std = Uncertainty.independent(
+        np.array([c.std_frequency for c in doubtful]),
+        np.array([c.std_damping for c in doubtful]),
+        np.full(shapes.shape, np.nan),
+    )
+    classes: list[ModeClass] = ["doubtful" for _ in doubtful]
+    return OtherCandidates(found, std, tuple(classes), tuple(c.note for c in doubtful))
 
 
 def _aspect(factor: Float, good: Sequence[str], bad: Sequence[str]) -> _Aspect:

@@ -10,13 +10,21 @@ import numpy as np
 from ringtrue.core.arrays import Float, FrozenArrays
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Outcome, Progress, quiet
-from ringtrue.core.modes import ModalModel, ModeSet, Norm, Uncertainty
+from ringtrue.core.modes import ModalModel, ModeSet, Norm, OtherCandidates, Uncertainty
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identification.common.manual_selection import hand_poles
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
-from ringtrue.identification.frf.confidence import Assessment, CandidatePoles, assess_candidates
+from ringtrue.identification.frf.confidence import (
+    Assessment,
+    CandidatePoles,
+    DroppedPole,
+    as_other_candidates,
+    assess_candidates,
+    doubtful_candidates,
+    dropped,
+)
 from ringtrue.identification.frf.data_checks import (
     band_limits,
     block_of_noise,
@@ -134,8 +142,8 @@ class HammerResult(FrozenArrays):
         Of `modes`.
     reasons : tuple of str
         The evidence for and against each mode.
-    rejected : tuple of str
-        Candidates of too little confidence, with the evidence.
+    others : OtherCandidates
+        Doubtful modes: candidates of little confidence, with the evidence.
     diagrams : tuple of StableDiagram
         One a band; `cluster` counts the candidates of that band.
     freqs : (f,) float64, Hz
@@ -156,7 +164,7 @@ class HammerResult(FrozenArrays):
     modes: ModeSet
     uncertainty: Uncertainty
     reasons: tuple[str, ...]
-    rejected: tuple[str, ...]
+    others: OtherCandidates
     diagrams: tuple[StableDiagram, ...]
     freqs: Float
     cmif: Float
@@ -225,15 +233,17 @@ def identify_hammer(
         decay=used.window_decay,
         source=frfs.source,
     )
-    fit, rejected = _fit(search, candidates, report)
+    fit, left_out = _fit(search, candidates, report)
     used, search, fit, faded = _of_blocks(used, search, fit)
     report(0.95, "confidence and standard deviations of the modes")
     search, fit, more = _reweighed(search, used, fit)
-    rejected += more
+    left_out += more
     search, fit, split = _whole(search, fit)
+    refined = fit.refined
+    doubtful = doubtful_candidates(left_out, refined.frequencies, refined.shapes, (low, high))
     by_hand: tuple[str, ...] = ()
     if choice:
-        fit, by_hand = _by_hand(search, fit, choice, (low, high))
+        fit, doubtful, by_hand = _by_hand(search, fit, doubtful, choice, (low, high))
     modes = _reported(used, search, fit, (low, high))
     reported = lines_between(used, low, high)
     broken = reciprocity_note(modes.model, search.points)
@@ -255,7 +265,7 @@ def identify_hammer(
         modes=modes.modes,
         uncertainty=modes.uncertainty,
         reasons=modes.reasons,
-        rejected=tuple(rejected),
+        others=as_other_candidates(doubtful, modes.modes),
         diagrams=diagrams,
         freqs=used.freqs,
         cmif=curve,
@@ -307,7 +317,7 @@ class _Fitter:
         fit = united(
             self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.points
         )
-        return _Assessed(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), ()))
+        return _Assessed(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), (), ()))
 
     def assessed(self, fit: _Assessed, *, strict: bool) -> _Assessed:
         """The fit with the confidence of its modes."""
@@ -320,27 +330,32 @@ class _Fitter:
         )
         return _Assessed(r, c, assessment)
 
-    def pruned(self, fit: _Assessed, turns: int, *, strict: bool) -> tuple[_Assessed, list[str]]:
+    def pruned(
+        self, fit: _Assessed, turns: int, *, strict: bool
+    ) -> tuple[_Assessed, list[DroppedPole]]:
         """Assessment and refinement in turns, until no mode is dropped."""
-        rejected: list[str] = []
+        left_out: list[DroppedPole] = []
         for _ in range(turns):
             fit = self.assessed(fit, strict=strict)
             keep = fit.assessment.confidence >= self.settings.confidence_min
             if keep.all():
                 break
-            rejected += [fit.assessment.describe(k) for k in np.flatnonzero(~keep).tolist()]
+            gone = np.flatnonzero(~keep).tolist()
+            left_out += [dropped(fit.refined, fit.assessment, k, keep) for k in gone]
             if not keep.any():
-                last = "; ".join(rejected[-3:])
+                last = "; ".join(fit.assessment.describe(k) for k in gone[-3:])
                 raise DataError(f"{self.source}: no mode has enough confidence; the last: {last}")
             fit = self.refined(fit.candidates.take(keep))
-        return fit, rejected
+        return fit, left_out
 
 
-def _fit(search: _Fitter, start: CandidatePoles, tell: Progress) -> tuple[_Assessed, list[str]]:
+def _fit(
+    search: _Fitter, start: CandidatePoles, tell: Progress
+) -> tuple[_Assessed, list[DroppedPole]]:
     """Refine and prune; then look for modes in what is left over, until none comes to stay."""
     lines = search.lines
     settings = search.settings
-    best, rejected = search.pruned(search.refined(start), LIMITS.turns, strict=False)
+    best, left_out = search.pruned(search.refined(start), LIMITS.turns, strict=False)
     for turn in range(settings.searches):
         tell(
             0.7 + 0.25 * turn / settings.searches,
@@ -351,7 +366,7 @@ def _fit(search: _Fitter, start: CandidatePoles, tell: Progress) -> tuple[_Asses
             break
         both = best.candidates.at(best.refined).joined(more)
         new, why = search.pruned(search.refined(both), LIMITS.turns, strict=False)
-        rejected += why
+        left_out += why
         if (
             new.refined.poles.size < best.refined.poles.size
             or new.refined.cost > 0.99 * best.refined.cost
@@ -364,7 +379,7 @@ def _fit(search: _Fitter, start: CandidatePoles, tell: Progress) -> tuple[_Asses
         best = replace(best, refined=united(lines, last, search.points))
     # every turn but the last drops a mode
     best, why = search.pruned(best, best.refined.poles.size + 1, strict=True)
-    return best, rejected + why
+    return best, left_out + why
 
 
 def _of_blocks(
@@ -391,13 +406,13 @@ def _of_blocks(
 
 def _reweighed(
     search: _Fitter, frfs: FrfSet, fit: _Assessed
-) -> tuple[_Fitter, _Assessed, list[str]]:
+) -> tuple[_Fitter, _Assessed, list[DroppedPole]]:
     """The modes refined once more, every line weighed by what the first fit left there: deviations
     rest on that.
 
     Where responses ring on, in turns, until no frequency moves by a tenth of its deviation.
     """
-    rejected: list[str] = []
+    left_out: list[DroppedPole] = []
     for _ in range(1 if np.isinf(frfs.kept) else LIMITS.ringing):
         r = fit.refined
         basis = smooth_rest(search.lines, r.poles, r.known.rest)
@@ -406,13 +421,13 @@ def _reweighed(
         search = replace(search, lines=prepare(frfs, left, smooth), last=True)
         start = search.refined(fit.candidates.at(r))
         fit, why = search.pruned(start, r.poles.size + 1, strict=True)
-        rejected += why
+        left_out += why
         now = fit.refined
         if now.poles.size == r.poles.size:
             moved = np.abs(now.frequencies - r.frequencies)
             if (moved < 0.1 * now.std_frequency).all():
                 break
-    return search, fit, rejected
+    return search, fit, left_out
 
 
 def _whole(search: _Fitter, fit: _Assessed) -> tuple[_Fitter, _Assessed, str]:
@@ -436,16 +451,22 @@ def _whole(search: _Fitter, fit: _Assessed) -> tuple[_Fitter, _Assessed, str]:
 
 
 def _by_hand(
-    search: _Fitter, fit: _Assessed, choice: Choice, band: tuple[float, float]
-) -> tuple[_Assessed, tuple[str, ...]]:
-    """The fit after a choice: refined anew where it changes the modes, of which none is dropped."""
+    search: _Fitter,
+    fit: _Assessed,
+    doubtful: list[DroppedPole],
+    choice: Choice,
+    band: tuple[float, float],
+) -> tuple[_Assessed, list[DroppedPole], tuple[str, ...]]:
+    """The fit after a choice, refined anew where it changes the modes, of which none is dropped;
+    the doubtful modes that are left, and notes.
+    """
     hand = hand_poles(
         fit.refined,
         search.sets,
         choice,
         band,
         decay=search.decay,
-        source=search.source,
+        doubtful=doubtful,
     )
     if hand.changes:
         both = fit.candidates.at(fit.refined).joined(hand.added)
@@ -457,7 +478,8 @@ def _by_hand(
         f"{by_hand}; {evidence}" if by_hand and evidence else by_hand or evidence
         for by_hand, evidence in zip(hand.said, fit.assessment.reason, strict=True)
     )
-    return replace(fit, assessment=replace(fit.assessment, reason=reasons)), hand.notes
+    left = [d for k, d in enumerate(doubtful) if k not in hand.taken]
+    return replace(fit, assessment=replace(fit.assessment, reason=reasons)), left, hand.notes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

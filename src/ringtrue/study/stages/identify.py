@@ -561,6 +561,7 @@ def _identified(
             uncertainty=result.uncertainty,
             reasons=result.reasons,
             diagrams=result.diagrams,
+            others=result.others,
             record=HAMMER,
             date=forced[0].date if forced else "",
             temperature=forced[0].temperature if forced else float("nan"),
