@@ -76,7 +76,7 @@ RUNS = {  # name of the results: script and its options
     "viewer": "bench/viewer.py",
     "fuzz": "scripts/fuzz",
     "studio": "bench/studio.py",
-    "studio_clicks": "bench/studio_clicks.py --quick",
+    "studio_clicks": "bench/studio_clicks.py",
 }
 BENCH = Path(__file__).resolve().parent
 RESULTS = BENCH / "results"
