@@ -1,9 +1,8 @@
-"""A study survives a fault at each of its writes and a flipped bit in its store; see `durable` for
-both.
+"""A study survives a fault at its writes and a flipped bit in its store; see `durable` for both.
 
 The faults follow one another in one folder, each run going on with what the one before has left:
-a full disk, a kill before, half-way or after, one at each write. `bench/durability.py` has all of
-them at every write, begins anew for each, and resumes each to the end.
+a full disk, a kill before, half-way or after, one at each third write. `bench/durability.py` has
+all of them at every write, begins anew for each, and resumes each to the end.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from ringtrue.study.store import Store
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the faults need forked processes")
 
-FLIPS = 20
+FLIPS = 8
 
 
 @pytest.fixture(scope="module")
@@ -48,15 +47,14 @@ def fresh(home: Path) -> tuple[list[durable.Write], dict[str, object]]:
     return writes, durable.results(study)
 
 
-def test_a_fault_at_every_write_leaves_whole_stages_and_the_end_is_the_same(
+def test_a_fault_at_a_write_leaves_whole_stages_and_the_end_is_the_same(
     home: Path, fresh: tuple[list[durable.Write], dict[str, object]]
 ) -> None:
     writes, wanted = fresh
     study = home / "study/study.toml"
     durable.copied(home / "inputs", study.parent)
-    # each write meets one of them; bench/durability.py has them all
     kinds = cycle((durable.FULL, "before", "half", "after"))
-    for write, how in zip(writes, kinds, strict=False):
+    for write, how in zip(writes[::3], kinds, strict=False):
         assert durable.struck(study, write, how) == durable.expected(how), (write, how)
         assert durable.stored(study).items() <= wanted.items(), (write, how)
         parts = [name for name in durable.leftovers(study.parent) if name.endswith(".part")]
