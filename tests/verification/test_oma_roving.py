@@ -13,13 +13,16 @@ import ringtrue as rt
 from ringtrue.api.measurements import TestModes
 from ringtrue.cli.main import run
 from ringtrue.core.arrays import Complex, Float
+from ringtrue.core.choice import Choice, Pick, Reject
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import identify_stretches
 from ringtrue.identification.ambient.setups import SetupsResult
 from ringtrue.identification.common.joined_shapes import with_joined_shapes
+from ringtrue.identification.common.manual_selection import chosen_of_setups
 from ringtrue.identification.common.merging import merge_modes
+from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.setup_tables import read_setup_table
 from ringtrue.io.uff.datasets import scan
 from ringtrue.io.uff.shapes import read_mode_sets
@@ -151,6 +154,36 @@ def test_a_wiring_table_is_one_test(tmp_path: Path, capsys: Capture) -> None:
     assert run(["convert", str(to), str(uff), "--sensors", str(sheet)]) == 0
     assert len(read_mode_sets(uff)) == 4
     assert {block.kind for block in scan(uff)} == {15, 55, 164}
+
+
+def test_a_choice_is_of_the_modes_of_all_setups(tmp_path: Path) -> None:
+    table = table_of(tmp_path)
+    to = tmp_path / "choice.toml"
+    words = ["--setups", table, "--rate", made.RATE, "--write-choice", to]
+    assert run(["oma", *map(str, words)]) == 0
+    choice = read_choice(to)
+    assert choice.records == ("setups",)
+    assert len(choice.picks) == 4
+    three = replace(choice, picks=choice.picks[:2], rejects=(), automatic=False)
+    json = tmp_path / "modes.json"
+    write_choice(to, three)
+    words = ["--setups", table, "--rate", made.RATE, "--choice", to, "--json", json]
+    assert run(["oma", *map(str, words)]) == 0
+    assert rt.read_modes(json).frequencies == pytest.approx(made.F[:2], rel=0.01)
+
+
+def test_a_pick_takes_up_what_the_setups_doubt() -> None:
+    f = np.array([1.1, 1.9, 2.3])
+    natural = np.array([True, False, True])
+    choice = Choice((Pick(1.9),), rejects=(Reject(2.3, "crane"),), source="choice.toml")
+    keep, said, notes = chosen_of_setups(f, 1e-3 * f, natural, choice)
+    assert keep.tolist() == [True, True, False]
+    assert said == ["", "taken up by hand", ""]
+    assert notes == ["mode at 2.3 Hz rejected by hand: crane"]
+    with pytest.raises(DataError, match=r"choice\.toml: pick at 3 Hz: no candidate"):
+        chosen_of_setups(f, 1e-3 * f, natural, Choice((Pick(3.0),), source="choice.toml"))
+    with pytest.raises(DataError, match="without an order"):
+        chosen_of_setups(f, 1e-3 * f, natural, Choice((Pick(1.9, 40),)))
 
 
 @pytest.mark.parametrize(

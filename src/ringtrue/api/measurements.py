@@ -720,6 +720,7 @@ def identify_ambient_setups(
     fmin: float | None = None,
     fmax: float | None = None,
     merge: MergeMethod = "poser",
+    choice: Choice | None = None,
 ) -> TestModes:
     """Modes from ambient records of several setups: some sensors stay, the others move.
 
@@ -740,6 +741,8 @@ def identify_ambient_setups(
         The band of interest.
     merge : {"poser", "preger"}
         Poles of each setup, merged; or of the references of all setups as one record.
+    choice : Choice, optional
+        Modes chosen by hand, by their frequencies in all setups.
 
     Raises
     ------
@@ -782,7 +785,7 @@ def identify_ambient_setups(
         histories = (file.wired(read_record(file.path, rate=rate)) for file in files)
     else:
         histories = setups
-    return modes_of_setups(histories, settings, references, merge)
+    return modes_of_setups(histories, settings, references, merge, choice=choice)
 
 
 def modes_of_setups(
@@ -790,11 +793,18 @@ def modes_of_setups(
     settings: AmbientSettings,
     references: Sequence[str],
     merge: MergeMethod,
+    *,
+    choice: Choice | None = None,
     progress: Progress = quiet,
 ) -> TestModes:
     """Modes of records of several setups, as `identify_ambient_setups` returns them."""
     found = identify_setups(
-        histories, settings, references=references, merge=merge, progress=progress
+        histories,
+        settings,
+        references=references,
+        merge=merge,
+        choice=choice,
+        progress=progress,
     )
     return TestModes(
         modes=found.modes,

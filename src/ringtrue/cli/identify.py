@@ -233,8 +233,6 @@ def oma(
     """
     check_band(fmin, fmax)
     by_setup = {
-        "--choice": choice,
-        "--write-choice": choice_to,
         "--diagram": diagram,
         "--near": near,
         "--decay": decay,
@@ -246,7 +244,10 @@ def oma(
             raise ConfigError(f"{given[0]} is of one record and does not go with --setups")
         sheet = read_sensors(sensors) if sensors else None
         reading = _SetupReading(rate, group, sheet, tuple(leave_out or ()))
-        found = _modes_of_setups(setups, merge, reading, AmbientSettings(fmin=fmin, fmax=fmax))
+        settings = AmbientSettings(fmin=fmin, fmax=fmax)
+        by_hand = choice_of(choice, setups)
+        found = _modes_of_setups(setups, merge, reading, settings, by_hand)
+        write_pages(setups, found, choice_to, None)
         return print_result(str(setups), found, json, more=_setups_json(found), why=why)
     if not records:
         raise ConfigError("a record is missing; several setups are given by --setups table.csv")
@@ -309,7 +310,11 @@ class _SetupReading:
 
 
 def _modes_of_setups(
-    table: Path, merge: str, reading: _SetupReading, settings: AmbientSettings
+    table: Path,
+    merge: str,
+    reading: _SetupReading,
+    settings: AmbientSettings,
+    choice: Choice | None,
 ) -> TestModes:
     """Modes of the setups of a wiring table."""
     files = read_setup_table(table)
@@ -320,7 +325,9 @@ def _modes_of_setups(
     histories = (reading.read(file, notes) for file in files)
     kept = tuple(c for c in references_of(files) if c not in reading.leave_out)
     with progress("ambient modes of setups") as show, about(table):
-        found = modes_of_setups(histories, settings, kept, merge_method(merge), show)
+        found = modes_of_setups(
+            histories, settings, kept, merge_method(merge), choice=choice, progress=show
+        )
     return replace(found, notes=(*notes, *found.notes))
 
 

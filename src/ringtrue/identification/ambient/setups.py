@@ -32,6 +32,7 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.shape_reading import RecordCorrelations
 from ringtrue.identification.common.joined_shapes import with_joined_shapes
+from ringtrue.identification.common.manual_selection import chosen_of_setups
 from ringtrue.identification.common.merging import Merged, merge_modes
 
 MergeMethod = Literal["poser", "preger"]
@@ -136,6 +137,7 @@ def identify_setups(
     *,
     references: Sequence[str] = (),
     merge: MergeMethod = "poser",
+    choice: Choice | None = None,
     progress: Progress | None = None,
 ) -> SetupsResult:
     """Modes of a structure in operation from records of several setups.
@@ -149,12 +151,15 @@ def identify_setups(
         Channels of all setups that scale them to one another; without, all that they have in
         common.
     merge : {"poser", "preger"}
+    choice : Choice, optional
+        What a person decided on the modes of all setups.
     progress : callable (fraction, text)
 
     Raises
     ------
     DataError
-        If there are fewer than two setups, or one shares no channel with the others.
+        If there are fewer than two setups, one shares no channel with the others, or a pick means
+        no candidate.
     """
     settings = settings or AmbientSettings()
     report = progress or quiet
@@ -169,16 +174,24 @@ def identify_setups(
     found = [_AllCandidates.of(x.result) for x in setups]
     records = [(c.modes, c.uncertainty, x.name) for c, x in zip(found, setups, strict=True)]
     readers = [x.correlations for x in setups]
+    said: list[str] = []
+    by_hand: Sequence[str] = ()
     if merge == "poser":
         merged = merge_modes(records)
         members = _members(merged, setups)
         joint = _joint_confidence(members, found)
-        natural = np.flatnonzero(joint >= settings.confidence_min)
-        merged = with_joined_shapes(merged, records, readers, natural, references)
         kinds = _kinds(members, found, joint, settings.confidence_min)
+        keep = np.array([kind == "natural" for kind in kinds], dtype=np.bool_)
+        if choice:
+            std = merged.uncertainty.frequency
+            keep, said, by_hand = chosen_of_setups(merged.modes.frequencies, std, keep, choice)
+            kinds = [None if there else kind for there, kind in zip(keep, kinds, strict=True)]
+        natural = np.flatnonzero(keep)
+        merged = with_joined_shapes(merged, records, readers, natural, references)
         others = _others(merged, members, found, joint, kinds)
     else:
-        of_references = _of_references(kept, settings, report)
+        of_references = _of_references(kept, settings, choice, report)
+        by_hand = of_references.record_notes if choice else ()
         merged = _at_poles_of(of_references, records)
         joint = of_references.modes.confidence
         natural = np.arange(len(of_references.modes))
@@ -188,16 +201,20 @@ def identify_setups(
     frequency, damping = _by_setup(members, found)
     modes = merged.modes.take(natural)
     remarks = []
-    for of_mode in frequency.T:
+    reasons = []
+    for k, of_mode, of_damping in zip(natural.tolist(), frequency.T, damping.T, strict=True):
         count, spread = _scatter(of_mode)
-        remarks.append(f"{count}/{len(setups)} setups, f ±{spread:.2g} %")
+        hand = said[k] if said else ""
+        remarks.append(hand or f"{count}/{len(setups)} setups, f ±{spread:.2g} %")
+        evidence = _reason(of_mode, of_damping)
+        reasons.append(f"{hand}; {evidence}" if hand else evidence)
     return SetupsResult(
         modes=replace(modes, confidence=joint[natural], source=f"{len(setups)} setups: SSI-cov"),
         uncertainty=merged.uncertainty.take(natural),
-        reasons=tuple(map(_reason, frequency.T, damping.T)),
+        reasons=tuple(reasons),
         remarks=tuple(remarks),
         others=others,
-        notes=(*_notes(setups), *merged.notes),
+        notes=(*_notes(setups), *merged.notes, *by_hand),
         setups=tuple(x.name for x in setups),
         frequency=frequency,
         damping=damping,
@@ -220,7 +237,10 @@ def _refuse_unconnected(setups: Sequence[IdentifiedSetup], references: Sequence[
 
 
 def _of_references(
-    histories: Sequence[TimeHistory], settings: AmbientSettings, report: Progress
+    histories: Sequence[TimeHistory],
+    settings: AmbientSettings,
+    choice: Choice | None,
+    report: Progress,
 ) -> AmbientResult:
     """The channels of all setups, at equal levels, identified as one record with pauses."""
     ids = [
@@ -235,7 +255,7 @@ def _of_references(
         part = history.pick(ids)
         level = np.sqrt(np.nanmean(np.nanvar(part.data, axis=1)))
         parts.append(replace(part, data=part.data / level))
-    return identify_stretches(parts, settings, progress=report)
+    return identify_stretches(parts, settings, choice=choice, progress=report)
 
 
 def _at_poles_of(

@@ -253,6 +253,50 @@ def _meant(picks: Sequence[Pick], modes: Float, doubtful: Float) -> Int:
     return match(wanted, np.concatenate([modes, doubtful]), penalty)
 
 
+def chosen_of_setups(
+    frequency: Float, deviation: Float, natural: Bool, choice: Choice
+) -> tuple[Bool, list[str], list[str]]:
+    """Apply a choice to the candidates of several setups.
+
+    Parameters
+    ----------
+    frequency, deviation : (m,) float64, Hz
+    natural : (m,) bool
+        What is reported without a choice.
+    choice : Choice
+
+    Returns
+    -------
+    keep : (m,) bool
+    said : list of str
+        What the hand did to each.
+    notes : list of str
+        What was rejected, and entries that met nothing.
+
+    Raises
+    ------
+    DataError
+        If a pick names an order, as the setups have diagrams of their own, or means no candidate.
+    """
+    at = match(
+        np.array([pick.frequency for pick in choice.picks]),
+        frequency,
+        (~natural).astype(np.float64),
+    )
+    keep = natural & choice.automatic
+    said = [""] * frequency.size
+    for pick, k in zip(choice.picks, at.tolist(), strict=True):
+        where = f"{choice.source or 'choice'}: pick at {pick.frequency:.6g} Hz"
+        if pick.order:
+            raise DataError(f"{where} at order {pick.order}: of several setups without an order")
+        if k < 0:
+            raise DataError(f"{where}: no candidate of the setups within {100 * WITHIN:g} %")
+        keep[k] = True
+        said[k] = "confirmed by hand" if natural[k] else "taken up by hand"
+    notes = reject_and_merge(choice, frequency, deviation / frequency, keep=keep, said=said)
+    return keep, said, notes
+
+
 def current_poles(
     modes: ModeSet,
     sets: Sequence[PoleSet],
