@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,17 @@ def test_edits_from_outside_are_seen_and_merged(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="edited outside of the studio"):
         documents.undo()
     assert "0.75" in path.read_text()
+
+
+def test_a_text_that_an_editor_writes_is_not_empty(tmp_path: Path) -> None:
+    documents = written(tmp_path).documents
+    path = tmp_path / "study.toml"
+    text = documents.text(path.name)
+    path.write_text("")
+    later = threading.Timer(0.05, path.write_text, (text,))
+    later.start()
+    assert documents.text(path.name) == text
+    later.join()
 
 
 def test_a_choice_is_begun_with_its_first_entry(tmp_path: Path) -> None:

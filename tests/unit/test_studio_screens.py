@@ -15,6 +15,7 @@ import ringtrue as rt
 from ringtrue.demos import frame
 from ringtrue.errors import DataError
 from ringtrue.io.choices import read_choice
+from ringtrue.studio import edits
 
 
 def test_a_click_picks_a_pole_and_another_lets_it_go(ran: Path, tmp_path: Path) -> None:
@@ -161,11 +162,17 @@ def test_a_factor_that_is_tried_moves_the_modes(ran: Path, tmp_path: Path) -> No
         user.find(marker="modes").trigger("rowClick", [{}, {"id": 3}, 2])
         await user.should_see("Test mode 3")
         session.select(region="columns 1")
-        user.find(marker="bound-lower").trigger("change", "0.6")
+        user.find(marker="bound-lower").trigger("change", "0.9")  # above what is tried
+        session.edit("candidate 2 taken out", edits.remove_entry("candidate", 1))
+        await session.refresh()
+        await user.should_not_see(marker="factor-columns 2", retries=100)
+        await user.should_see("0.900", retries=100)
+        user.find(marker="modes").trigger("rowClick", [{}, {"id": 2}, 1])
+        await user.should_see("Test mode 2")
 
     on("update", session, scenario)
     assert session.config is not None
-    assert [c.lower for c in session.config.candidate] == [0.6, 0.5, 0.5]
+    assert [c.lower for c in session.config.candidate] == [0.9, 0.5]
 
 
 def test_trials_agree_with_full_solutions(ran: Path) -> None:

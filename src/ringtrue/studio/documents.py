@@ -26,6 +26,7 @@ from ringtrue.study.config import parse_config
 
 HISTORY = ".ringtrue-studio.json"
 MOST_STEPS = 500  # that are kept
+WRITING_S = 0.2  # that an editor may leave a text empty while it writes it
 CONTEXT = 2  # lines around a change by which it is found again
 
 
@@ -157,6 +158,11 @@ class Documents:
         if not path.is_file():
             return ""
         text = read_text(path)
+        waited = 0.0
+        while not text and self._seen.get(name) and waited < WRITING_S:  # an editor writes it
+            time.sleep(WRITING_S / 10)
+            waited += WRITING_S / 10
+            text = read_text(path)
         self._note(name, path, text)
         return text
 

@@ -124,8 +124,8 @@ class Tried:
         """Draw what follows from some factors."""
         if self.model is not model:
             self.cost_of_deck.text = f"{model.objective({}):.4g}"
-        self.model, self.factors = model, factors
         self.trial = model.at(factors)
+        self.model, self.factors = model, factors
         self.modes.rows = _mode_rows(self.trial)
         spec = theme.drawn(table_matrix(self.trial.pairs), dark=self.session.dark, tools=False)
         self.matrix.update_figure(spec)

@@ -41,6 +41,10 @@ def build(session: StudioSession) -> None:
     _UpdateScreen(session).build()
 
 
+def _within(parameter: Parameter, factor: float) -> float:
+    return min(max(factor, parameter.lower), parameter.upper)
+
+
 class _UpdateScreen:
     """The screen of one page."""
 
@@ -97,9 +101,8 @@ class _UpdateScreen:
                     ui.label(str(e)).classes("text-sm")
             return
         if self.model is not None and not self.tried.is_deleted:  # the page was left meanwhile
-            kept = {n: self.factors.get(n, 1.0) for n in self.model.parameters.names}
             self._rows()
-            self.put(kept)
+            self.put(self.factors)
 
     # --- what is tried
 
@@ -147,15 +150,17 @@ class _UpdateScreen:
         """Put one factor, within its bounds, and draw what follows."""
         assert self.model is not None
         at = self.model.parameters.names.index(name)
-        p = self.model.parameters.parameters[at]
-        self.factors[name] = min(max(factor, p.lower), p.upper)
+        self.factors[name] = _within(self.model.parameters.parameters[at], factor)
         self.sliders[name][1].text = f"{self.factors[name]:.3f}"
         self._draw()
 
     def put(self, factors: dict[str, float]) -> None:
-        """Put all factors; those that are not named have 1."""
+        """Put all factors, within their bounds; those that are not named have 1."""
+        if self.model is None:
+            return
+        every = self.model.parameters.parameters
+        self.factors = {p.name: _within(p, factors.get(p.name, 1.0)) for p in every}
         for name, (slider, value) in self.sliders.items():
-            self.factors[name] = factors.get(name, 1.0)
             slider.value = float(np.log(self.factors[name]))
             value.text = f"{self.factors[name]:.3f}"
         self._draw()
