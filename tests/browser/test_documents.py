@@ -12,10 +12,9 @@ import pytest
 
 from ringtrue.errors import SolverMissing
 from ringtrue.report import word
-from ringtrue.report.browser import print_page
 from ringtrue.report.build import Report, assemble
+from ringtrue.report.documents import print_page, write_word
 from ringtrue.report.parts import Columns, Fold, Picture, Plot, ReportTable, Scene3D, Tabs
-from ringtrue.report.word import write_word
 from ringtrue.study.config_sections import StudyInfo
 
 try:

@@ -50,7 +50,6 @@ from ringtrue.study.stages.damping import DampedDeck, MeasuredDamping, fit_regio
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.form_uncertainty import FormPosterior, form_posterior
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
@@ -60,6 +59,7 @@ from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
+from ringtrue.updating.validation import Misfit, misfits
 
 
 def parameter(

@@ -6,7 +6,7 @@ import math
 
 from ringtrue.core.arrays import Int
 from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
-from ringtrue.plots import correlation, identification
+from ringtrue.plots import correlation, diagram
 from ringtrue.report.parts import (
     Block,
     Cell,
@@ -96,7 +96,7 @@ def _references(plan: PlanStage) -> str:
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     """Standard deviations of the ambient modes: planned and found, else those to expect."""
     if data.identify is not None and len(data.identify.ambient):
-        fig = identification.verified(precision(plan, data.identify))
+        fig = diagram.verified(precision(plan, data.identify))
         text = (
             "The plan verified: standard deviations planned for one ambient record (lines) and "
             "found of the merged "
@@ -106,9 +106,7 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     if data.model is None or not plan.acquisition.modes.size:
         return []
     modes = data.model.modes.take(plan.acquisition.modes)
-    fig = identification.precision(
-        modes, plan.acquisition.std_frequency, plan.acquisition.std_damping
-    )
+    fig = diagram.precision(modes, plan.acquisition.std_frequency, plan.acquisition.std_damping)
     fig.update_layout(height=430)
     return [
         Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")
