@@ -46,9 +46,12 @@ def section(data: Stages) -> Section | None:
     ]
     if plan.acquisition.averages:
         facts.insert(5, Fact("Averages", str(plan.acquisition.averages)))
+    references = f"Hammer references: {', '.join(plan.excitation.references)}."
+    if len(plan.excitation.references) > 1:
+        references += " All are channels, too: each pair of them checks reciprocity."
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {_references(plan)}"),
+        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {references}"),
     ]
     blocks += [
         Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
@@ -83,14 +86,6 @@ def section(data: Stages) -> Section | None:
         lists.append(_verified(plan, data.identify))
     blocks.append(Fold("Measuring points, target modes and the precision found", lists))
     return Section("plan", "Test plan", blocks)
-
-
-def _references(plan: PlanStage) -> str:
-    references = plan.excitation.references
-    text = f"Hammer references: {', '.join(references)}."
-    if len(references) > 1:
-        text += " All are channels, too: each pair of them checks reciprocity."
-    return text
 
 
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
