@@ -24,7 +24,6 @@ from ringtrue.model.ports import ModesResult
 from ringtrue.model.superelements import condenses
 from ringtrue.reduction.components import ReductionSettings
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
-from ringtrue.study.summary import finite
 
 ROUNDING = 1e-12  # of the largest value: below is 0
 
@@ -280,6 +279,9 @@ def reduce(
 
     Example: ringtrue reduce wing.bdf --keep 101,102 --below 50 --out wing
     """
+    # imports all of a study, which the other commands can do without
+    from ringtrue.study.summary import finite
+
     settings = ReductionSettings(below=below, method=method, modes=n, at=at)  # type: ignore[arg-type]
     with progress("reduce") as show:
         show(0.1, f"reducing {deck}")
