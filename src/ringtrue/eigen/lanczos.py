@@ -289,34 +289,53 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
     return q, mq, r
 
 
-def solve(
-    factor: Factor,
-    mass: sparse.csr_array,
-    enough: Callable[[Float], bool],
-    *,
-    expected: int,
-    locked: tuple[Float, Float] | None = None,
-    progress: Progress | None = None,
-    begun: Krylov | None = None,
-    labels: Labels = named_rows,
-) -> RitzPairs:
-    """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
+def begin(
+    factor: Factor, pencil: Pencil, expected: int, locked: tuple[Float, Float] | None = None
+) -> Krylov:
+    """A space for about so many pairs besides the locked ones, and its start block.
 
     Parameters
     ----------
     factor : Factor
         Of K − σM.
-    mass : (f, f) csr_array float64
+    pencil : Pencil
+    expected : int
+        Sets the size of the basis.
+    locked : (theta (k,), vectors (f, k)), optional
+        Pairs known already; the start block is orthogonal to them.
+    """
+    theta, vectors = locked or (np.zeros(0), np.zeros((pencil.size, 0)))
+    krylov = Krylov(
+        factor,
+        pencil.mass,
+        capacity(pencil.size, expected, theta.size),
+        rng=np.random.default_rng(theta.size),
+        labels=pencil.labels,
+    )
+    krylov.start(vectors, theta)
+    return krylov
+
+
+def solve(
+    krylov: Krylov,
+    enough: Callable[[Float], bool],
+    *,
+    expected: int,
+    known: int = 0,
+    progress: Progress | None = None,
+) -> RitzPairs:
+    """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
+
+    Parameters
+    ----------
+    krylov : Krylov
+        A space that was begun.
     enough : callable
         Takes the converged leading θ (k,), says whether they suffice.
     expected : int
-        About how many pairs are found besides the locked ones; sets the size of the basis.
-    locked : (theta (k,), vectors (f, k)), optional
-        Pairs known already; the start block is orthogonal to them.
-    begun : Krylov, optional
-        A space of the same operator, without locked pairs, to go on with.
-    labels : callable, optional
-        Names of rows for errors.
+        About how many pairs are found besides those that are known.
+    known : int
+        Pairs that were locked.
 
     Raises
     ------
@@ -325,20 +344,7 @@ def solve(
     NotConverged
         After `LANCZOS.steps` blocks.
     """
-    rows = int(mass.shape[0])
-    known = 0 if locked is None else locked[0].size
-    if begun is None:
-        krylov = Krylov(
-            factor=factor,
-            mass=mass,
-            capacity=capacity(rows, expected, known),
-            rng=np.random.default_rng(known),
-            labels=labels,
-        )
-        theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
-        krylov.start(vectors, theta)
-    else:
-        krylov = begun
+    rows = int(krylov.mass.shape[0])
     idle = 0
     before = 0
     for step in range(LANCZOS.steps):

@@ -181,15 +181,10 @@ def _lowest(
             values.size > count and _gap_after(values, count, shift) is not None
         ) or values.size >= most + 40
 
-    pairs = lanczos.solve(
-        factor,
-        pencil.mass,
-        enough,
-        expected=most + EXTRA,
-        progress=progress,
-        begun=begun,
-        labels=pencil.labels,
-    )
+    expected = most + EXTRA
+    if begun is None:
+        begun = lanczos.begin(factor, pencil, expected)
+    pairs = lanczos.solve(begun, enough, expected=expected, progress=progress)
     del begun
     pairs = _sharp(pencil, pairs, shift)
     values = np.sort(shift + 1 / pairs.theta)
@@ -292,16 +287,15 @@ def _filled(
         keep = inside(pairs.theta)
         locked = (pairs.theta[keep], pairs.vectors[:, keep])
         before = found
+        more = expected - found + EXTRA
         pairs = lanczos.solve(
-            factor,
-            pencil.mass,
+            lanczos.begin(factor, pencil, more, locked),
             lambda theta: (
                 inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom)
             ),
-            expected=expected - found + EXTRA,
-            locked=locked,
+            expected=more,
+            known=locked[0].size,
             progress=progress,
-            labels=pencil.labels,
         )
         pairs = _sharp(pencil, pairs, sigma)
         found = int(inside(pairs.theta).sum())
