@@ -52,8 +52,7 @@ if TYPE_CHECKING:
     from ringtrue.api.reduction import reduce_model
     from ringtrue.api.sensors import place_sensors
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
-    from ringtrue.api.trial import trial_model
-    from ringtrue.api.trial_plan import trial_plan
+    from ringtrue.api.trial import trial_model, trial_plan
     from ringtrue.core.parameters import ParameterSet
     from ringtrue.core.signals import Channel, FrfSet, TimeHistory
     from ringtrue.errors import (
@@ -63,7 +62,7 @@ if TYPE_CHECKING:
         SolverError,
         UnsupportedError,
     )
-    from ringtrue.reduction.part import ReductionSettings
+    from ringtrue.reduction.components import ReductionSettings
     from ringtrue.solvers.matrices import MatrixModel
     from ringtrue.solvers.observed import at_factors
     from ringtrue.study.config_sections import CorrelateSection as CorrelateSettings
@@ -81,11 +80,10 @@ _PLACES = {  # module -> public names in it
     "api.inspection": "inspect_file",
     "api.improvement": "TestedModel fit_damping localise parameter tune_suspension update",
     "api.reduction": "reduce_model",
-    "reduction.part": "ReductionSettings",
+    "reduction.components": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
     "api.sensors": "place_sensors",
-    "api.trial": "trial_model",
-    "api.trial_plan": "trial_plan",
+    "api.trial": "trial_model trial_plan",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",
     "errors": "InputError NumericalError RingtrueError SolverError UnsupportedError",

@@ -11,11 +11,10 @@ import fake_study
 import pytest
 
 from ringtrue.errors import SolverMissing
-from ringtrue.report import word
-from ringtrue.report.browser import print_page
+from ringtrue.report import documents
 from ringtrue.report.build import Report, assemble
+from ringtrue.report.documents import print_page, write_word
 from ringtrue.report.parts import Columns, Fold, Picture, Plot, ReportTable, Scene3D, Tabs
-from ringtrue.report.word import write_word
 from ringtrue.study.config_sections import StudyInfo
 
 try:
@@ -69,7 +68,7 @@ def every(blocks: Any) -> list[Any]:
 def test_a_document_without_chromium_has_all_headings_tables_and_captions(
     report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(word, "find_chromium", lambda: None)
+    monkeypatch.setattr(documents, "find_chromium", lambda: None)
     path = tmp_path / "r.docx"
     write_word(report.data, report.sections, "", path)
     opened = docx.Document(str(path))
@@ -82,7 +81,7 @@ def test_a_document_without_chromium_has_all_headings_tables_and_captions(
     figures = [b for b in blocks if isinstance(b, (Plot, Scene3D, Picture))]
     assert f"Table {len(tables)}  {tables[-1].caption}" in texts
     assert f"Figure {len(figures)}  {figures[-1].caption}" in texts
-    assert texts.count(word.NOT_DRAWN) == len(figures)
+    assert texts.count(documents.NOT_DRAWN) == len(figures)
     written = [
         [[c.text for c in row.cells] for row in t.rows]
         for t in opened.tables
@@ -107,7 +106,7 @@ def test_a_document_has_every_figure_as_a_picture(part: Report, tmp_path: Path) 
     assert len(opened.inline_shapes) >= drawn
     sizes = {len(part.blob) for part in opened.part.package.image_parts}
     assert min(sizes) > 3000  # an empty figure packs into less
-    assert word.NOT_DRAWN not in [p.text for p in opened.paragraphs]
+    assert documents.NOT_DRAWN not in [p.text for p in opened.paragraphs]
 
 
 @needs_browser

@@ -19,8 +19,7 @@ import pytest
 from ringtrue.core.testmodel import TestModel
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.study.scene import make_scene
-from ringtrue.viewer.assets import asset, viewer_module
-from ringtrue.viewer.encoding import shape_arrays, to_json
+from ringtrue.viewer.encoding import asset, shape_arrays, to_json, viewer_module
 from ringtrue.viewer.scene import model_arrays, sensor_arrays
 
 pytestmark = pytest.mark.skipif(

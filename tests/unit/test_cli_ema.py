@@ -29,7 +29,7 @@ from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.frfs import read_frfs, write_frfs
 from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record, read_runs
-from ringtrue.io.uff.function58 import TIME
+from ringtrue.io.uff.function58 import FunctionType
 from ringtrue.signal.frf import estimate_frf
 from ringtrue.study.hammer_records import ForceRecordFormat, read_force_records
 
@@ -230,7 +230,14 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
                 codes = (17, 13 if c.quantity == "force" else 12, 0)
                 file.write(
                     write_function(
-                        TIME, t, x[part], (node, 3), (0, 0), codes=codes, text="", binary=True
+                        FunctionType.TIME,
+                        t,
+                        x[part],
+                        (node, 3),
+                        (0, 0),
+                        codes=codes,
+                        text="",
+                        binary=True,
                     )
                 )
     runs = read_runs(tmp_path / "b.uff")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringtrue.decks.nastran.deck import DEPTH, other_program
+from ringtrue.decks.nastran.deck import LIMITS, IncludeLimits, other_program
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.printed import fatal_messages
@@ -64,7 +64,7 @@ def test_includes_that_double_at_each_step_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each file includes the next one twice: 2 ** 40 readings of the last."""
-    monkeypatch.setattr("ringtrue.decks.nastran.deck.INCLUDES", 500)
+    monkeypatch.setattr("ringtrue.decks.nastran.deck.LIMITS", IncludeLimits(count=500))
     (tmp_path / "d.bdf").write_text("BEGIN BULK\nINCLUDE 'i0.inc'\n")
     for k in range(40):
         (tmp_path / f"i{k}.inc").write_text(f"INCLUDE 'i{k + 1}.inc'\n" * 2)
@@ -73,21 +73,21 @@ def test_includes_that_double_at_each_step_end(
         read_deck(tmp_path / "d.bdf")
 
 
-@pytest.mark.parametrize("links", [DEPTH - 2, DEPTH + 2])
+@pytest.mark.parametrize("links", [LIMITS.depth - 2, LIMITS.depth + 2])
 def test_includes_have_a_depth(tmp_path: Path, links: int) -> None:
     (tmp_path / "d.bdf").write_text("BEGIN BULK\nINCLUDE 'i0.inc'\n")
     for k in range(links):
         (tmp_path / f"i{k}.inc").write_text(f"INCLUDE 'i{k + 1}.inc'\n")
     (tmp_path / f"i{links}.inc").write_text("GRID,1,,0.,0.,0.\n")
-    if links < DEPTH:
+    if links < LIMITS.depth:
         assert read_deck(tmp_path / "d.bdf")["GRID"].ids.tolist() == [1]
         return
-    with pytest.raises(DeckError, match=f"more than {DEPTH} deep"):
+    with pytest.raises(DeckError, match=f"more than {LIMITS.depth} deep"):
         read_deck(tmp_path / "d.bdf")
 
 
 def test_what_is_included_again_has_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ringtrue.decks.nastran.deck.AGAIN", 1000)
+    monkeypatch.setattr("ringtrue.decks.nastran.deck.LIMITS", IncludeLimits(again=1000))
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 3)
     (tmp_path / "a.inc").write_text("$" + "x" * 400 + "\n")
     (tmp_path / "b.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 4)

@@ -20,7 +20,14 @@ from ringtrue.identification.ambient.spectral_bins import SpectralBins
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import COSTS, Signals, map_in_threads, segments, threads
+from ringtrue.signal.band_correlations import (
+    COSTS,
+    Signals,
+    detrended,
+    map_in_threads,
+    segments,
+    threads,
+)
 from ringtrue.signal.spectra import Band, decimator, detrend, high_passer
 
 HIGH, DOWN = high_passer(4.0, 100.0), decimator(4)
@@ -70,11 +77,11 @@ def test_a_part_beyond_the_end_is_empty():
     assert (s.part(15, 18) == 0).all()
 
 
-def test_straightened_signals_have_no_line():
+def test_detrended_signals_have_no_line():
     t = np.arange(3000)
     wave = np.sin(0.3 * t) + 0.0 * t
     line = 1e3 - 2e-2 * t
-    s = Signals.straightened(np.stack([wave + line, 5 * wave]))
+    s = detrended(np.stack([wave + line, 5 * wave]).astype(np.float32))
     want = detrend(np.stack([wave, 5 * wave]))
     assert s.part(100, 2000, np.array([1, 0])) == pytest.approx(want[[1, 0], 100:2000], abs=1e-3)
     assert s.power() == pytest.approx((want**2).mean(1), rel=1e-4)

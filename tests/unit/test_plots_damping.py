@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.plots.identification import damping
+from ringtrue.plots.diagram import damping
 from ringtrue.plots.predicted import modes
 from ringtrue.study.results import DampedModes
 

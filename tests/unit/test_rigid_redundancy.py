@@ -9,7 +9,7 @@ import pytest
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
-from ringtrue.correlation.rigid_redundancy import rigid_suspects
+from ringtrue.correlation.channel_faults import rigid_suspects
 
 XYZ = np.array(list(product((0.0, 4.0), (0.0, 3.0), (0.0, 2.0))))
 POINTS = np.arange(1, 9)

@@ -9,8 +9,7 @@ import pytest
 
 from ringtrue.core.channels import channel
 from ringtrue.core.signals import FrfSet
-from ringtrue.signal.frf_sets import join_frfs
-from ringtrue.signal.setup_gains import setup_gains, without_gains
+from ringtrue.signal.frf_sets import join_frfs, setup_gains, without_gains
 
 FREQS = np.linspace(5.0, 40.0, 200)
 REFERENCES = ("1+Z", "2+Z", "3+X")

@@ -11,7 +11,7 @@ from test_correlate_conditions import DAYS, KINDS, MODES, RepeatedModes, records
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.testmodel import TestModel
-from ringtrue.study.findings import findings_json, repeats
+from ringtrue.study.conclusion import findings_json, repeats
 from ringtrue.study.results import (
     ConditionsStage,
     IdentifiedModes,

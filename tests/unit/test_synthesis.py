@@ -11,11 +11,17 @@ import small_study
 import ringtrue as rt
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.synthesis import fit_spectrum
 from ringtrue.identification.common.manual_selection import current_poles
-from ringtrue.identification.frf.synthesis import fit_poles, weighted_lines
 from ringtrue.study.model_frfs import compared
-from ringtrue.study.synthesis import FrfFit, fitted_spectra, single, summed
+from ringtrue.study.synthesis import (
+    FrfFit,
+    fit_poles,
+    fit_spectrum,
+    fitted_spectra,
+    single,
+    summed,
+    weighted_lines,
+)
 
 
 def poles_of(f: np.ndarray, zeta: float) -> np.ndarray:

@@ -15,12 +15,12 @@ from test_update_residuals import row
 
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import Minimisation, course_of
-from ringtrue.updating.adequacy import misfits
 from ringtrue.updating.problem import Configuration, Problem, held_to
 from ringtrue.updating.residuals.frf import Frf
 from ringtrue.updating.residuals.modal import Frequencies, Mac, Point, Weighted, point
 from ringtrue.updating.strategy import settled
 from ringtrue.updating.target import Target
+from ringtrue.updating.validation import misfits
 
 TRUTH = np.array([-0.45, 0.4, 0.3, 0.0])
 MEASURED = 4  # modes; the FRFs have all nine

@@ -22,8 +22,7 @@ from ringtrue.identification.frf.confidence import DroppedPole, doubtful_candida
 from ringtrue.identification.frf.data_checks import lines_between, sound_pairs
 from ringtrue.identification.frf.lines import cmif, prepare
 from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
-from ringtrue.identification.frf.plscf import Plscf, cluster_poles, plscf
-from ringtrue.identification.frf.pole_search import choose_bands
+from ringtrue.identification.frf.plscf import Plscf, choose_bands, cluster_poles, plscf
 from ringtrue.identification.frf.refinement import refine
 from ringtrue.identification.frf.residues import driving_pairs, lsfd, noise, solve_shapes
 from ringtrue.io.frfs import read_frfs

@@ -13,10 +13,9 @@ import constrained_plate
 import numpy as np
 import pytest
 
-from ringtrue.fem.assembly import assemble
+from ringtrue.fem.assembly import Share, assemble
 from ringtrue.fem.massless_rotations import without_massless_rotations
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
-from ringtrue.fem.share import Share
 
 Result = TypeVar("Result")
 EPS = np.finfo(float).eps

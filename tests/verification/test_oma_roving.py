@@ -19,7 +19,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import identify_stretches
 from ringtrue.identification.ambient.setups import SetupsResult
-from ringtrue.identification.common.joined_shapes import with_joined_shapes
+from ringtrue.identification.ambient.shape_reading import with_joined_shapes
 from ringtrue.identification.common.manual_selection import chosen_of_setups
 from ringtrue.identification.common.merging import merge_modes
 from ringtrue.io.choices import read_choice, write_choice

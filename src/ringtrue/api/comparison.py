@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.constants import hour
 
 from ringtrue.api.measurements import TestModes, modes_at
 from ringtrue.api.models import FeModes, open_model
@@ -62,8 +63,6 @@ from ringtrue.study.placing import (
 )
 from ringtrue.study.reference import at_common, highest, positions
 from ringtrue.study.results import Seat
-
-HOUR_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +124,7 @@ def track_records(
         at = cut.starts[i] if cut.starts else at
         with about(path):
             for part in _parts(path, cut):
-                length = part.duration / HOUR_S
+                length = part.duration / hour
                 middle = at + 0.5 * length
                 progress(i / len(records), f"{path.name}, {at:.4g} h")
                 at += length
@@ -147,7 +146,7 @@ def track_records(
 
 def _parts(path: Path, cut: RecordParts) -> Iterator[TimeHistory]:
     """A record in parts; one in ringtrue's layout is never in memory as a whole."""
-    seconds = cut.hours * HOUR_S
+    seconds = cut.hours * hour
     try:
         info = record_info(path) if format_of(path) is Format.HDF5 else None
     except DataError:
@@ -207,13 +206,6 @@ class Correlation(Displayed):
 
     Attributes
     ----------
-    test_mode, fe_mode : (pair,) int64
-        Mode numbers from 1.
-    test_hz, fe_hz : (pair,) float64, Hz
-    deviation_percent : (pair,) float64
-        100 (f_FE / f_test - 1).
-    mac_percent : (pair,) float64
-        NaN where frequencies alone were measured.
     table : CorrelationTable
         With the pairing, the reasons of unpaired modes and the MAC of all combinations.
     complete : CompleteCorrelation, optional
@@ -240,24 +232,41 @@ class Correlation(Displayed):
     seats: tuple[Seat, ...] = ()
     mendings: tuple[Mending, ...] = ()
     drawn: PairedShapes | None = None
-    test_mode: Int = field(init=False)
-    fe_mode: Int = field(init=False)
-    test_hz: Float = field(init=False)
-    fe_hz: Float = field(init=False)
-    deviation_percent: Float = field(init=False)
-    mac_percent: Float = field(init=False)
 
-    def __post_init__(self) -> None:
-        rows = self.table.rows()
-        for name, column in (
-            ("test_mode", [r.test for r in rows]),
-            ("fe_mode", [r.fe for r in rows]),
-            ("test_hz", [r.test_hz for r in rows]),
-            ("fe_hz", [r.fe_hz for r in rows]),
-            ("deviation_percent", [r.deviation_percent for r in rows]),
-            ("mac_percent", [r.mac_percent for r in rows]),
-        ):
-            object.__setattr__(self, name, np.array(column))
+    @property
+    def test_mode(self) -> Int:
+        """Test modes (pair,), numbers from 1."""
+        return self.table.pairing.a + 1
+
+    @property
+    def fe_mode(self) -> Int:
+        """FE modes (pair,), numbers from 1."""
+        return self.table.pairing.b + 1
+
+    @property
+    def test_hz(self) -> Float:
+        """Natural frequencies (pair,) of the test, Hz."""
+        return self.table.test_hz
+
+    @property
+    def fe_hz(self) -> Float:
+        """Natural frequencies (pair,) of the model, Hz."""
+        return self.table.fe_hz
+
+    @property
+    def deviation_percent(self) -> Float:
+        """100 (f_FE / f_test - 1), (pair,)."""
+        return self.table.deviation_percent
+
+    @property
+    def mac_percent(self) -> Float:
+        """MAC of each pair (pair,), %; NaN where frequencies alone were measured."""
+        return self.table.mac_percent
+
+    def displayed(self) -> Mapping[str, Any]:
+        """What is shown, by name: the fields, and a row a pair."""
+        columns = ("test_mode", "fe_mode", *self.UNITS)
+        return {**super().displayed(), **{name: getattr(self, name) for name in columns}}
 
     def __len__(self) -> int:
         return len(self.table)

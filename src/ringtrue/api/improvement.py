@@ -50,7 +50,6 @@ from ringtrue.study.stages.damping import DampedDeck, MeasuredDamping, fit_regio
 from ringtrue.study.stages.tune import WEIGHTS as RIGID_WEIGHTS
 from ringtrue.study.stages.tune import tuned
 from ringtrue.study.supplied import pair_frequencies
-from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.damping_regions import DampingRegion, default_regions
 from ringtrue.updating.form_uncertainty import FormPosterior, form_posterior
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, held_to
@@ -60,6 +59,7 @@ from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.target import Target, Weights
 from ringtrue.updating.uncertainty import laplace
+from ringtrue.updating.validation import Misfit, misfits
 
 
 def parameter(
@@ -355,9 +355,9 @@ class UpdatedModel(Displayed):
     factors : (p,) float64
         Updated over initial value; 1 where held. All of them, whether the test proves them or not:
         see `low` and `high`.
-    low, high : (p,) float64
-        Bounds of the 90 % interval of each factor; those of the parameter where held. With one
-        model and stated errors of its frequencies, errors of form count, too.
+    interval : (p, 2) float64
+        The 90 % interval of each factor, also `low` and `high`; the bounds of the parameter where
+        held. With one model and stated errors of its frequencies, errors of form count, too.
     models : tuple of Model or MatrixModel
         With the factors applied, of all configurations.
     before, after : CorrelationTable
@@ -380,8 +380,7 @@ class UpdatedModel(Displayed):
 
     names: tuple[str, ...]
     factors: Float
-    low: Float
-    high: Float
+    interval: Float
     models: tuple[Model | MatrixModel, ...]
     before: CorrelationTable
     after: CorrelationTable
@@ -393,9 +392,25 @@ class UpdatedModel(Displayed):
     form: FormErrors = field(default_factory=lambda: FormErrors())
 
     @property
+    def low(self) -> Float:
+        """Lower ends (p,) of the intervals."""
+        return self.interval[:, 0]
+
+    @property
+    def high(self) -> Float:
+        """Upper ends (p,) of the intervals."""
+        return self.interval[:, 1]
+
+    @property
     def model(self) -> Model | MatrixModel:
         """With the factors applied; of several configurations the first."""
         return self.models[0]
+
+    def displayed(self) -> Mapping[str, Any]:
+        """What is shown, by name: the fields, the ends of the intervals as columns."""
+        ends = {"low": self.low, "high": self.high}
+        others = {k: v for k, v in super().displayed().items() if k != "interval"}
+        return {"names": self.names, "factors": self.factors, **ends, **others}
 
     def plot(self) -> Any:
         """The MAC matrix of the updated model, a plotly figure."""
@@ -512,8 +527,7 @@ def update(
     return UpdatedModel(
         names=every.names,
         factors=solution.factors,
-        low=interval[:, 0],
-        high=interval[:, 1],
+        interval=interval,
         models=made,
         before=_table(final, start, tests[0].test),
         after=_table(final, solution.end, tests[0].test),

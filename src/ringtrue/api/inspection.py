@@ -38,14 +38,14 @@ from ringtrue.io.sheets import REQUIRED, cells, read_sensor_sheet
 from ringtrue.io.statics import COLUMNS as STATICS
 from ringtrue.io.times import LONG, to_si
 from ringtrue.io.uff.datasets import scan
-from ringtrue.io.uff.function58 import COHERENCE, FRF, TIME, TRANSMISSIBILITY
+from ringtrue.io.uff.function58 import FRF_TYPES, FunctionType
 from ringtrue.io.uff.functions import read_functions
 from ringtrue.io.uff.geometry import NODES
 from ringtrue.signal.impacts import HammerSettings, force_channel
 from ringtrue.study.store import Store, is_store
 
 _CHOICES = frozenset(("automatic", "pick", "reject", "merge"))
-_OF_FRF = (FRF, TRANSMISSIBILITY, COHERENCE)
+_OF_FRF = (*FRF_TYPES, FunctionType.COHERENCE)
 
 
 @dataclass(frozen=True)
@@ -315,9 +315,9 @@ def _universal(path: Path) -> Iterator[FilePart]:
         kinds = {f.kind for f in functions}
         if kinds & set(_OF_FRF):
             yield _frfs(path, read_frfs(path))
-        if TIME in kinds:
+        if FunctionType.TIME in kinds:
             yield _stored(path)
-        others = Counter(f.kind for f in functions if f.kind not in (*_OF_FRF, TIME))
+        others = Counter(f.kind for f in functions if f.kind not in (*_OF_FRF, FunctionType.TIME))
         if others:
             yield FilePart(
                 "functions", {FUNCTIONS.get(k, f"type {k}"): n for k, n in others.items()}

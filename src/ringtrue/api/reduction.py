@@ -20,7 +20,7 @@ from ringtrue.fem.assembly import assemble, refuse_held
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, table
 from ringtrue.model.superelements import whole_mesh
-from ringtrue.reduction.part import (
+from ringtrue.reduction.components import (
     ReductionSettings,
     kept_rows,
     largest_shift,

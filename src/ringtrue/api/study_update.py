@@ -36,12 +36,12 @@ from ringtrue.study.objective import Minimisation
 from ringtrue.study.placing import seat_words, seats_json
 from ringtrue.study.results import Seat
 from ringtrue.study.summary import finite
-from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import plausibility
 from ringtrue.updating.problem import Problem
 from ringtrue.updating.residuals.modal import Point
 from ringtrue.updating.strategy import Verified, kept
 from ringtrue.updating.target import Target
+from ringtrue.updating.validation import Misfit
 
 SIDES = ("measured", "before", "after")
 

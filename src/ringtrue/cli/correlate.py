@@ -1,21 +1,27 @@
-"""`correlate`: one set of modes against another."""
+"""`correlate` and `track`: modes against modes, and modes of long records from hour to hour."""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
+import numpy as np
 import typer
 
-from ringtrue.api.comparison import Correlation
+from ringtrue.api.comparison import Correlation, RecordParts, track_records
 from ringtrue.api.comparison import correlate as compare
 from ringtrue.api.measurements import TestModes, read_modes
 from ringtrue.api.models import read_deck
+from ringtrue.cli.identify import Fmax, Fmin, LeaveOut, Rate
 from ringtrue.cli.show import (
     Json,
     Tolerance,
+    file_to,
     listed,
     one_of,
     out,
@@ -25,16 +31,21 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
+from ringtrue.core.arrays import Float
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.correlation.measures import CompleteCorrelation, complete_json
 from ringtrue.correlation.sensor_mapping import Method
 from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.errors import ConfigError
+from ringtrue.identification.common.tracking import ModeTrack, Tracked
+from ringtrue.io.files import atomic_write
 from ringtrue.io.recognition import Format, format_of
 from ringtrue.model.model import Model
+from ringtrue.plots.correlation import tracking_page
+from ringtrue.signal.spectra import check_band
 from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.placing import seats_json
-from ringtrue.study.summary import correlation_json
+from ringtrue.study.summary import correlation_json, finite
 
 ON_SHEET = "of the places of a sheet on a deck; give --sensors"
 
@@ -263,3 +274,124 @@ def _show(title: str, found: Correlation, json: str | None) -> None:
     tell([*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes])
     if found.complete is not None:
         _show_complete(found.complete)
+
+
+HEADS = (
+    "time_h",
+    "mode",
+    "frequency_hz",
+    "std_frequency_hz",
+    "damping",
+    "std_damping",
+    "confidence",
+    "mac",
+)
+
+
+def track(
+    records: Annotated[
+        list[Path], typer.Argument(help="Records in order of time: .h5, .npy, .csv, .mat or .uff")
+    ],
+    hours: Annotated[float, typer.Option("--hours", metavar="H", help="Length of a part.")] = 1.0,
+    starts: Annotated[
+        str | None,
+        typer.Option(
+            "--starts",
+            metavar="H,H,...",
+            help="Start of each record; without it one follows the other.",
+        ),
+    ] = None,
+    rate: Rate = None,
+    fmin: Fmin = None,
+    fmax: Fmax = None,
+    leave_out: LeaveOut = None,
+    table: Annotated[
+        Path | None,
+        file_to("--csv", "Write a line for each mode and part", ".csv"),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        file_to("--plot", "Write the figures as one page", ".html"),
+    ] = None,
+    json: Json = None,
+) -> int:
+    """Modes followed through long records, from part to part.
+
+    Example: ringtrue track day1.h5 day2.h5 --hours 1 --csv modes.csv --plot modes.html
+    """
+    check_band(fmin, fmax)
+    try:
+        begins = [float(x) for x in starts.split(",")] if starts is not None else []
+    except ValueError as e:
+        raise ConfigError(f"--starts {starts!r}: hours, separated by commas") from e
+    cut = RecordParts(hours, begins, rate, leave_out or ())
+    with progress("modes through time") as show:
+        tracked, notes = track_records(records, cut, fmin=fmin, fmax=fmax, progress=show)
+    if table:
+        _write(table, _csv(tracked))
+    if plot:
+        title = " ".join(p.name for p in records[:3]) + (" ..." if len(records) > 3 else "")
+        _write(plot, tracking_page(title, tracked, notes))
+    if json:
+        write_json(finite(_json(tracked, notes)), json)
+    if json != "-":
+        _show_tracks(tracked, notes)
+    return 0 if tracked.tracks else 1
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _columns(t: ModeTrack) -> dict[str, Float]:
+    """The columns of the table, a value for each part that shows the mode."""
+    return {
+        "frequency_hz": t.frequency,
+        "std_frequency_hz": t.std_frequency,
+        "damping": t.damping,
+        "std_damping": t.std_damping,
+        "confidence": t.confidence,
+        "mac": t.mac,
+    }
+
+
+def _csv(tracked: Tracked) -> str:
+    text = io.StringIO()
+    write = csv.writer(text, lineterminator="\n")
+    write.writerow(HEADS)
+    for t in tracked.tracks:
+        values = np.array(list(_columns(t).values())).T
+        for at, row in zip(t.at.tolist(), values.tolist(), strict=True):
+            cells = [f"{x:.8g}" if math.isfinite(x) else "" for x in row]
+            write.writerow([f"{tracked.times[at]:.6g}", t.name, *cells])
+    return text.getvalue()
+
+
+def _json(tracked: Tracked, notes: Sequence[str]) -> dict[str, Any]:
+    modes = []
+    for t in tracked.tracks:
+        mode = {"name": t.name, "time_h": tracked.times[t.at].tolist()}
+        mode |= {name: values.tolist() for name, values in _columns(t).items()}
+        mode["shape_re"] = t.shape.real.tolist()
+        mode["shape_im"] = t.shape.imag.tolist()
+        modes.append(mode)
+    return {
+        "stretches": [{"time_h": hour} for hour in tracked.times.tolist()],
+        "channels": list(tracked.channels),
+        "modes": modes,
+        "notes": list(notes),
+    }
+
+
+def _show_tracks(tracked: Tracked, notes: Sequence[str]) -> None:
+    body: list[tuple[object, ...]] = []
+    for t in tracked.tracks:
+        span = f"{t.frequency.min():.5g} .. {t.frequency.max():.5g}"
+        seen = f"{t.at.size} of {tracked.times.size}"
+        damping = f"{100 * np.median(t.damping):.3f}"
+        first = f"{tracked.times[t.at[0]]:.4g}"
+        body.append((t.name, f"{t.frequency.mean():.5g}", span, damping, seen, first))
+    heads = ("mode", "f [Hz]", "from .. to", "damping [%]", "parts", "first seen [h]")
+    rows(f"{len(tracked.tracks)} modes through {tracked.times.size} parts", heads, body)
+    tell(notes)

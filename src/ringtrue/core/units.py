@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
+from scipy.constants import inch, lbf
+
 UnitName = Literal["SI", "mm-t-s", "mm-kg-s", "mm-kg-ms", "in-lbf-s", "ft-lbf-s"]
-# m, N, m/s²; exact by definition
-INCH = 0.0254
-POUND_FORCE = 4.4482216152605
-GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ UNIT_SYSTEMS: Mapping[str, UnitSystem] = MappingProxyType(
         "mm-t-s": UnitSystem(1e-3, 1e3),
         "mm-kg-s": UnitSystem(1e-3, 1.0),  # mN and kPa, as Siemens NX writes decks
         "mm-kg-ms": UnitSystem(1e-3, 1.0, 1e-3),
-        "in-lbf-s": UnitSystem(INCH, POUND_FORCE / INCH),
-        "ft-lbf-s": UnitSystem(12 * INCH, POUND_FORCE / (12 * INCH)),
+        "in-lbf-s": UnitSystem(inch, lbf / inch),
+        "ft-lbf-s": UnitSystem(12 * inch, lbf / (12 * inch)),
     }
 )

@@ -43,15 +43,12 @@ class Tracks(FrozenArrays):
     frequencies : (k, m) float64, Hz
     overlap : (k, m) float64
         With the point before; ones at the first.
-    solves : int
-        Points at which modes were computed.
     """
 
     points: Float
     index: Int
     frequencies: Float
     overlap: Float
-    solves: int = 0
 
     @property
     def worst(self) -> Float:
@@ -93,7 +90,6 @@ def track(
         index=np.array(index),
         frequencies=np.array([f[i] for f, i in zip(frequencies, index, strict=True)]),
         overlap=np.array(overlap),
-        solves=len(shapes),
     )
 
 

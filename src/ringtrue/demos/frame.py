@@ -136,12 +136,6 @@ def _channels(test: TestModel) -> list[RecordChannel]:
     ]
 
 
-def _ambient(model: ModalModel, rng: np.random.Generator) -> Float:
-    forces = rng.normal(0, 10.0, (len(model.inputs), int(AMBIENT_SECONDS * RATE)))
-    motion = simulate(model, forces, RATE, tail=0)
-    return motion + rng.normal(0, 0.01 * motion.std(), motion.shape)
-
-
 def _hammer(model: ModalModel, at: int, rng: np.random.Generator) -> Float:
     """(1 + channel, sample): blocks of one impact each, the force first."""
     pulse = np.sin(np.pi * np.arange(1, 4) / 4)
@@ -162,7 +156,10 @@ def signals(seed: int = 0, truth: str = "") -> tuple[Float, tuple[Float, ...], T
         model = modal(Path(folder), test, truth)
     rng = np.random.default_rng(seed)
     hits = tuple(_hammer(model, test.channels.index(r), rng) for r in REFERENCES)
-    return _ambient(model, rng), hits, test
+    forces = rng.normal(0, 10.0, (len(model.inputs), int(AMBIENT_SECONDS * RATE)))
+    motion = simulate(model, forces, RATE, tail=0)
+    ambient = motion + rng.normal(0, 0.01 * motion.std(), motion.shape)
+    return ambient, hits, test
 
 
 def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth: str = "") -> None:

@@ -19,16 +19,40 @@ from ringtrue.eigen.pencil import Factor, Labels, Pencil, named_rows, refuse_neg
 from ringtrue.errors import NotConverged
 
 BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
-TOLERANCE = 1e-9  # of a Ritz pair in the M norm, relative to θ; purification squares what is left
-# condition of a block's Gram matrix above which two Cholesky factorisations orthonormalise it
-WELL = 1e-8
-# share of a block that its other columns leave of one, below which it is made orthogonal again
-CANCELLED = 1e-4
-MAX_STEPS = 1000
-# restarts without a further pair: more roots stand close together than the basis holds
-PATIENCE = 5
-# of a basis vector, in motions that the mass does not see: left out before they overflow
-GROWN = 1e40
+
+
+@dataclass(frozen=True, slots=True)
+class LanczosSettings:
+    """When pairs have converged, and what keeps the basis orthogonal.
+
+    Attributes
+    ----------
+    tolerance : float
+        Error of a Ritz pair in the M norm, relative to θ; purification squares what is left.
+    well : float
+        Inverse condition of a block's Gram matrix, below which two Cholesky factorisations
+        orthonormalise it.
+    cancelled : float
+        Share of a block that its other columns leave of one, below which it is made orthogonal
+        again.
+    steps : int
+        Blocks at most.
+    patience : int
+        Restarts without a further pair: more roots stand close together than the basis holds.
+    grown : float
+        Of a basis vector, in motions that the mass does not see: left out before they overflow.
+    """
+
+    tolerance: float = 1e-9
+    well: float = 1e-8
+    cancelled: float = 1e-4
+    steps: int = 1000
+    patience: int = 5
+    grown: float = 1e40
+
+
+LANCZOS = LanczosSettings()
+
 ROWS = 8192  # of the basis that are turned at once
 
 
@@ -123,10 +147,10 @@ class Krylov:
         q, mq, r = self._orthonormal(w, floor)
         left = np.linalg.norm(r, axis=1)
         # what rounding left of V grew with the rest
-        if left.size and left.min() < CANCELLED * left.max():
+        if left.size and left.min() < LANCZOS.cancelled * left.max():
             q, mq, again = self._orthonormal(self._orthogonalise(q, self.held)[0], 0.0)
             r = again @ r
-        if np.abs(q).max(initial=0.0) > GROWN:
+        if np.abs(q).max(initial=0.0) > LANCZOS.grown:
             q[self.massless] = 0.0
         missing = BLOCK - q.shape[1]
         self._put(q, self.held)
@@ -253,7 +277,7 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
         if first and (not w.shape[1] or size.min() <= max(floor, 1e-8 * size.max())):
             return None
         values = np.linalg.eigvalsh(gram / (size * size[:, None]))
-        if values[0] < WELL * values[-1]:
+        if values[0] < LANCZOS.well * values[-1]:
             return None
         upper = np.linalg.cholesky(gram).T
         turn = linalg.solve_triangular(upper, np.eye(size.size))
@@ -265,59 +289,65 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
     return q, mq, r
 
 
-def solve(
-    factor: Factor,
-    mass: sparse.csr_array,
-    enough: Callable[[Float], bool],
-    *,
-    expected: int,
-    locked: tuple[Float, Float] | None = None,
-    progress: Progress | None = None,
-    begun: Krylov | None = None,
-    labels: Labels = named_rows,
-) -> RitzPairs:
-    """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
+def begin(
+    factor: Factor, pencil: Pencil, expected: int, locked: tuple[Float, Float] | None = None
+) -> Krylov:
+    """A space for about so many pairs besides the locked ones, and its start block.
 
     Parameters
     ----------
     factor : Factor
         Of K − σM.
-    mass : (f, f) csr_array float64
+    pencil : Pencil
+    expected : int
+        Sets the size of the basis.
+    locked : (theta (k,), vectors (f, k)), optional
+        Pairs known already; the start block is orthogonal to them.
+    """
+    theta, vectors = locked or (np.zeros(0), np.zeros((pencil.size, 0)))
+    krylov = Krylov(
+        factor,
+        pencil.mass,
+        capacity(pencil.size, expected, theta.size),
+        rng=np.random.default_rng(theta.size),
+        labels=pencil.labels,
+    )
+    krylov.start(vectors, theta)
+    return krylov
+
+
+def solve(
+    krylov: Krylov,
+    enough: Callable[[Float], bool],
+    *,
+    expected: int,
+    known: int = 0,
+    progress: Progress | None = None,
+) -> RitzPairs:
+    """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
+
+    Parameters
+    ----------
+    krylov : Krylov
+        A space that was begun.
     enough : callable
         Takes the converged leading θ (k,), says whether they suffice.
     expected : int
-        About how many pairs are found besides the locked ones; sets the size of the basis.
-    locked : (theta (k,), vectors (f, k)), optional
-        Pairs known already; the start block is orthogonal to them.
-    begun : Krylov, optional
-        A space of the same operator, without locked pairs, to go on with.
-    labels : callable, optional
-        Names of rows for errors.
+        About how many pairs are found besides those that are known.
+    known : int
+        Pairs that were locked.
 
     Raises
     ------
     NumericalError
         If the mass is negative in some direction.
     NotConverged
-        After `MAX_STEPS` blocks.
+        After `LANCZOS.steps` blocks.
     """
-    rows = int(mass.shape[0])
-    known = 0 if locked is None else locked[0].size
-    if begun is None:
-        krylov = Krylov(
-            factor=factor,
-            mass=mass,
-            capacity=capacity(rows, expected, known),
-            rng=np.random.default_rng(known),
-            labels=labels,
-        )
-        theta, vectors = locked or (np.zeros(0), np.zeros((rows, 0)))
-        krylov.start(vectors, theta)
-    else:
-        krylov = begun
+    rows = int(krylov.mass.shape[0])
     idle = 0
     before = 0
-    for step in range(MAX_STEPS):
+    for step in range(LANCZOS.steps):
         if not krylov.ahead:
             return _pairs(krylov, krylov.held, exhausted=True)
         krylov.step()
@@ -325,7 +355,7 @@ def solve(
         if step % 2 and not exhausted and krylov.held < min(krylov.capacity, 2 * expected):
             continue
         theta, _y, error = krylov.ritz()
-        good = error <= TOLERANCE * np.abs(theta)
+        good = error <= LANCZOS.tolerance * np.abs(theta)
         count = int(good.size if good.all() else np.argmin(good))
         if progress is not None:
             progress(
@@ -337,13 +367,14 @@ def solve(
         if krylov.held + 2 * BLOCK > krylov.capacity:
             idle = 0 if count > before else idle + 1
             before = count
-            if idle > PATIENCE and krylov.capacity < rows:
+            if idle > LANCZOS.patience and krylov.capacity < rows:
                 krylov.grow()
                 idle = 0
                 continue
             krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
     raise NotConverged(
-        f"Lanczos stopped after {MAX_STEPS} blocks with {count} of about {known + expected} modes"
+        f"Lanczos stopped after {LANCZOS.steps} blocks with {count} of about {known + expected} "
+        "modes"
     )
 
 

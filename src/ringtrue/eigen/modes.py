@@ -24,15 +24,35 @@ from ringtrue.eigen.shift import (
 )
 from ringtrue.errors import InputError, NumericalError, SingularModel
 
-GAP = 1e-4  # a gap below this share of λ is too narrow for a count
-# share of λ: with a shift nearer to zero the rigid-body modes cost the others digits; refined
-# once
-FINE = 1e-6
-SHARP = 1e-5  # relative residual of all pairs together, beyond which they are refined once
-# share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was
-# counted
-SAME = 1e-2
-EDGE = 1e-9  # share of λ beyond the ends of a band that counts as within
+
+@dataclass(frozen=True, slots=True)
+class ModeChecks:
+    """What is asked of the pairs before they are the modes.
+
+    Attributes
+    ----------
+    gap : float
+        Share of λ: a narrower gap is too narrow for a count.
+    fine : float
+        Share of λ: with a shift nearer to zero the rigid-body modes cost the others digits; refined
+        once.
+    sharp : float
+        Relative residual of all pairs together, beyond which they are refined once.
+    same : float
+        Share of the distance from the shift, by which a shape's Rayleigh quotient may miss what was
+        counted.
+    edge : float
+        Share of λ beyond the ends of a band that counts as within.
+    """
+
+    gap: float = 1e-4
+    fine: float = 1e-6
+    sharp: float = 1e-5
+    same: float = 1e-2
+    edge: float = 1e-9
+
+
+CHECKS = ModeChecks()
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +130,8 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
         at = np.arange(min(count, values.size))
     else:
         at = np.flatnonzero(
-            (values >= _low(band) * (1 - EDGE)) & (values <= eigenvalue(band[1]) * (1 + EDGE))
+            (values >= _low(band) * (1 - CHECKS.edge))
+            & (values <= eigenvalue(band[1]) * (1 + CHECKS.edge))
         )
     values, vectors, residuals, orthogonality = polish(
         pencil.stiffness, pencil.mass, values[at], vectors[:, at]
@@ -160,15 +181,10 @@ def _lowest(
             values.size > count and _gap_after(values, count, shift) is not None
         ) or values.size >= most + 40
 
-    pairs = lanczos.solve(
-        factor,
-        pencil.mass,
-        enough,
-        expected=most + EXTRA,
-        progress=progress,
-        begun=begun,
-        labels=pencil.labels,
-    )
+    expected = most + EXTRA
+    if begun is None:
+        begun = lanczos.begin(factor, pencil, expected)
+    pairs = lanczos.solve(begun, enough, expected=expected, progress=progress)
     del begun
     pairs = _sharp(pencil, pairs, shift)
     values = np.sort(shift + 1 / pairs.theta)
@@ -206,10 +222,10 @@ def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.Ri
     it does not see some motions, of which the rounding grows from step to step.
     """
     near = (
-        0 < -shift < FINE * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
+        0 < -shift < CHECKS.fine * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
         and not pairs.exhausted
     )
-    if not near and _residual(pencil, pairs, shift) < SHARP:
+    if not near and _residual(pencil, pairs, shift) < CHECKS.sharp:
         return pairs
     x = pencil.at(shift).solve(pencil.mass @ pairs.vectors) / pairs.theta
     values, vectors = rayleigh_ritz(pencil, x)
@@ -271,16 +287,15 @@ def _filled(
         keep = inside(pairs.theta)
         locked = (pairs.theta[keep], pairs.vectors[:, keep])
         before = found
+        more = expected - found + EXTRA
         pairs = lanczos.solve(
-            factor,
-            pencil.mass,
+            lanczos.begin(factor, pencil, more, locked),
             lambda theta: (
                 inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom)
             ),
-            expected=expected - found + EXTRA,
-            locked=locked,
+            expected=more,
+            known=locked[0].size,
             progress=progress,
-            labels=pencil.labels,
         )
         pairs = _sharp(pencil, pairs, sigma)
         found = int(inside(pairs.theta).sum())
@@ -301,7 +316,7 @@ def _gap_after(values: Float, count: int, shift: float) -> int | None:
 def _gaps(values: Float, shift: float) -> Any_:
     """Between which values (k,) the gap (k - 1,) is wide enough for a count."""
     least = max(1e-6 * abs(float(values[-1])), 1e-3 * abs(shift))
-    return np.diff(values) > GAP * np.maximum(np.abs(values[1:]), least)
+    return np.diff(values) > CHECKS.gap * np.maximum(np.abs(values[1:]), least)
 
 
 def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> tuple[bool, str]:
@@ -311,7 +326,7 @@ def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> t
     at = int(np.flatnonzero(_gaps(values, start.shift)).max(initial=-1)) + 1
     mark = float((values[at - 1] if at else start.shift) + values[at]) / 2
     complete, proof = _judge(pencil.at(mark).negatives, at, start, mark)
-    if top - values[at] > GAP * max(abs(top), abs(start.shift)):
+    if top - values[at] > CHECKS.gap * max(abs(top), abs(start.shift)):
         return False, f"{proof}; no gap above the highest mode: not counted there"
     return complete, f"{proof}; above stands one root, {values.size - at} times or more"
 
@@ -407,7 +422,7 @@ def _counted(pencil: Pencil, value: float, side: int) -> _Count:
     Without inertia the count is negative.
     """
     found = None
-    for push in (EDGE, 3 * EDGE, 1000 * EDGE):
+    for push in (CHECKS.edge, 3 * CHECKS.edge, 1000 * CHECKS.edge):
         at = value * (1 + side * push)
         try:
             found = _Count(pencil.at(at).negatives, at)
@@ -429,7 +444,7 @@ def _finish(
     values, vectors, residuals, orthogonality = polish(
         pencil.stiffness, pencil.mass, shift + 1 / pairs.theta, pairs.vectors
     )
-    if (np.abs(values - roots) > SAME * np.abs(roots - shift)).any():
+    if (np.abs(values - roots) > CHECKS.same * np.abs(roots - shift)).any():
         complete = False
         proof = f"{proof}; their shapes have other eigenvalues: NOT complete"
     if pairs.theta.size > 1 and orthogonality > 1e-10:

@@ -26,8 +26,6 @@ from ringtrue.errors import SingularModel
 
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
 LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
-# of the first guess, negative: marks between which no mode stands above the group near zero
-MARKS = (10.0, 1e-1, 1e-3, 1e-5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +215,8 @@ def _group(pencil: Pencil, shift: float) -> tuple[int, float]:
     """
     above = -1
     try:
-        for high, low in pairwise(-shift * mark for mark in MARKS):
+        # of the first guess: marks between which no mode stands above the group near zero
+        for high, low in pairwise(-shift * mark for mark in (10.0, 1e-1, 1e-3, 1e-5)):
             above = pencil.at(high).negatives if above < 0 else above
             below = pencil.at(low).negatives
             if below == above > 0:

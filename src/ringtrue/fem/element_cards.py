@@ -147,11 +147,8 @@ def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterator[tup
         yield from ((card, group) for group in groups if group.size)
 
 
-PIECE = 8192  # elements whose matrices are held at once
-
-
 def pieces(
-    m: Mesh, rows: Mapping[str, Int] | None = None, size: int = PIECE
+    m: Mesh, rows: Mapping[str, Int] | None = None, size: int = 8192
 ) -> Iterator[tuple[str, Int, ElementMatrices]]:
     """Card, rows and matrices of elements, all or those given, `size` at a time at most."""
     for card, every in batches(m.model, rows):

@@ -17,8 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.fem.assembly import System
-from ringtrue.fem.share import WHOLE, Share
+from ringtrue.fem.assembly import WHOLE, Share, System
 from ringtrue.model.model import Model
 
 log = logging.getLogger(__name__)

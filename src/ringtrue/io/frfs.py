@@ -36,7 +36,7 @@ from ringtrue.io.frf_tables import (
 )
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored, h5_values, mat_values, texts
-from ringtrue.io.uff.function58 import FRF, TRANSMISSIBILITY, write_frf_sets
+from ringtrue.io.uff.function58 import FRF_TYPES, write_frf_sets
 from ringtrue.io.uff.functions import frf_ends, read_frf_sets, read_functions
 
 log = logging.getLogger(__name__)
@@ -118,7 +118,7 @@ def holds_frfs(path: str | Path) -> bool:
     path = existing(path)
     held = format_of(path)
     if held is Format.UFF:
-        return any(f.kind in (FRF, TRANSMISSIBILITY) for f in read_functions(path))
+        return any(f.kind in FRF_TYPES for f in read_functions(path))
     if held in (Format.TEXT, Format.LVM):
         return is_frf_table(path)
     if held is Format.HDF5:

@@ -143,7 +143,10 @@ def _build(kind: str, parts: dict[str, Any], group: h5py.Group) -> Any:
 
 
 # what files of earlier versions call a class and a field
-_MOVED = {"ringtrue.core.blows:Blows": "ringtrue.core.signals:Impacts"}
+_MOVED = {
+    "ringtrue.core.blows:Blows": "ringtrue.core.signals:Impacts",
+    "ringtrue.updating.adequacy:Misfit": "ringtrue.updating.validation:Misfit",
+}
 _RENAMED = {("FrfSet", "blows"): "impacts"}
 
 

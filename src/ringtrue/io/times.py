@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from scipy.constants import g, inch, lbf
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import UNIT
 from ringtrue.core.signals import Quantity
-from ringtrue.core.units import GRAVITY, INCH, POUND_FORCE
 from ringtrue.errors import DataError, did_you_mean
 
 _DEGREE = float(np.pi / 180)
@@ -24,11 +24,11 @@ _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
     "acceleration": {
         "m/s^2": 1.0,
         "mm/s^2": 1e-3,
-        "g": GRAVITY,
-        "mg": 1e-3 * GRAVITY,
-        "ug": 1e-6 * GRAVITY,
-        "in/s^2": INCH,
-        "ft/s^2": 12 * INCH,
+        "g": g,
+        "mg": 1e-3 * g,
+        "ug": 1e-6 * g,
+        "in/s^2": inch,
+        "ft/s^2": 12 * inch,
         "cm/s^2": 1e-2,
         "gal": 1e-2,
     },
@@ -38,20 +38,20 @@ _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
         "mm/s": 1e-3,
         "um/s": 1e-6,
         "nm/s": 1e-9,
-        "in/s": INCH,
-        "ft/s": 12 * INCH,
+        "in/s": inch,
+        "ft/s": 12 * inch,
     },
     "displacement": {
         "m": 1.0,
         "cm": 1e-2,
-        "in": INCH,
-        "ft": 12 * INCH,
-        "mil": 1e-3 * INCH,
+        "in": inch,
+        "ft": 12 * inch,
+        "mil": 1e-3 * inch,
         "mm": 1e-3,
         "um": 1e-6,
         "nm": 1e-9,
     },
-    "force": {"n": 1.0, "kn": 1e3, "lbf": POUND_FORCE},
+    "force": {"n": 1.0, "kn": 1e3, "lbf": lbf},
     "rotation": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6},
     "angular velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE},
     "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
@@ -59,8 +59,8 @@ _FACTORS: dict[Quantity, dict[str, float]] = {  # to SI
         "n*m": 1.0,
         "kn*m": 1e3,
         "n*mm": 1e-3,
-        "lbf*in": POUND_FORCE * INCH,
-        "lbf*ft": POUND_FORCE * 12 * INCH,
+        "lbf*in": lbf * inch,
+        "lbf*ft": lbf * 12 * inch,
     },
     "strain": {"strain": 1.0, "ustrain": 1e-6},
     "unknown": {"v": 1.0, "mv": 1e-3, "pa": 1.0},
@@ -357,7 +357,7 @@ def uneven(t: Float) -> str:
     odd = np.abs(step - usual) > 0.05 * usual
     gaps = np.flatnonzero(odd & (step > 1.5 * usual))
     if 0 < gaps.size == odd.sum():
-        rows = ", ".join(f"{step[g]:g} s behind row {g + 1}" for g in gaps[:3].tolist())
+        rows = ", ".join(f"{step[k]:g} s behind row {k + 1}" for k in gaps[:3].tolist())
         more = f" and {gaps.size - 3} more" if gaps.size > 3 else ""
         return (
             f"samples are missing: {rows}{more}, where a step is {usual:g} s. Cut the file there, "

@@ -280,7 +280,6 @@ def resolution(
 LEAST_REACH = 0.1  # of the best driving-point residue: below, the references miss a mode
 _MOST_SETS = 200_000
 _CHUNK = 20_000
-_ENTRIES = 4_000_000  # of the FRFs of all trial sets that are looked at at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays, freeze_fields
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
-from ringtrue.correlation.pairing import Pairing, PairingSettings, pair_modes
+from ringtrue.correlation.pairing import PairingSettings, pair_modes
 from ringtrue.errors import DataError, InputError
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
@@ -308,7 +308,9 @@ def trials(
         except DataError:  # no pole found: every mode is missed in this trial
             continue
         pairs = pair_modes(truth, modes, conditions.pairing, names=("model", "test"))
-        error[:, k, back[pairs.a]] = _errors(truth, modes, pairs)
+        of_frequency = modes.frequencies[pairs.b] / truth.frequencies[pairs.a] - 1
+        of_damping = modes.damping[pairs.b] / truth.damping[pairs.a] - 1
+        error[:, k, back[pairs.a]] = np.stack([of_frequency, of_damping, pairs.mac])
         inside = (modes.frequencies > plan.fmin) & (modes.frequencies < plan.fmax)
         invented += int(inside[pairs.unpaired_b].sum())
     return _outcome(plan.frequencies[target], error, invented, force)
@@ -322,13 +324,6 @@ def _whole(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
     kept = np.flatnonzero(np.isin(channels, modes.channels))
     shapes[kept] = modes.rows([channels[i] for i in kept.tolist()]).shapes
     return replace(modes, shapes=shapes, labels=channels)
-
-
-def _errors(truth: ModeSet, found: ModeSet, pairs: Pairing) -> Float:
-    """Relative errors of frequency and damping, and the MAC, (3, pairs)."""
-    f = found.frequencies[pairs.b] / truth.frequencies[pairs.a] - 1
-    z = found.damping[pairs.b] / truth.damping[pairs.a] - 1
-    return np.stack([f, z, pairs.mac])
 
 
 def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> VirtualTest:

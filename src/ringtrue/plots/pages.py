@@ -20,7 +20,7 @@ from ringtrue.plots.style import (
     figure,
     log_axis,
 )
-from ringtrue.viewer.assets import script_json
+from ringtrue.viewer.encoding import script_json
 
 _PAGE_STYLE = (
     f"body{{font-family:{FONT};color:{INK};max-width:80rem;margin:1rem auto;padding:0 1rem}}"

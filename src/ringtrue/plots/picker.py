@@ -17,8 +17,7 @@ from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.plots.diagram import CLASSES, POLES, auto_mac, identification_figure, pole_kinds
 from ringtrue.plots.scene import modes as modes_view
 from ringtrue.plots.style import axis, figure, packed
-from ringtrue.viewer.assets import asset, script_json, viewer_script
-from ringtrue.viewer.encoding import to_json
+from ringtrue.viewer.encoding import asset, script_json, to_json, viewer_script
 
 SHAPE_BYTES = 4_000_000  # of all poles in a page; beyond it those taken into modes have theirs
 

@@ -23,7 +23,6 @@ from ringtrue.plots.style import (
 from ringtrue.study.results import DampedModes, DampedRegions
 from ringtrue.updating.prediction import RunUp
 
-DECADES = 5  # below the highest amplitude
 BEYOND = "#eef1f4"
 
 
@@ -43,7 +42,12 @@ def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: 
         xaxis=axis("Speed, Hz", range=[0, float(x[-1])]),
         yaxis=log_axis(f"Amplitude, {unit}", dtick=1),
     )
-    fig.layout.yaxis.range = _range(median[list(outputs)], high[list(outputs)])
+    top = float(np.log10(max(high[list(outputs)].max(), 1e-300)))
+    seen = median[list(outputs)]
+    seen = seen[seen > 0]
+    lowest = float(np.log10(seen.min())) if seen.size else top - 1
+    # five decades below the highest amplitude
+    fig.layout.yaxis.range = [max(lowest, top - 5) - 0.1, top + 0.15]
     for k, (i, name) in enumerate(zip(outputs, names, strict=True)):
         color = QUALITATIVE[k % 8]
         both = np.concatenate([high[i], low[i][::-1]])
@@ -78,13 +82,6 @@ def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: 
         annotations=[_note(service, "service speed")],
     )
     return fig
-
-
-def _range(median: Float, high: Float) -> list[float]:
-    top = float(np.log10(max(high.max(), 1e-300)))
-    seen = median[median > 0]
-    low = float(np.log10(seen.min())) if seen.size else top - 1
-    return [max(low, top - DECADES) - 0.1, top + 0.15]
 
 
 def _faint(color: str) -> str:

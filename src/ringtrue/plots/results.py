@@ -12,8 +12,7 @@ from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.ambient.decay_backbone import Backbone
 from ringtrue.identification.common.diagram import IdentificationDiagram
 from ringtrue.plots.correlation import table_matrix
-from ringtrue.plots.diagram import identification_figure
-from ringtrue.plots.identification import backbone
+from ringtrue.plots.diagram import backbone, identification_figure
 from ringtrue.plots.pages import responses
 from ringtrue.plots.style import figure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from ringtrue.core.arrays import Bool, Float
+from ringtrue.core.arrays import Float
 from ringtrue.core.channels import FORCES, LINEAR
 from ringtrue.core.signals import FrfSet
 from ringtrue.plots.style import (
@@ -100,11 +100,6 @@ def _decades(psd: Float) -> dict[str, list[float]]:
     return {"range": [low - 0.3, top + 0.4]}
 
 
-def _imaginary(frfs: FrfSet, column: int, shown: Bool) -> tuple[Float, Float]:
-    at, y = thinned(frfs.data[shown, :, column].imag.T, 600)
-    return frfs.freqs[shown][at], y
-
-
 def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Figure:
     """Imaginary parts of all FRFs over one another, the CMIF below, up to `top` Hz; `marks` (m,) Hz
     are modes.
@@ -128,7 +123,8 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
         ),
     )
     for j, c in enumerate(data.inputs):
-        x, y = joined(*_imaginary(data, j, shown))
+        at, imaginary = thinned(data.data[shown, :, j].imag.T, 600)
+        x, y = joined(data.freqs[shown][at], imaginary)
         line = {"width": 0.6, "color": QUALITATIVE[j % 8]}
         fig.add_scatter(
             x=x,

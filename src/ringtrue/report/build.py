@@ -18,7 +18,7 @@ from ringtrue.core.arrays import Any_
 from ringtrue.io.files import atomic_write
 from ringtrue.plots.scene import thinned
 from ringtrue.plots.style import packed
-from ringtrue.report.browser import print_page
+from ringtrue.report.documents import print_page, write_word
 from ringtrue.report.parts import Acceptance, Photo, Plot, Scene3D, Section, Stages
 from ringtrue.report.sections import (
     conclusion,
@@ -33,15 +33,13 @@ from ringtrue.report.sections import (
     system,
     updated,
 )
-from ringtrue.report.word import write_word
 from ringtrue.study.acceptance import AcceptanceCheck, verdict
 from ringtrue.study.conclusion import conclude
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
-from ringtrue.viewer.assets import asset, script_json, viewer_script
-from ringtrue.viewer.encoding import to_json
+from ringtrue.viewer.encoding import asset, script_json, to_json, viewer_script
 
 __all__ = ["Acceptance", "Photo", "assemble"]
 

@@ -24,9 +24,8 @@ from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.study.acceptance import Acceptance as Acceptance
 from ringtrue.study.acceptance import AcceptanceCheck
-from ringtrue.study.conclusion import Conclusion
+from ringtrue.study.conclusion import Conclusion, repeats
 from ringtrue.study.config_sections import StudyInfo
-from ringtrue.study.findings import repeats
 from ringtrue.study.results import (
     CompareStage,
     ConditionsStage,

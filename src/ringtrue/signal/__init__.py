@@ -9,7 +9,7 @@ Spectra: `spectra` of ambient records (trends, filters, bands, geophones), `band
 records larger than memory.
 
 FRFs: `impacts`, `frf` of hammers and shakers, `local_rational` (without leakage); `frf_sets` joins,
-exchanges and checks them, `setup_gains` compares setups.
+exchanges and checks them, also setup against setup.
 
 Machines: `tonal_lines`, steady or in run-ups, are taken out, `harmonic_evidence` marks poles.
 

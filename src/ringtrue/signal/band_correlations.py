@@ -117,29 +117,16 @@ class Signals:
     ----------
     data : (ch, sample) float
     level : (ch,) float64
-    slope : (ch,) float64, optional
-        Of a straight line from the middle of the record to its end.
     """
 
     data: Any_
     level: Float
-    slope: Float | None = None
 
     @classmethod
     def of(cls, data: Any_) -> Signals:
         """Less about their mean, from some of the samples: what is left is below all bands."""
         some = data[:, :: max(1, min(64, data.shape[1] // 1000))]
         return cls(data, some.mean(1, dtype=np.float64))
-
-    @classmethod
-    def straightened(cls, data: Any_) -> Signals:
-        """Less their mean and straight line."""
-        n = data.shape[1]
-        t = np.linspace(-1.0, 1.0, n)
-        t /= max(float(t @ t), 1.0)
-        # a channel is in the cache
-        line = np.array([[x.sum(dtype=np.float64) / max(n, 1), x @ t] for x in data])
-        return cls(data, line[:, 0], line[:, 1])
 
     def power(self) -> Float:
         """(ch,) mean squares."""
@@ -176,9 +163,6 @@ class Signals:
         else:  # channels one by one: all at once would be copied first
             for x, k, own in zip(inner, rows, level, strict=True):
                 np.subtract(self.data[k, a:b], own, out=x, casting="same_kind")
-        if self.slope is not None:
-            t = (np.arange(a, b) * (2 / max(self.samples - 1, 1)) - 1).astype(np.float32)
-            out[:, a - start : b - start] -= self.slope[rows, None].astype(np.float32) * t
         return out
 
 

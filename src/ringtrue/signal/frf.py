@@ -336,7 +336,9 @@ def estimate_columns(
     """
     settings = settings or HammerSettings()
     cuts = [_cut(r, settings) for r in records]
-    settings = _with_room(cuts, settings)
+    # a triggered record of one hit may have less before it than the pretrigger asked for
+    room = min([float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf])
+    settings = replace(settings, pretrigger=min(settings.pretrigger, room))
     length = min(c.length for c in cuts)
     if len({c.record.rate for c in cuts}) > 1:
         raise DataError(
@@ -368,14 +370,6 @@ def estimate_columns(
     struck &= np.arange(struck.size) <= last
     columns = tuple(_column(s, struck, decay, settings, source) for s in sums.values())
     return columns, tuple(r for rep in reports for r in rep)
-
-
-def _with_room(cuts: Sequence[_Cut], settings: HammerSettings) -> HammerSettings:
-    """A triggered record of one hit may have less before it than asked for: then that is the
-    pretrigger.
-    """
-    room = min([float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf])
-    return replace(settings, pretrigger=min(settings.pretrigger, room))
 
 
 def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[ImpactReport]]) -> None:
@@ -549,11 +543,6 @@ def _force_window(
     return np.asarray(down * up)
 
 
-def _noise(force: Float) -> float:
-    """Standard deviation of the force between the impacts, which take little of the record."""
-    return float(np.median(np.abs(force - np.median(force)))) / QUIET.median
-
-
 def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
     rate = cut.record.rate
     at = cut.force
@@ -568,7 +557,9 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     kept = 0.0
     pulses = list[Float]()
     quiet = list[float]()
-    noise = _noise(np.asarray(cut.record.data[at], dtype=np.float64))
+    force = np.asarray(cut.record.data[at], dtype=np.float64)
+    # of the force between the impacts, which take little of the record
+    noise = float(np.median(np.abs(force - np.median(force)))) / QUIET.median
     for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
         start = min(hit - lead, last)
         block = _block(cut.record.data, start, length)

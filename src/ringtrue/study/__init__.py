@@ -6,7 +6,7 @@ is the log of a crew.
 Running: `run` is the driver, `session` what the stages of a run share, `store` the file.
 A stage is a function in a module of `stages`, its result a type of `results`. `messages` makes the
 sentences that a run shows, `summary` its summary.json, `acceptance` the limits of the user,
-`findings` what it finds of its test, `conclusion` what a study has shown.
+`conclusion` what a study finds of its test, and what it has shown.
 
 Of the test: `hammer_records` makes FRFs of records with forces, `supplied` reads FRFs and modes of
 files, `placing` lays the sensors onto a deck, `reference` picks the modes that a deck is compared

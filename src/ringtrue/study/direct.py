@@ -58,7 +58,6 @@ from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
 from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_channels
-from ringtrue.updating.adequacy import Misfit, misfits
 from ringtrue.updating.identifiability import least_proven, stood_for
 from ringtrue.updating.problem import Configuration, Problem, held_to, single
 from ringtrue.updating.residuals.modal import Weighted
@@ -86,6 +85,7 @@ from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.solver import Solution
 from ringtrue.updating.strategy import Verified, displaced, solve_verified, whole_cost
 from ringtrue.updating.target import Target, Weights, match
+from ringtrue.updating.validation import Misfit, misfits
 
 AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
 

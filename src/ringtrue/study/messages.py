@@ -13,7 +13,7 @@ from ringtrue.core.notes import sentence
 from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.study.acceptance import in_both
-from ringtrue.study.findings import suspected
+from ringtrue.study.conclusion import suspected
 from ringtrue.study.placing import seat_words
 from ringtrue.study.results import (
     CompareStage,
@@ -28,7 +28,7 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
-from ringtrue.updating.adequacy import Misfit
+from ringtrue.updating.validation import Misfit
 
 MEND = (
     "see such a channel's row in the sensor sheet (direction, place, unit); [test] leave_out "

@@ -152,7 +152,11 @@ def open_view(record: Logged | Path, sheet: SensorSheet | None = None) -> Record
         starts, samples, found = (0,), own.samples, own.rate
         rows = partial(_stored_rows, path, ids)
     else:
-        runs = _runs(path, rate, forced=logged is not None and logged.kind != "ambient")
+        # as the study reads them
+        forced = logged is not None and logged.kind != "ambient"
+        runs = (
+            read_runs(path, rate) if forced else (read_record(path, rate, check=False, gaps=True),)
+        )
         channels, found = runs[0].channels, runs[0].rate
         ends = np.cumsum([r.data.shape[1] for r in runs]).tolist()
         starts, samples = (0, *ends[:-1]), ends[-1]
@@ -168,13 +172,6 @@ def open_view(record: Logged | Path, sheet: SensorSheet | None = None) -> Record
         _rows=lambda wanted, spans: rows(at[wanted].tolist(), spans),
         _factor=factor,
     )
-
-
-def _runs(path: Path, rate: float | None, *, forced: bool) -> tuple[TimeHistory, ...]:
-    """The acquisitions of a file of others, as the study reads them."""
-    if forced:
-        return read_runs(path, rate)
-    return (read_record(path, rate, check=False, gaps=True),)
 
 
 def _named(

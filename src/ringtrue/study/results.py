@@ -33,7 +33,6 @@ from ringtrue.planning.plan_files import Setups
 from ringtrue.planning.virtual_test import VirtualTest
 from ringtrue.shapes import worst_off_diagonal
 from ringtrue.signal.impacts import ImpactReport as ImpactReport
-from ringtrue.updating.adequacy import Misfit
 from ringtrue.updating.identifiability import FLAGS, Flag, kept, unproven
 from ringtrue.updating.prediction import RunUp, Unbalance
 from ringtrue.updating.selection.form import FormFindings
@@ -41,7 +40,7 @@ from ringtrue.updating.selection.localisation import SCARCE
 from ringtrue.updating.selection.missing_members import MissingMember
 from ringtrue.updating.selection.proposal import Proposal
 from ringtrue.updating.uncertainty import Posterior
-from ringtrue.updating.validation import Held
+from ringtrue.updating.validation import Held, Misfit
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from ringtrue.correlation.sensor_mounting import mendings_json
 from ringtrue.correlation.table import CorrelationTable, table_significance
 from ringtrue.planning.exciters import ambient_std
 from ringtrue.study.acceptance import limits, missed_words
-from ringtrue.study.findings import findings_json, repeats
+from ringtrue.study.conclusion import findings_json, repeats
 from ringtrue.study.placing import seats_json
 from ringtrue.study.results import (
     CompareStage,

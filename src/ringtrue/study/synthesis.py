@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Float, FrozenArrays
+from ringtrue.core.arrays import Complex, Float, FrozenArrays
 from ringtrue.core.choice import Choice
 from ringtrue.core.signals import FrfSet
-from ringtrue.identification.ambient.synthesis import fit_spectrum
 from ringtrue.identification.common.manual_selection import current_poles
-from ringtrue.identification.frf.lines import Lines
-from ringtrue.identification.frf.synthesis import fit_poles, weighted_lines
+from ringtrue.identification.frf.lines import (
+    Lines,
+    functions,
+    mirrored,
+    mirrored_rows,
+    prepare,
+)
+from ringtrue.identification.frf.residues import (
+    driving_pairs,
+    lsfd,
+    noise,
+    solve_shapes,
+    synthesise_windowed,
+)
 from ringtrue.study.results import IdentifiedModes
 
 MARGIN = 1.2  # of the band, whose lines are fitted too
@@ -113,3 +124,68 @@ def fitted_spectra(found: IdentifiedModes, choice: Choice | None) -> tuple[Fitte
 
 def _decibels(power: Float) -> Float:
     return np.asarray(10 * np.log10(np.maximum(power, np.finfo(float).tiny)))
+
+
+def weighted_lines(frfs: FrfSet) -> Lines:
+    """The lines of FRFs (> 0 Hz) as a fit takes them; the same for all poles."""
+    return prepare(frfs, noise(frfs))
+
+
+def fit_poles(frfs: FrfSet, lines: Lines, poles: Complex) -> FrfSet:
+    """The FRFs of a modal model of given poles, its residues of rank one and residual terms fitted
+    as in an identification.
+
+    Parameters
+    ----------
+    frfs : FrfSet, lines > 0 Hz
+    lines : Lines
+        `weighted_lines` of them.
+    poles : (m,) complex128, rad/s
+        Without the exponential window.
+    """
+    part = participations(lines, poles)
+    shapes = solve_shapes(lines, poles, part)
+    model = lsfd(frfs, lines, poles, part, shapes=shapes, points=driving_pairs(frfs))
+    fitted = synthesise_windowed(model, lines)
+    return replace(frfs, data=fitted, coherence=np.full(fitted.shape, np.nan))
+
+
+def participations(lines: Lines, poles: Complex) -> Complex:
+    """(m, in) participation vectors of poles: of their free residues the part of rank one that
+    holds most.
+    """
+    q = functions(lines, poles)
+    normal = mirrored(q.conj().T @ q)
+    scale: Float = 1 / np.sqrt(np.maximum(np.diag(normal).real, np.finfo(float).tiny))
+    right = scale[:, None] * mirrored_rows(q.conj().T @ lines.y)
+    free = np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ right
+    residue = (scale[:, None] * free)[:, : poles.size] * lines.response  # (in, m, out)
+    left, _, _ = np.linalg.svd(residue.transpose(1, 0, 2), full_matrices=False)
+    return np.asarray(left[:, :, 0] / lines.input, dtype=np.complex128)
+
+
+def fit_spectrum(freqs: Float, power: Float, poles: Complex) -> Float:
+    """The sum of spectra as poles explain it, (f,).
+
+    The spectrum of responses to white forces is that of decays with the poles of the structure:
+    S(ω) = Σ_k 2 Re(r_k/(iω − λ_k)) (Peeters and Van der Auweraer, 2005, PolyMAX of half
+    spectra), with r_k by least squares of relative errors, and a level and a slope of noise.
+
+    Parameters
+    ----------
+    freqs : (f,) float64, Hz
+    power : (f,) float64
+        Sum of the spectra of all channels.
+    poles : (m,) complex128, rad/s
+    """
+    s = 2j * np.pi * freqs
+    decay = 1 / (s[:, None] - poles)
+    mirror = 1 / (s[:, None] - poles.conj())
+    # r_k and its conjugate at the conjugate pole, real and imaginary part
+    real, imaginary = (decay + mirror).real, (1j * (decay - mirror)).real
+    ramp = (freqs / max(float(freqs[-1]), 1e-300)) ** 2
+    columns = np.concatenate([real, imaginary, np.ones((freqs.size, 1)), ramp[:, None]], axis=1)
+    weighted = columns / power[:, None]
+    size = np.maximum(np.linalg.norm(weighted, axis=0), np.finfo(float).tiny)
+    found, *_ = np.linalg.lstsq(weighted / size, np.ones(freqs.size), rcond=1e-10)
+    return np.asarray(columns @ (found / size), dtype=np.float64)

@@ -1,4 +1,5 @@
-"""How arrays travel to the viewer: one structure, as text in a page or as a block of bytes.
+"""How the viewer and what it draws travel: its sources as one ES module, arrays as text in a page
+or as a block of bytes.
 
 `decode` and `unpack` of geometry.js read both: an array is `{"f4": base64}` in the text, and
 `{"f4": [offset, count]}` in the head of a block.
@@ -8,7 +9,10 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -93,3 +97,56 @@ def _mapped(value: Any, write: Callable[[Any_], Any]) -> Any:
     if isinstance(value, list | tuple):
         return [_mapped(v, write) for v in value]
     return value
+
+
+SOURCES = (
+    "clock",
+    "geometry",
+    "gpu",
+    "parts",
+    "picture",
+    "pointer",
+    "viewer",
+    "figure",
+)  # each after what it imports
+_IMPORT = re.compile(r'^import [^\n]* from "\./[^\n]*";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:function|const|class) (\w+))", re.MULTILINE)
+# "<" could end the element or begin a comment; the two separators end a line in older scripts. JSON
+# has all of them in its strings alone, where their escapes are the same text.
+_ESCAPES = str.maketrans({"<": "\\u003c", "\u2028": "\\u2028", "\u2029": "\\u2029"})
+
+
+@cache
+def asset(name: str) -> str:
+    """The text of a file of the viewer."""
+    return (files("ringtrue.viewer") / name).read_text(encoding="utf-8")
+
+
+@cache
+def viewer_module() -> str:
+    """The viewer as one ES module, for notebooks and the studio."""
+    text, names = _joined()
+    return f"{text}\nexport {{ {', '.join(names)} }};\n"
+
+
+@cache
+def viewer_script() -> str:
+    """The viewer as a script that defines `ringtrueViewer`, for pages that open offline."""
+    text, names = _joined()
+    inside = f'"use strict";\n{text}\nreturn {{ {", ".join(names)} }};'
+    return f"const ringtrueViewer = (() => {{\n{inside}\n}})();\n"
+
+
+def _joined() -> tuple[str, list[str]]:
+    """The sources in one, and the names that they export."""
+    text = "\n".join(_IMPORT.sub("", asset(f"{name}.js")) for name in SOURCES)
+    return _EXPORT.sub(r"\1", text), [name for _, name in _EXPORT.findall(text)]
+
+
+def script_json(text: str) -> str:
+    r"""The same JSON without what HTML reads.
+
+    >>> script_json('["<!--", "</script>"]')
+    '["\\u003c!--", "\\u003c/script>"]'
+    """
+    return text.translate(_ESCAPES)

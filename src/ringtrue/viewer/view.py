@@ -10,8 +10,7 @@ from typing import Any
 
 from ringtrue.errors import UnsupportedError
 from ringtrue.io.files import atomic_write
-from ringtrue.viewer.assets import asset, script_json, viewer_script
-from ringtrue.viewer.encoding import to_json
+from ringtrue.viewer.encoding import asset, script_json, to_json, viewer_script
 
 HEIGHT = 480  # of the drawing on a page of its own, pixels
 

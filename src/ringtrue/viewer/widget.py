@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import anywidget
 import traitlets
 
-from ringtrue.viewer.assets import asset, viewer_module
-from ringtrue.viewer.encoding import to_block
+from ringtrue.viewer.encoding import asset, to_block, viewer_module
 
 _RENDER = """
 function render({ model, el }) {

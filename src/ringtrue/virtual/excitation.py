@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy import fft
+from scipy.constants import g
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_arrays
-from ringtrue.core.units import GRAVITY
 from ringtrue.errors import InputError
 from ringtrue.virtual.sensors import coloured, lines
 
@@ -277,8 +277,8 @@ def dropped_weight(times: Float, points: Int, rng: np.random.Generator) -> Pulse
     n = times.size
     e = rng.uniform(0.15, 0.35, n)
     contact = rng.uniform(0.006, 0.014, n)
-    speed = np.sqrt(2 * GRAVITY * 1.5) * np.stack([np.ones(n), e, e**2])
-    flight = 2 * speed[1:] / GRAVITY + contact
+    speed = np.sqrt(2 * g * 1.5) * np.stack([np.ones(n), e, e**2])
+    flight = 2 * speed[1:] / g + contact
     start = times + np.vstack([np.zeros(n), np.cumsum(flight, axis=0)])
     impulse = -30.0 * speed * (1 + e)
     return Pulses(start.ravel(), np.tile(contact, 3), impulse.ravel(), np.tile(points, 3))
@@ -327,7 +327,7 @@ def _jumper(times: Float, point: int, rng: np.random.Generator) -> Pulses:
         + np.cumsum(period, axis=1)
         - period[:, :1]
     )
-    weight = mass * GRAVITY * period
+    weight = mass * g * period
     heel = rng.uniform(0.05, 0.12, shape) * weight
     parts = [
         (rng.uniform(0.006, 0.015, shape), -heel, False),

@@ -17,9 +17,27 @@ from ringtrue.core.modes import ModalModel
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.virtual.sensors import lines, response_spectrum
 
-ROUNDS = 60  # of the iteration
-EXACT = 1e-3  # change of the pseudo-forces in a round, relative, that ends it
-DEPTH = 5  # rounds that are mixed
+
+@dataclass(frozen=True, slots=True)
+class JointIteration:
+    """The fixed-point iteration of the forces in joints.
+
+    Attributes
+    ----------
+    rounds : int
+        At most.
+    exact : float
+        Change of the pseudo-forces in a round, relative, that ends it.
+    depth : int
+        Rounds that are mixed.
+    """
+
+    rounds: int = 60
+    exact: float = 1e-3
+    depth: int = 5
+
+
+ITERATION = JointIteration()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,18 +97,18 @@ class SofteningJoints(FrozenArrays):
         receptance = self._receptances(freqs)
         now = np.zeros((self.inputs.size, samples))
         mixed = _Mixing()
-        for _ in range(ROUNDS):
+        for _ in range(ITERATION.rounds):
             moved = alone + np.einsum("ijf,jf->if", receptance, fft.rfft(now))
             new = self.pseudo_force(fft.irfft(moved, samples))
             off = float(np.linalg.norm(new - now))
-            if off <= EXACT * float(np.linalg.norm(new)):
+            if off <= ITERATION.exact * float(np.linalg.norm(new)):
                 out = np.array(forces)
                 out[self.inputs] += fft.rfft(new)
                 return out
             now = mixed.next(now, new)
         raise NumericalError(
             f"joints: pseudo-forces still change by {off / np.linalg.norm(new):.2g} after "
-            f"{ROUNDS} rounds; try a smaller loss"
+            f"{ITERATION.rounds} rounds; try a smaller loss"
         )
 
     def _receptances(self, freqs: Float) -> Complex:
@@ -127,8 +145,8 @@ class _Mixing:
         """The point of the next round, from one and its image."""
         self._points.append(point)
         self._steps.append(image - point)
-        self._points = self._points[-DEPTH:]
-        self._steps = self._steps[-DEPTH:]
+        self._points = self._points[-ITERATION.depth :]
+        self._steps = self._steps[-ITERATION.depth :]
         if len(self._steps) == 1:
             return image
         last = self._steps[-1]

@@ -211,7 +211,12 @@ def strike(
         0.9 of it.
     rate : float, Hz
     """
-    double, overload = _attempts(plan, rng)
+    draw = rng.uniform(0, 1, plan.hits * 10 + 50)
+    double = draw < plan.double
+    overload = (draw >= plan.double) & (draw < plan.double + plan.overload)
+    last = int(np.searchsorted(np.cumsum(~double & ~overload), plan.hits)) + 1
+    double = double[:last]
+    overload = overload[:last]
     n = double.size
     times = plan.rest + np.arange(n) * (plan.block + plan.rest) + rng.uniform(0, 0.2 * plan.rest, n)
     hard = rng.uniform(0, 1, n)
@@ -231,14 +236,6 @@ def strike(
     return SimulatedImpacts(
         Pulses.join([pulses, second]), times, double, overload, plan=plan, rate=rate
     )
-
-
-def _attempts(plan: HammerPlan, rng: np.random.Generator) -> tuple[Bool, Bool]:
-    draw = rng.uniform(0, 1, plan.hits * 10 + 50)
-    double = draw < plan.double
-    overload = (draw >= plan.double) & (draw < plan.double + plan.overload)
-    last = int(np.searchsorted(np.cumsum(~double & ~overload), plan.hits)) + 1
-    return double[:last], overload[:last]
 
 
 def _sampled_peak(pulses: Pulses, rate: float) -> Float:

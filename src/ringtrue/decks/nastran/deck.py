@@ -24,9 +24,28 @@ _BEGIN = re.compile(rb"(?i)[ \t]*BEGIN\w*[^\r\n$]*")
 _SUPER = re.compile(rb"\bSUPER[ \t]*=?[ \t]*(\d{1,9})[ \t]*$")
 _CEND = re.compile(rb"(?i)[ \t]*CEND\b")
 WIDTH = 80
-DEPTH = 64  # of files that include each other
-INCLUDES = 10_000  # of a deck; files that each include the next one twice are 2 ** DEPTH
-AGAIN = 100_000_000  # bytes of files that were included before
+
+
+@dataclass(frozen=True, slots=True)
+class IncludeLimits:
+    """How far files may include others.
+
+    Attributes
+    ----------
+    depth : int
+        Files that include each other.
+    count : int
+        Of a deck; files that each include the next one twice are 2 ** depth.
+    again : int
+        Bytes of files that were included before.
+    """
+
+    depth: int = 64
+    count: int = 10_000
+    again: int = 100_000_000
+
+
+LIMITS = IncludeLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,17 +150,17 @@ class _Reading:
         why = ""
         if child in chain:
             why = f"{child} includes itself"
-        elif len(chain) > DEPTH:
-            why = f"files include each other more than {DEPTH} deep"
-        elif self.includes > INCLUDES:
+        elif len(chain) > LIMITS.depth:
+            why = f"files include each other more than {LIMITS.depth} deep"
+        elif self.includes > LIMITS.count:
             why = (
-                f"the deck has more than {INCLUDES} INCLUDEs: do its files include each other "
+                f"the deck has more than {LIMITS.count} INCLUDEs: do its files include each other "
                 "again and again?"
             )
-        elif self.again > AGAIN:
+        elif self.again > LIMITS.again:
             why = (
-                f"files that were included before make more than {AGAIN / 1e6:g} MB: include "
-                "each once"
+                f"files that were included before make more than {LIMITS.again / 1e6:g} MB: "
+                "include each once"
             )
         if why:
             raise DeckError(why, path=path, line=line, card="INCLUDE")
@@ -229,7 +248,7 @@ def load(path: str | Path) -> Deck:
     if not path.is_file():
         raise DeckError(absence(path), path=path)
     with path.open("rb") as opened:
-        program = other_program(opened.read(BEGINNING))
+        program = other_program(opened.read(65_536))  # its first lines say it
     if program:
         raise DeckError(
             f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it", path=path
@@ -356,7 +375,6 @@ _ANSYS = re.compile(
     rb"(/(BATCH|CLEAR|CLE|COM|CONFIG|FILNAME|FILNAM|GO|GOPR|INPUT|NERR|NOPR|OUTPUT|PREP7|SOLU|TITLE|UIS|UNITS)\b"
     rb"|FINI(SH)?\b|(ANTYPE|ET|EBLOCK|MP|MPTEMP|NBLOCK|SECTYPE)\s*,)"
 )
-BEGINNING = 65_536  # bytes that tell the program
 
 
 def other_program(data: bytes) -> str:

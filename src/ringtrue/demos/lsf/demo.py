@@ -34,7 +34,7 @@ from ringtrue.model.ports import Linearisation
 from ringtrue.report.build import deliver
 from ringtrue.shapes import mac
 from ringtrue.study.acceptance import AcceptanceCheck, improvement
-from ringtrue.study.findings import findings_json
+from ringtrue.study.conclusion import findings_json
 from ringtrue.study.results import CompareStage, CorrelateStage, FinalStage, PlanStage, UpdateStage
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.study.session import Session

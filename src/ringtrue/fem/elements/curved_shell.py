@@ -99,7 +99,7 @@ def _around(m: Mesh, nodes: Int) -> Iterable[tuple[Int, Any_]]:
             continue
         ids = _corners(m.model, card)
         near = np.flatnonzero(np.isin(ids, mine).any(axis=1))
-        # copies of an element (`parametrisation.copies`) have its number: it counts once
+        # copies of an element (`parameter_groups.Copies`) have its number: it counts once
         _, first = np.unique(m.model[card].ids[near], return_index=True)
         corners = m.model["GRID"].find(ids[near[np.sort(first)]])
         # the builder of the element names a node that is absent

@@ -43,11 +43,30 @@ from ringtrue.fem.mesh import (
 from ringtrue.model.cards import QUADRILATERAL, TRIANGLE
 from ringtrue.model.model import table
 
-_STEPS = 12  # Newton steps to the foot of a point on a patch; two suffice on a flat one
-# by which a foot may lie outside of its patch, in natural coordinates (SWLDPRM, PROJTOL)
-_SLACK = 0.02
-_FAR = 5.0  # natural coordinates beyond which a foot is not followed
-_NEAREST = 16  # shells that are tried, by the distance of their centres
+
+@dataclass(frozen=True, slots=True)
+class FootSearch:
+    """The foot of a point on a patch, by Newton steps in natural coordinates.
+
+    Attributes
+    ----------
+    steps : int
+        Two suffice on a flat patch.
+    slack : float
+        By which a foot may lie outside of its patch (SWLDPRM, PROJTOL).
+    far : float
+        Beyond which a foot is not followed.
+    nearest : int
+        Shells that are tried, by the distance of their centres.
+    """
+
+    steps: int = 12
+    slack: float = 0.02
+    far: float = 5.0
+    nearest: int = 16
+
+
+FOOT = FootSearch()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +106,7 @@ def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, 
     """
     r = np.where(triangle, 1 / 3, 0.0)
     s = r.copy()
-    for _ in range(_STEPS):
+    for _ in range(FOOT.steps):
         N, dN = _shapes(r, s, triangle)
         tangent = dN @ x
         off = point - np.einsum("ei,eij->ej", N, x)
@@ -95,7 +114,7 @@ def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, 
         # a collapsed shell near by
         metric += 1e-14 * np.trace(metric, axis1=1, axis2=2)[:, None, None] * np.eye(2)
         step = np.linalg.solve(metric, np.einsum("ekj,ej->ek", tangent, off)[..., None])[..., 0]
-        r, s = (np.clip(x_ + step[:, i], -_FAR, _FAR) for i, x_ in enumerate((r, s)))
+        r, s = (np.clip(x_ + step[:, i], -FOOT.far, FOOT.far) for i, x_ in enumerate((r, s)))
     return r, s, *_shapes(r, s, triangle)
 
 
@@ -116,7 +135,7 @@ def on_patch(t: CardRows, nodes: Int, point: Float) -> End:
     area = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     t.refuse((area == 0).all(axis=1), "the corners of a patch lie on one line")
     r, s, N, dN = _foot(x, point, triangle)
-    outside = _margin(r, s, triangle) < -_SLACK
+    outside = _margin(r, s, triangle) < -FOOT.slack
     t.refuse(outside, "the foot of its point lies outside of a patch")
     tangent = dN @ x
     n = unit(np.cross(tangent[:, 0], tangent[:, 1]))
@@ -186,7 +205,7 @@ class Skin:
         """The shells (e, k) of the property `pid` (e,) with the centres nearest to a point (e, 3),
         -1 for none.
         """
-        out = np.full((pid.size, _NEAREST), -1)
+        out = np.full((pid.size, FOOT.nearest), -1)
         for one in np.unique(pid).tolist():
             mine = np.flatnonzero(self.pid == one)
             rows = np.flatnonzero(pid == one)
@@ -195,7 +214,7 @@ class Skin:
                 there = (corners >= 0)[:, :, None]
                 total = np.where(there, self.mesh.xyz[corners], 0.0).sum(axis=1)
                 nearby = cKDTree(total / there.sum(axis=1))
-                k = min(_NEAREST, mine.size)
+                k = min(FOOT.nearest, mine.size)
                 out[rows, :k] = mine[nearby.query(point[rows], k)[1].reshape(-1, k)]
         return out
 
@@ -230,7 +249,7 @@ class Skin:
         every = np.repeat(point, k, axis=0)
         r, s, N, _ = _foot(x, every, triangle)
         away = np.linalg.norm(np.einsum("ei,eij->ej", N, x) - every, axis=1)
-        on = (_margin(r, s, triangle) >= -_SLACK) & (found.ravel() >= 0)
+        on = (_margin(r, s, triangle) >= -FOOT.slack) & (found.ravel() >= 0)
         away = np.where(on, away, np.inf).reshape(-1, k)
         if own:
             away[np.isfinite(away[:, 0]), 0] = -1.0

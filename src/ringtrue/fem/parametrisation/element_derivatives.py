@@ -19,7 +19,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure, is_matrix
 from ringtrue.errors import InputError
-from ringtrue.fem.assembly import turn
+from ringtrue.fem.assembly import WHOLE, Share, turn
 from ringtrue.fem.element_cards import MATERIAL, PROPERTY, mesh, pieces, with_listed_mass
 from ringtrue.fem.elements.given_matrices import named_matrix
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
@@ -31,7 +31,6 @@ from ringtrue.fem.parametrisation.changed_model import (
     users_of_nodes,
     within,
 )
-from ringtrue.fem.share import WHOLE, Share
 from ringtrue.model.edit import field_value
 from ringtrue.model.frames import diagonal
 from ringtrue.model.model import Model

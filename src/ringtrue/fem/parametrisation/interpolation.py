@@ -325,7 +325,6 @@ def rough(groups: Sequence[ParameterGroup]) -> str:
     )
 
 
-DEGREES = (4, 8, 16, 32, 64, 128)  # each takes the points of the one before
 # relative to the largest, at the points that the next degree adds; that one's error is about the
 # square
 SERIES_HOLDS = 1e-9
@@ -380,7 +379,7 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     known: dict[float, list[Float]] = {}
     found: list[Series | None] = [None] * len(bounds)
     before: list[Float] = []
-    for n in DEGREES:
+    for n in (4, 8, 16, 32, 64, 128):  # each takes the points of the one before
         shares = (1 - np.round(np.cos(np.pi * np.arange(n + 1) / n), 15)) / 2
         known |= {s: values(low * (high / low) ** s) for s in shares.tolist() if s not in known}
         basis = chebvander(2 * shares - 1, n)

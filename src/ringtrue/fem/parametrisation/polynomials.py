@@ -21,6 +21,7 @@ from ringtrue.core.arrays import Any_, Float
 from ringtrue.fem.assembly import Sum, System, reduced
 from ringtrue.fem.element_cards import batches
 from ringtrue.fem.mesh import Mesh, Rows
+from ringtrue.fem.parametrisation.element_derivatives import SPAN
 from ringtrue.fem.parametrisation.parameter_groups import (
     INVALID,
     ParameterGroup,
@@ -90,7 +91,6 @@ class AffineTerm:
 
 
 SAMPLE = 40  # elements of a kind whose matrices show the powers
-SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 MOST_PRODUCTS = 1024  # of a region; one of more is interpolated
 NODES = np.array([1.0, 2.0, 0.5, 3.0])  # factors at which powers are distinguished
 CUBIC = (1, 2, 3)

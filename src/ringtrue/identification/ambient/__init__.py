@@ -5,6 +5,5 @@
 - modes of a band: `band_modes`, `ssi_cov`, `close_modes`, `maximum_likelihood`, `confidence`
 - several setups: `setups`, `shape_reading`
 - free decays: `free_decays`, `decay_candidates`, `decay_band_fit`, `decay_fit`, `decay_backbone`
-- what given poles explain of a spectrum: `synthesis`
 - second opinions: `ssi_data`, `plscf`, `era`, `fdd`
 """

@@ -375,7 +375,9 @@ def with_pairs(
         if pair is None:
             continue
         near = np.abs(table.frequencies / f - 1) < z
-        own = np.flatnonzero(near & (_inside(table.shape, pair.basis) > PAIRS.within))
+        in_plane = (np.abs(pair.basis.conj().T @ table.shape) ** 2).sum(0)
+        inside = in_plane / (np.abs(table.shape) ** 2).sum(0)
+        own = np.flatnonzero(near & (inside > PAIRS.within))
         if pair.turn < ANY_TURN and (confidence(table, spectrum.duration)[own] > least).sum() > 1:
             continue
         two = spectrum.with_gain(_rows(band, pair))
@@ -418,11 +420,6 @@ def _places(table: CandidateModes) -> list[tuple[float, float]]:
         if all(abs(f - g) > 2 * max(z * f, y * g) for g, y in out):
             out.append((f, z))
     return out
-
-
-def _inside(shape: Complex, basis: Complex) -> Float:
-    """(k,) share of the squared shapes (ch, k) that lies in the plane."""
-    return np.asarray((np.abs(basis.conj().T @ shape) ** 2).sum(0) / (np.abs(shape) ** 2).sum(0))
 
 
 def _near(p: PoleSet, f: float, z: float, slack: float = 1.0) -> Int:

@@ -130,14 +130,13 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
                 std=std[:, k],
                 backbone=fitted[0] if fitted else None,
             )
-            if not any(_same_mode(new, other) for other in out if other.found is not found):
+            others = (c for c in out if c.found is not found)
+            if not any(
+                abs(new.frequency - c.frequency) < 6 * float(np.hypot(new.std[0], c.std[0]))
+                for c in others
+            ):
                 out.append(new)
     return sorted(out, key=lambda c: c.frequency)
-
-
-def _same_mode(a: DecayCandidate, b: DecayCandidate) -> bool:
-    reach = 6 * float(np.hypot(a.std[0], b.std[0]))
-    return abs(a.frequency - b.frequency) < reach
 
 
 def is_remainder(c: DecayCandidate, others: list[DecayCandidate], near: float) -> bool:

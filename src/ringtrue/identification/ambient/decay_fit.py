@@ -279,7 +279,9 @@ def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> DecayFl
     edges = np.linspace(passed[0], passed[-1], bins + 1)
     level = np.zeros((len(rest[0]), bins))
     for y in rest:  # a few decays
-        taper = _taper(y.shape[1])
+        n = y.shape[1]
+        # keeps the skirts of what has not died away out of the other lines
+        taper = np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2
         power = np.abs(rfft(y * taper, axis=1)) ** 2 / np.square(taper).sum()
         at = np.arange(power.shape[1]) * rate / y.shape[1]
         power /= np.maximum(np.interp(at, freqs, gain), 0.1) ** 2
@@ -292,11 +294,6 @@ def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> DecayFl
     white = np.array([np.interp(freqs, centres, v) for v in level])
     white = np.maximum(white, np.finfo(np.float64).tiny)
     return DecayFloor(freqs, white * np.maximum(gain, 0.2) ** 2)
-
-
-def _taper(n: int) -> Float:
-    """(n,) window that keeps the skirts of what has not died away out of the other lines."""
-    return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2)
 
 
 @dataclass(frozen=True, slots=True)

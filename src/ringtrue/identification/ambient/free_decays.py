@@ -21,7 +21,13 @@ from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.decay_backbone import Backbone
-from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, fit_band
+from ringtrue.identification.ambient.decay_band_fit import (
+    BandDecays,
+    BandFit,
+    DecaySettings,
+    decays_of,
+    fit_band,
+)
 from ringtrue.identification.ambient.decay_candidates import (
     DecayCandidate,
     DecayMultiple,
@@ -35,7 +41,6 @@ from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, unit
 from ringtrue.signal.channel_checks import bridge_gaps, usable
-from ringtrue.signal.decay_bands import BandDecays, decays_of
 from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import EVENT, Events, find_events
 

@@ -24,8 +24,7 @@ from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
 from ringtrue.identification.common.stabilisation import least_deviations, unit
 from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
 from ringtrue.identification.frf.lines import Noise, prepare
-from ringtrue.identification.frf.plscf import Plscf, plscf
-from ringtrue.identification.frf.pole_search import grouped, merged
+from ringtrue.identification.frf.plscf import Plscf, grouped, merged, plscf
 from ringtrue.identification.frf.refinement import Refined, refine
 from ringtrue.shapes import mac
 from ringtrue.signal.spectra import correlations

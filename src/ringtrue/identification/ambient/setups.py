@@ -30,8 +30,7 @@ from ringtrue.identification.ambient.pipeline import (
     modes_of_record,
     weighed_candidates,
 )
-from ringtrue.identification.ambient.shape_reading import RecordCorrelations
-from ringtrue.identification.common.joined_shapes import with_joined_shapes
+from ringtrue.identification.ambient.shape_reading import RecordCorrelations, with_joined_shapes
 from ringtrue.identification.common.manual_selection import chosen_of_setups
 from ringtrue.identification.common.merging import Merged, merge_modes
 

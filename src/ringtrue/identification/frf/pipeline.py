@@ -42,7 +42,7 @@ from ringtrue.identification.frf.data_checks import (
     sound_pairs,
 )
 from ringtrue.identification.frf.lines import Lines, Noise, cmif, prepare, smooth_rest, without
-from ringtrue.identification.frf.pole_search import band_candidates, choose_bands, merged
+from ringtrue.identification.frf.plscf import band_candidates, choose_bands, merged
 from ringtrue.identification.frf.refinement import Refined, refine, shape_deviations
 from ringtrue.identification.frf.residues import (
     DrivingPoints,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,33 @@ from ringtrue.errors import DataError
 from ringtrue.io.files import existing
 from ringtrue.io.foreign.door import MEGABYTE, door
 
-_CHECKED = 64 * MEGABYTE  # from which on the packing of an archive is looked at
-_PACKED = 100  # times that an archive of numbers is smaller than they: noise 1, meshes and zeros 10
-_ROWS = 50_000_000  # of a sparse matrix: the starts alone are 0.4 GB
-_EMPTY_ROWS = 2_000_000  # of a matrix with next to no values, as a mass at single nodes
-_ROWS_A_VALUE = 100  # of a larger one: in a damaged shape most rows are empty
+
+@dataclass(frozen=True, slots=True)
+class ArrayLimits:
+    """Beyond which a file is damaged, or would fill the memory.
+
+    Attributes
+    ----------
+    checked : int
+        Bytes from which on the packing of an archive is looked at.
+    packed : int
+        Times that an archive of numbers is smaller than they: noise 1, meshes and zeros 10.
+    rows : int
+        Of a sparse matrix: the starts alone are 0.4 GB.
+    empty_rows : int
+        Of a matrix with next to no values, as a mass at single nodes.
+    rows_a_value : int
+        Of a larger one: in a damaged shape most rows are empty.
+    """
+
+    checked: int = 64 * MEGABYTE
+    packed: int = 100
+    rows: int = 50_000_000
+    empty_rows: int = 2_000_000
+    rows_a_value: int = 100
+
+
+LIMITS = ArrayLimits()
 
 
 def read_npy(path: str | Path) -> Any_:
@@ -48,7 +71,7 @@ def read_npz(path: str | Path) -> dict[str, Any_]:
     with door(path, ".npz file"):
         with zipfile.ZipFile(path) as archive:
             size = sum(part.file_size for part in archive.infolist())
-        if size > _CHECKED and size > _PACKED * path.stat().st_size:
+        if size > LIMITS.checked and size > LIMITS.packed * path.stat().st_size:
             raise DataError(
                 f"{path}: {path.stat().st_size} bytes unfold to {size}: the file is damaged"
             )
@@ -135,10 +158,10 @@ def _check_parts(data: Any_, indices: tuple[Any_, Any_], shape: tuple[int, int])
             f"indices of {indices[0].dtype}, values of {data.dtype}: a sparse matrix has integers "
             "and numbers"
         )
-    if len(shape) != 2 or not all(0 <= n < _ROWS for n in shape):
+    if len(shape) != 2 or not all(0 <= n < LIMITS.rows for n in shape):
         raise DataError(
-            f"a matrix of {' x '.join(map(str, shape))}; it must have less than {_ROWS} rows and "
-            "columns"
+            f"a matrix of {' x '.join(map(str, shape))}; it must have less than {LIMITS.rows} rows "
+            "and columns"
         )
 
 
@@ -150,7 +173,7 @@ def _check_range(indices: Any_, size: int, shape: tuple[int, int]) -> None:
 
 
 def _check_rows(shape: tuple[int, int], values: int) -> None:
-    if max(shape) > max(_EMPTY_ROWS, _ROWS_A_VALUE * values):
+    if max(shape) > max(LIMITS.empty_rows, LIMITS.rows_a_value * values):
         raise DataError(
             f"a matrix of {shape[0]} x {shape[1]} with {values} values: its shape is damaged"
         )

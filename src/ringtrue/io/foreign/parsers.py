@@ -273,9 +273,6 @@ def _check_segments(raw: bytes, path: Path) -> None:
         raise DataError(f"{path}: not a TDMS file")
 
 
-_OPEN_ENDS = (0, 0xFFFFFFFF)  # lengths of a file that its recorder did not close
-
-
 def read_wave(path: str | Path) -> tuple[float, Any_]:
     """Rate (Hz) and samples (sample, channel), as scipy gives them: 24 bits stand in the upper
     bytes of 32.
@@ -291,7 +288,10 @@ def read_wave(path: str | Path) -> tuple[float, Any_]:
     # in memory a damaged length cannot ask for more than there is
     raw = bytearray(path.read_bytes())
     with door(path, "WAVE file of PCM or floats"):
-        if raw[:4] == b"RIFF" and struct.unpack("<I", raw[4:8])[0] in _OPEN_ENDS:
+        if raw[:4] == b"RIFF" and struct.unpack("<I", raw[4:8])[0] in (
+            0,
+            0xFFFFFFFF,
+        ):  # its recorder did not close it
             raw[4:8] = struct.pack("<I", min(len(raw) - 8, 0xFFFFFFFE))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")

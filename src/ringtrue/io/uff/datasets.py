@@ -65,7 +65,9 @@ def reals(text: bytes, widths: Sequence[int], count: int) -> Float:
         values = _free(tried)
         if values is not None and count <= values.size <= count + per_line:
             return values[:count]
-    values = _fixed(text, widths)
+    lines = text.decode("latin-1").splitlines()
+    # a loop over fields: only files whose columns touch come here, 1 µs a field
+    values = np.array([parse_real(x) for line in lines for x in words(line, widths) if x], float)
     if values.size < count:
         raise DataError(
             f"{values.size} numbers where {count} are announced; the file is cut or damaged"
@@ -81,12 +83,6 @@ def _free(text: bytes) -> Float | None:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
-
-
-def _fixed(text: bytes, widths: Sequence[int]) -> Float:
-    lines = text.decode("latin-1").splitlines()
-    # a loop over fields: only files whose columns touch come here, 1 µs a field
-    return np.array([parse_real(x) for line in lines for x in words(line, widths) if x], float)
 
 
 def numbers(line: str, widths: Sequence[int]) -> list[float]:
@@ -131,8 +127,6 @@ _MARK = re.compile(rb"(?:^|(?<=[\r\n])) {0,5}-1[ \t\x00]*(?=[\r\n]|\Z)")
 _END = re.compile(rb"[\r\n]{0,2} {4}-1[ \t]*(?=[\r\n]|\Z)")
 LINE = re.compile(rb"\r\n|\n|\r")
 _FORM = 6  # the line of it with type of ordinates, points, spacing
-_DOUBLE = (4, 6)
-_COMPLEX = (5, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,8 +250,8 @@ def _counts(header: bytes) -> list[int]:
     if len(form) < 3 or not all(f.isdigit() and len(f) < 19 for f in form):
         return []
     ordinate, points, even = (int(f) for f in form)
-    size = 8 if ordinate in _DOUBLE else 4
-    per_point = 2 if ordinate in _COMPLEX else 1
+    size = 8 if ordinate in (4, 6) else 4  # double
+    per_point = 2 if ordinate in (5, 6) else 1  # complex
     return [points * (per_point * size + x) for x in ([0] if even else [4, 8])]
 
 

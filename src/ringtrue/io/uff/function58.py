@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,26 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.times import axis_factor
 from ringtrue.io.uff.datasets import LINE, DataSet, numbers, parse_int, reals, words
 
-# function types
-TIME = 1
-FRF = 4
-TRANSMISSIBILITY = 5
-COHERENCE = 6
-# data types of abscissae
-TIME_AXIS = 17
-FREQUENCY_AXIS = 18
+
+class FunctionType(IntEnum):
+    """What a function is, of those that are read."""
+
+    TIME = 1
+    FRF = 4
+    TRANSMISSIBILITY = 5
+    COHERENCE = 6
+
+
+class AxisType(IntEnum):
+    """Specific data types of abscissae."""
+
+    TIME = 17
+    FREQUENCY = 18
+
+
+FRF_TYPES = (FunctionType.FRF, FunctionType.TRANSMISSIBILITY)
+
+
 _HEADER = 11  # lines
 _ENDS = {  # fields of line 6 and their columns
     "kind": 5,
@@ -241,10 +254,11 @@ def write_frf_sets(path: str | Path, frfs: FrfSet) -> None:
                 h = frfs.data[:, i, j]
                 coherence = frfs.coherence[:, i, j]
                 sets: list[tuple[str, int, tuple[int, ...], Any_]] = [
-                    ("FRF", FRF, (FREQUENCY_AXIS, motion, _CODE["force"], 0), h)
+                    ("FRF", FunctionType.FRF, (AxisType.FREQUENCY, motion, _CODE["force"], 0), h)
                 ]
                 if np.isfinite(coherence).all():
-                    sets.append(("Coherence", COHERENCE, (FREQUENCY_AXIS, 0, 0, 0), coherence))
+                    unitless = (AxisType.FREQUENCY, 0, 0, 0)
+                    sets.append(("Coherence", FunctionType.COHERENCE, unitless, coherence))
                 for title, kind, codes, y in sets:
                     points = f"{kind:5d}{0:10d}{0:5d}{0:10d} {response} {reference}"
                     head = [title, *("NONE",) * 4, points]

@@ -26,12 +26,10 @@ from ringtrue.io.record_table import RawTable
 from ringtrue.io.times import even_rate, known, to_si, uneven
 from ringtrue.io.uff.datasets import DataSet, parse_real, row, scan
 from ringtrue.io.uff.function58 import (
-    COHERENCE,
-    FRF,
-    TIME,
-    TIME_AXIS,
-    TRANSMISSIBILITY,
+    FRF_TYPES,
     Axis,
+    AxisType,
+    FunctionType,
     UffFunction,
     read_function,
 )
@@ -166,8 +164,12 @@ def read_time_runs(path: Path) -> tuple[RawTable, ...]:
 
 def _time_functions(path: Path) -> tuple[list[UffFunction], Units | None]:
     functions, units = _functions(path)
-    unstated = (0, TIME_AXIS)
-    found = [f for f in functions if f.kind == TIME or (f.kind, f.axes[0].data_type) == unstated]
+    unstated = (0, AxisType.TIME)
+    found = [
+        f
+        for f in functions
+        if f.kind == FunctionType.TIME or (f.kind, f.axes[0].data_type) == unstated
+    ]
     if not found:
         raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
     return found, units
@@ -239,7 +241,7 @@ def _titles(functions: Sequence[UffFunction]) -> list[str]:
 
 def frf_ends(path: str | Path) -> tuple[str, ...]:
     """Ids of all responses and references of the FRFs of a universal file, sound or not."""
-    frfs = [f for f in read_functions(path) if f.kind in (FRF, TRANSMISSIBILITY)]
+    frfs = [f for f in read_functions(path) if f.kind in FRF_TYPES]
     return tuple(dict.fromkeys(name for ends in _ends(frfs) for name in ends))
 
 
@@ -257,7 +259,7 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         functions are of no use; where few are, their response or reference is left out, and said.
     """
     functions, units = _functions(path)
-    frfs = [f for f in functions if f.kind in (FRF, TRANSMISSIBILITY)]
+    frfs = [f for f in functions if f.kind in FRF_TYPES]
     if not frfs:
         held = functions_held(f.kind for f in functions)
         raise DataError(f"{path}: no FRFs (58, function type 4 or 5); {held}")
@@ -295,7 +297,7 @@ def read_frf_sets(path: str | Path, leave_out: Sequence[str] = ()) -> FrfSet:
         data = data[:, rows][:, :, columns]
         outputs = [outputs[k] for k in rows]
         inputs = [inputs[k] for k in columns]
-    coherences = [f for f in functions if f.kind == COHERENCE]
+    coherences = [f for f in functions if f.kind == FunctionType.COHERENCE]
     at_lines = [shared_lines([f.x, freqs]) for f in coherences]
     usable = [
         (f, at[0])
@@ -378,7 +380,8 @@ def _si(f: UffFunction, units: Units | None) -> tuple[Quantity, float]:
 
 def _on_base(f: UffFunction) -> bool:
     """Whether it is a motion over the motion of a base."""
-    return f.kind == TRANSMISSIBILITY or _QUANTITY.get(f.axes[2].data_type, "unknown") in FRF_KIND
+    reference = _QUANTITY.get(f.axes[2].data_type, "unknown")
+    return f.kind == FunctionType.TRANSMISSIBILITY or reference in FRF_KIND
 
 
 def _motion(axis: Axis, unit: str, units: Units | None, about: bool) -> tuple[Quantity, float]:

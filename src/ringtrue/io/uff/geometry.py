@@ -17,7 +17,7 @@ from ringtrue.errors import DataError, about
 from ringtrue.io.files import refuse_large, sets_held
 from ringtrue.io.foreign.door import door
 from ringtrue.io.uff.datasets import DataSet, integers, numbers, reals, row, scan
-from ringtrue.io.uff.function58 import FRF, read_function
+from ringtrue.io.uff.function58 import FunctionType, read_function
 from ringtrue.io.uff.functions import label, read_units
 
 NODES = (15, 2411)
@@ -202,7 +202,7 @@ def _ends(blocks: Sequence[DataSet], nodes: Mapping[int, _Node]) -> tuple[list[E
     functions = [read_function(b) for b in blocks if b.kind == 58]
     sides = (
         (f.response for f in functions),
-        (f.reference for f in functions if f.kind == FRF),
+        (f.reference for f in functions if f.kind == FunctionType.FRF),
     )
     responses, references = (
         [e for e in dict.fromkeys(side) if e[0] in nodes and 1 <= abs(e[1]) <= 3] for side in sides

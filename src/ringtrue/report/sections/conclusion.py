@@ -92,7 +92,11 @@ def section(data: Stages) -> Section | None:
     if c.unseen is not None:
         blocks.append(_unseen(c.unseen, c.level))
     blocks += _checks(c)
-    if failed := [sentence(f"{_failure(check)}{_borne(check)}") for check in c.failed]:
+    failed = []
+    for check in c.failed:
+        borne = f" It is borne: {check.reason}" if check.reason else ""
+        failed.append(sentence(f"{_failure(check)}{borne}"))
+    if failed:
         blocks += [Heading("What failed"), Items(failed)]
     blocks += [Heading("What was changed, and why it is plausible"), *_changes(c)]
     heads = ("|Open", "|What settles it")
@@ -185,10 +189,6 @@ def _failure(check: AcceptanceCheck) -> str:
     if check.code == "outcome":
         return f"The updating ended as {check.got}; the limits judge its model."
     return f"{check.name}: {check.got}, wanted {check.wanted}."
-
-
-def _borne(check: AcceptanceCheck) -> str:
-    return f" It is borne: {check.reason}" if check.reason else ""
 
 
 def _changes(c: Conclusion) -> list[Block]:

@@ -9,7 +9,7 @@ import numpy as np
 from ringtrue.core.digits import plus_minus, with_error
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.correlation.frf import InputSummary
-from ringtrue.plots import correlation, identification, signals
+from ringtrue.plots import correlation, diagram, signals
 from ringtrue.plots import predicted as plots
 from ringtrue.report.parts import (
     Block,
@@ -155,7 +155,7 @@ def _damping_plot(data: Stages) -> Plot:
     text = (
         "Damping ratios identified, with one standard deviation, and those the final model carries."
     )
-    return Plot(identification.damping(sets, used), text)
+    return Plot(diagram.damping(sets, used), text)
 
 
 def _damping_table(data: Stages) -> ReportTable:

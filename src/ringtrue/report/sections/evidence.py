@@ -5,10 +5,9 @@ beyond the scatter.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from ringtrue.correlation.measures import CloseSubspace, CompleteCorrelation
-from ringtrue.correlation.orthogonality import Failure, OrthogonalityCheck
+from ringtrue.correlation.orthogonality import OrthogonalityCheck
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.plots import correlation as plots
 from ringtrue.report.parts import (
@@ -90,7 +89,14 @@ def _check(c: OrthogonalityCheck, measures: CompleteCorrelation) -> list[str | C
     v = c.verdict
     least = fixed(100 * v.least_diagonal, 1) if c.kind != "self" else "–"
     most = fixed(100 * v.largest_off_diagonal, 1)
-    named = _beyond(c.kind, v.failures)
+    # the worst first; those of a symmetric matrix once
+    once = [f for f in v.failures if c.kind == "cross" or f.a < f.b]
+    left, right = {"model": ("FE ", "FE "), "self": ("", ""), "cross": ("", "FE ")}[c.kind]
+    named = ", ".join(
+        f"{left}{f.a + 1} – {right}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]
+    )
+    if len(once) > MOST:
+        named += f" and {len(once) - MOST} more"
     return [c.mass, WHOSE[c.kind], least, most, verdict(c, measures), named]
 
 
@@ -99,14 +105,6 @@ def verdict(c: OrthogonalityCheck, measures: CompleteCorrelation) -> Cell:
     if not measures.judges(c):
         return Cell("no verdict", "warn")
     return Cell("passed", "good") if c.verdict.passed else Cell("failed", "bad")
-
-
-def _beyond(kind: str, failures: Sequence[Failure]) -> str:
-    """The entries beyond the gate, the worst first; those of a symmetric matrix once."""
-    once = [f for f in failures if kind == "cross" or f.a < f.b]
-    left, right = {"model": ("FE ", "FE "), "self": ("", ""), "cross": ("", "FE ")}[kind]
-    described = [f"{left}{f.a + 1} – {right}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]]
-    return ", ".join(described) + (f" and {len(once) - MOST} more" if len(once) > MOST else "")
 
 
 def suspects(c: CompleteCorrelation, table: CorrelationTable) -> ReportTable | Text:

@@ -6,7 +6,7 @@ import math
 
 from ringtrue.core.arrays import Int
 from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
-from ringtrue.plots import correlation, identification
+from ringtrue.plots import correlation, diagram
 from ringtrue.report.parts import (
     Block,
     Cell,
@@ -46,9 +46,12 @@ def section(data: Stages) -> Section | None:
     ]
     if plan.acquisition.averages:
         facts.insert(5, Fact("Averages", str(plan.acquisition.averages)))
+    references = f"Hammer references: {', '.join(plan.excitation.references)}."
+    if len(plan.excitation.references) > 1:
+        references += " All are channels, too: each pair of them checks reciprocity."
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {_references(plan)}"),
+        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {references}"),
     ]
     blocks += [
         Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
@@ -85,18 +88,10 @@ def section(data: Stages) -> Section | None:
     return Section("plan", "Test plan", blocks)
 
 
-def _references(plan: PlanStage) -> str:
-    references = plan.excitation.references
-    text = f"Hammer references: {', '.join(references)}."
-    if len(references) > 1:
-        text += " All are channels, too: each pair of them checks reciprocity."
-    return text
-
-
 def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     """Standard deviations of the ambient modes: planned and found, else those to expect."""
     if data.identify is not None and len(data.identify.ambient):
-        fig = identification.verified(precision(plan, data.identify))
+        fig = diagram.verified(precision(plan, data.identify))
         text = (
             "The plan verified: standard deviations planned for one ambient record (lines) and "
             "found of the merged "
@@ -106,9 +101,7 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     if data.model is None or not plan.acquisition.modes.size:
         return []
     modes = data.model.modes.take(plan.acquisition.modes)
-    fig = identification.precision(
-        modes, plan.acquisition.std_frequency, plan.acquisition.std_damping
-    )
+    fig = diagram.precision(modes, plan.acquisition.std_frequency, plan.acquisition.std_damping)
     fig.update_layout(height=430)
     return [
         Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")

@@ -218,7 +218,10 @@ def prediction(data: Stages) -> Section | None:
     if p is None:
         return None
     blocks: list[Block] = [Text(_run_up_lead(p), "lead"), _peaks(p)]
-    tabs = [(name, [_curves(p, name, at)]) for name, at in _groups(p).items()]
+    groups: dict[str, list[int]] = {}  # outputs of the rotor, and of each group of springs
+    for i, name in enumerate(p.run_up.names):
+        groups.setdefault(name.rpartition(", ")[0], []).append(i)
+    tabs = [(name, [_curves(p, name, at)]) for name, at in groups.items()]
     blocks.append(Tabs(tabs) if len(tabs) > 1 else tabs[0][1][0])
     blocks.append(Text(_basis(p), "note"))
     blocks += [Text(sentence(f), "note") for f in p.flags]
@@ -278,14 +281,6 @@ def _banded(values: Bands, i: int, factor: float) -> list[str]:
     """Median and band."""
     low, median, high = (number(factor * x[i]) for x in (values.low, values.median, values.high))
     return [median, f"{low} to {high}"]
-
-
-def _groups(p: PredictStage) -> dict[str, list[int]]:
-    """Outputs by what they belong to: the rotor, and each group of springs."""
-    out: dict[str, list[int]] = {}
-    for i, name in enumerate(p.run_up.names):
-        out.setdefault(name.rpartition(", ")[0], []).append(i)
-    return out
 
 
 def _curves(p: PredictStage, name: str, at: list[int]) -> Plot:

@@ -14,7 +14,7 @@ from nicegui.events import GenericEventArguments
 
 import ringtrue as rt
 from ringtrue.api.studies import ALONE
-from ringtrue.api.trial_plan import PlanTrial, TrialPlan
+from ringtrue.api.trial import PlanTrial, TrialPlan
 from ringtrue.core.digits import number
 from ringtrue.errors import ConfigError
 from ringtrue.plots.scene import SENSORS

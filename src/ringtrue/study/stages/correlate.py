@@ -14,9 +14,9 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, ParameterSet, is_matrix
 from ringtrue.core.side_by_side import side_by_side
 from ringtrue.core.testmodel import TestModel
+from ringtrue.correlation.channel_faults import rigid_suspects
 from ringtrue.correlation.measures import complete
 from ringtrue.correlation.pairing import pair_modes
-from ringtrue.correlation.rigid_redundancy import rigid_suspects
 from ringtrue.correlation.sensor_mounting import find_mendings
 from ringtrue.correlation.table import CorrelationTable, correlation_table
 from ringtrue.decks.nastran.editor import unified_diff

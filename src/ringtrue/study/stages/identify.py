@@ -28,9 +28,12 @@ from ringtrue.identification.ambient.pipeline import (
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
 from ringtrue.identification.ambient.setups import identified_setup
-from ringtrue.identification.ambient.shape_reading import RecordCorrelations, mode_levels
+from ringtrue.identification.ambient.shape_reading import (
+    RecordCorrelations,
+    mode_levels,
+    with_joined_shapes,
+)
 from ringtrue.identification.common.diagram import SpectrumAccount
-from ringtrue.identification.common.joined_shapes import with_joined_shapes
 from ringtrue.identification.common.merging import Contribution, join_candidates, merge_modes
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
@@ -40,9 +43,15 @@ from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.planning.exciters import ambient_std
 from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
-from ringtrue.signal.frf_sets import exchange_by_reciprocity, join_by_setup, join_frfs
+from ringtrue.signal.frf_sets import (
+    SetupGain,
+    exchange_by_reciprocity,
+    join_by_setup,
+    join_frfs,
+    setup_gains,
+    without_gains,
+)
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
-from ringtrue.signal.setup_gains import SetupGain, setup_gains, without_gains
 from ringtrue.signal.spectra import (
     Geophone,
     Welch,

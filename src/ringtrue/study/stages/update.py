@@ -50,7 +50,6 @@ from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.store import FinishedSets
 from ringtrue.updating import strategy
-from ringtrue.updating.adequacy import misfits
 from ringtrue.updating.identifiability import least_proven, stood_for
 from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single, weighed
 from ringtrue.updating.selection import selection_rules
@@ -59,6 +58,7 @@ from ringtrue.updating.selection.screening import of_parameter
 from ringtrue.updating.solver import DescentState, Solution
 from ringtrue.updating.strategy import Settled, displaced, whole_cost
 from ringtrue.updating.target import Target, Weights, match
+from ringtrue.updating.validation import misfits
 
 USUAL_RUNS = 60  # of an updating, for the progress that is shown
 

@@ -19,8 +19,16 @@ from ringtrue.decks.nastran.beams import BEAM_TAIL, BETWEEN
 from ringtrue.decks.nastran.lexer import Card, Row, table_of_rows
 from ringtrue.decks.nastran.loads import LINE_KINDS, LINE_SCALES
 from ringtrue.decks.nastran.results.op2 import Op2Table, read_tables
-from ringtrue.decks.nastran.results.points import POINT_BLOCKS, frames, grids
-from ringtrue.decks.nastran.results.records import LISTED, OTHERS, Key, Layout, layouts
+from ringtrue.decks.nastran.results.records import (
+    LISTED,
+    OTHERS,
+    POINT_BLOCKS,
+    Key,
+    Layout,
+    frames,
+    grids,
+    layouts,
+)
 from ringtrue.decks.nastran.writer import Value, large_card, write_bulk
 from ringtrue.errors import DataError, about
 from ringtrue.io.files import existing

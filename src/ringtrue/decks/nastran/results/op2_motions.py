@@ -52,7 +52,6 @@ _SCALAR = 2  # type of a scalar point; extra and modal points have larger ones
 _POLAR = 3  # format code of magnitude and phase
 _REAL = 8  # words a node: key, type, six numbers
 _COMPLEX = 14  # the same with twelve
-_GRID_KEY = (4501, 45)
 _MOST = 99_999_999  # the largest number of a set; as an integer every real above 1e-35 is larger
 # The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
 # GEOM1EX are others. Blocks in SORT2 end with 2.
@@ -398,7 +397,7 @@ def _frames(table: Op2Table) -> dict[int, int]:
     """
     for data in table.bodies():
         words = table.ints(data)
-        if tuple(words[:2].tolist()) == _GRID_KEY:
+        if tuple(words[:2].tolist()) == (4501, 45):  # GRID
             body = words[3:]
             double = table.word == 4 and words[2] not in (1, 0) and body.size % 11 == 0
             width, cd = (11, 8) if double else (8, 5)
