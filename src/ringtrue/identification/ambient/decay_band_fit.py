@@ -174,6 +174,8 @@ class DecaySettings:
         amplitude does to it.
     locked : float
         Standard deviations, within which a pole is a multiple of another, or a sum of two.
+    damping_max : float
+        What decays faster is the end of an impact.
     decades : float
         That the power falls by behind the impacts in a record of free decays.
     early : float
@@ -185,6 +187,7 @@ class DecaySettings:
     false_alarm: float = 1e-3
     near: float = 12.0
     locked: float = 5.0
+    damping_max: float = 0.2
     decades: float = 1.5
     early: float = 0.9
 

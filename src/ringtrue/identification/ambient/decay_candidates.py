@@ -13,8 +13,6 @@ from ringtrue.identification.ambient.decay_backbone import Backbone, fit_backbon
 from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, shape_mac
 from ringtrue.identification.ambient.decay_fit import covariance, deviations, is_steady
 
-MOST_DAMPING = 0.2  # what decays faster is the end of an impact
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecayMultiple:
@@ -116,7 +114,7 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
         slack = 5 * std[0]
         f = model.frequencies
         inside = (f > low - slack) & (f < high + slack) & (f >= band.low) & (f <= band.high)
-        inside &= model.damping < MOST_DAMPING
+        inside &= model.damping < settings.damping_max
         for k in np.flatnonzero(inside).tolist():
             parts = found.envelopes(k)
             pole = complex(model.poles[k])

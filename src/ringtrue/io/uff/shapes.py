@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,15 @@ from ringtrue.io.foreign.parsers import write_sets
 from ringtrue.io.uff.datasets import DataSet, integers, parse_real, reals, row, scan
 from ringtrue.io.uff.functions import label, test_model_sets
 
-# analysis types
-NORMAL = 2
-COMPLEX = 3
 AT_NODES = 1  # location of data in 2414
 _NODE = re.compile(r"^\s*\d+\s*$")
+
+
+class AnalysisType(IntEnum):
+    """Of data sets 55 and 2414, as far as they are modes."""
+
+    NORMAL = 2
+    COMPLEX = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +90,12 @@ def read_shape55(block: DataSet) -> StoredShape:
     end = at - (-n_real // 6)
     row(lines, end - 1)
     real = [*_line_reals(lines[at:end], n_real), *[0.0] * 4]
-    is_complex = analysis == COMPLEX
+    is_complex = analysis == AnalysisType.COMPLEX
     frequency, mass, viscous, hysteretic = (0.0,) * 4 if is_complex else real[:4]
     nodes, values = _values(lines[end:], width, kind in (5, 6))
     return StoredShape(
         analysis=analysis,
-        number=whole[1] if analysis in (NORMAL, COMPLEX) and len(whole) > 1 else 0,
+        number=whole[1] if analysis in tuple(AnalysisType) and len(whole) > 1 else 0,
         frequency=frequency,
         mass=mass,
         viscous=viscous,
@@ -153,7 +158,7 @@ def read_shape2414(block: DataSet) -> StoredShape | None:
         mass=first[3],
         viscous=first[4],
         hysteretic=first[5],
-        pole=complex(second[0], second[1]) if analysis == COMPLEX else 0j,
+        pole=complex(second[0], second[1]) if analysis == AnalysisType.COMPLEX else 0j,
         nodes=nodes,
         values=values,
         name=row(lines, 1).strip(),
@@ -192,7 +197,7 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     DataError
         If there are no modes or they are given at different nodes.
     """
-    sets = [s for s in read_shapes(path) if s.analysis in (NORMAL, COMPLEX)]
+    sets = [s for s in read_shapes(path) if s.analysis in tuple(AnalysisType)]
     if not sets:
         raise DataError(f"{path}: no normal or complex modes (analysis type 2 or 3) in the file")
     first = sets[0]
@@ -208,7 +213,7 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     # an absent or zero damping is unknown
     damping = np.array([s.viscous or s.hysteretic / 2 or np.nan for s in sets])
     for k, s in enumerate(sets):
-        if s.analysis == COMPLEX:
+        if s.analysis == AnalysisType.COMPLEX:
             frequency[k] = abs(s.pole) / (2 * np.pi)
             damping[k] = -s.pole.real / abs(s.pole) if s.pole else np.nan
     order = np.argsort(frequency, kind="stable")
@@ -254,7 +259,7 @@ def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:
         "type": 55,
         "id1": "ringtrue",
         "model_type": 1,
-        "analysis_type": COMPLEX if is_complex else NORMAL,
+        "analysis_type": AnalysisType.COMPLEX if is_complex else AnalysisType.NORMAL,
         "data_ch": 2,
         "spec_data_type": 8,
         "data_type": 5 if is_complex else 2,

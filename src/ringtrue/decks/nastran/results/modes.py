@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +37,14 @@ from ringtrue.model.case_control import METHODS
 from ringtrue.model.model import Model
 
 _RESULT = "NASTRAN/RESULT"
-# ANALYSIS of a domain
-_STATICS = 1
-_MODES = 2
 _COMPONENTS = ("X", "Y", "Z", "RX", "RY", "RZ")
+
+
+class _Analysis(IntEnum):
+    """ANALYSIS of a domain."""
+
+    STATICS = 1
+    MODES = 2
 
 
 def is_nastran_h5(path: str | Path) -> bool:
@@ -80,7 +85,7 @@ def _deflections(file: h5py.File) -> RecordedDeflections | None:
         return None
     moved = file[at][()]
     domains = file[f"{_RESULT}/DOMAINS"][()]
-    here = (domains["ANALYSIS"] == _STATICS) & np.isin(domains["ID"], moved["DOMAIN_ID"])
+    here = (domains["ANALYSIS"] == _Analysis.STATICS) & np.isin(domains["ID"], moved["DOMAIN_ID"])
     domains = domains[here & (domains["SE"] == 0)]
     if not domains.size:
         return None
@@ -109,7 +114,9 @@ def _node_frames(file: h5py.File) -> dict[int, int]:
 def _domains(domains: Any, used: Int) -> Any:
     """The rows of real modes of one subcase and superelement, by mode."""
     found = domains[
-        (domains["ANALYSIS"] == _MODES) & np.isin(domains["ID"], used) & (domains["MODE"] > 0)
+        (domains["ANALYSIS"] == _Analysis.MODES)
+        & np.isin(domains["ID"], used)
+        & (domains["MODE"] > 0)
     ]
     if not found.size:
         raise DataError("no domain of real modes")

@@ -24,9 +24,7 @@ from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.recognition import Format, format_of, refuse_format
 
 _WORDS = 9  # of a response in DSCMCOL: internal id, id, type, then by type
-# response types: Quick Reference Guide, DSCMCOL
-_EIGENVALUE = 4
-_DISPLACEMENT = 5
+_DISPLACEMENT = 5  # a response type: Quick Reference Guide, DSCMCOL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
