@@ -244,10 +244,8 @@ def pairs_by_shape(
     rivals = np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged))
     good &= rivals < LIKE_SHAPES.contested
     if good.any():
-        # number of independent patterns of readings in both sets
-        s = linalg.svdvals(np.concatenate([unit(modes.a), unit(modes.b)], axis=1))
-        patterns = max(int((s > LIKE_SHAPES.pattern * s.max(initial=0.0)).sum()), 2)
-        chance = betainc((patterns - 1) / 2, 0.5, 1 - np.clip(merged, 0.0, 1.0)) * far.sum()
+        patterns = independent_patterns(np.concatenate([unit(modes.a), unit(modes.b)], axis=1))
+        chance = chance_of_mac(merged, patterns) * far.sum()
         good &= np.maximum(chance, _confused(modes.a, modes.b)) <= LIKE_SHAPES.chance
     i, j = linear_sum_assignment(-np.where(good, merged + WORTH.tie * score.mac, 0.0))
     i, j = i[good[i, j]], j[good[i, j]]
@@ -256,6 +254,22 @@ def pairs_by_shape(
     order = np.argsort(rows, kind="stable")
     beyond = order >= done.rows.size
     return Extended(rows[order], cols[order], beyond, replace(score, merged=merged))
+
+
+def independent_patterns(shapes: Any_) -> int:
+    """Number of independent patterns of readings in shapes (channel, m), at least 2."""
+    s = linalg.svdvals(unit(shapes))
+    return max(int((s > LIKE_SHAPES.pattern * s.max(initial=0.0)).sum()), 2)
+
+
+def chance_of_mac(mac: Float, patterns: int) -> Float:
+    """Probability that two unrelated shapes have a MAC as large or larger.
+
+    Of directions that are uniform over so many independent patterns, the squared cosine is
+    Beta(½, (patterns − 1)/2) distributed (Muirhead 1982, theorem 1.5.7).
+    """
+    rest = 1 - np.clip(mac, 0.0, 1.0)
+    return np.asarray(betainc((patterns - 1) / 2, 0.5, rest))
 
 
 def scores_among(modes: ComparedModes, rows: Int, columns: Int, gates: PairingSettings) -> Scores:

@@ -424,9 +424,9 @@ def weighed(problem: Problem, found: Weights) -> Problem:
     return replace(problem, configurations=every)
 
 
-def doubting(problem: Problem) -> Problem:
-    """The same with no pair that costs more than a lost mode."""
-    every = (replace(c, target=c.target.doubting()) for c in problem.configurations)
+def doubting(problem: Problem, spread: float = 1.0) -> Problem:
+    """The same with no pair that costs more than a lost mode (`Target.doubting`)."""
+    every = (replace(c, target=c.target.doubting(spread)) for c in problem.configurations)
     return replace(problem, configurations=tuple(every))
 
 

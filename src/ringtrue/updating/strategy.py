@@ -4,20 +4,20 @@ good, weighed anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from ringtrue.core.arrays import Float
+from ringtrue.core.arrays import Float, Int
 from ringtrue.core.iterate import Progress
 from ringtrue.core.modes import rigid_below
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.correlation.assignment import WORTH, ComparedModes, scores
+from ringtrue.correlation.assignment import WORTH
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.updating.problem import Evaluated, Problem, squares, weighed
+from ringtrue.updating.problem import MODE_STRIDE, Evaluated, Problem, doubting, squares, weighed
 from ringtrue.updating.regularisation import (
     DISCREPANCY,
     Rule,
@@ -28,7 +28,6 @@ from ringtrue.updating.regularisation import (
 )
 from ringtrue.updating.residuals.modal import NO_MODE, Quantity
 from ringtrue.updating.solver import Method, Solution, solve
-from ringtrue.updating.target import DOUBT, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +86,10 @@ def settled(
     weighed as asked for.
     """
     course = course or Course()
-    aims = [c.target for c in problem.configurations]
 
     def doubted(spread: float) -> Solution:
-        doubting = _aimed(problem, [a.doubting(spread) for a in aims])
         return solve(
-            doubting,
+            doubting(problem, spread),
             course.method,
             start=start,
             iterations=course.iterations,
@@ -108,9 +105,9 @@ def settled(
         if _majority(problem, wide.y) < left:
             near = wide
             spread = DISCREPANCY.loose
-    firm = _aimed(
-        problem, [a.settled(p.now, spread) for a, p in zip(aims, near.end.points, strict=True)]
-    )
+    held = zip(problem.configurations, near.end.points, strict=True)
+    every = (replace(c, target=c.target.settled(p.now, spread)) for c, p in held)
+    firm = replace(problem, configurations=tuple(every))
     if course.discrepancy == "found":
         done, final = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
     else:
@@ -147,10 +144,9 @@ def joined_by_all(
     path = list(first.path)
     y = first.solution.y
     for width in course.widths:
-        aims = [c.target.doubting() for c in problem.configurations]
         parts = (
             replace(c, terms=tuple(t.broadened(width) for t in c.terms))
-            for c in _aimed(problem, aims).configurations
+            for c in doubting(problem).configurations
         )
         broad = replace(problem, configurations=tuple(parts))
         done = solve(broad, course.method, start=y, iterations=course.iterations, progress=progress)
@@ -200,10 +196,10 @@ def kept(problem: Problem) -> Float:
     return out
 
 
-def lost(problem: Problem, at: Evaluated) -> int:
-    """How many used test modes of all configurations have no partner at a point."""
-    used = sum(int(c.target.used.sum()) for c in problem.configurations)
-    return used - sum(len(p.pairs) for p in at.points)
+def lost(problem: Problem, at: Evaluated) -> Int:
+    """How many used test modes of each configuration have no partner at a point."""
+    both = zip(problem.configurations, at.points, strict=True)
+    return np.array([int(c.target.used.sum()) - len(p.pairs) for c, p in both])
 
 
 def displaced(problem: Problem, at: Evaluated) -> int:
@@ -215,16 +211,11 @@ def displaced(problem: Problem, at: Evaluated) -> int:
     """
     out = 0
     begin = problem.evaluate(np.zeros(problem.size))
-    for c, first, last in zip(problem.configurations, begin.points, at.points, strict=True):
-        aim = c.target
-        alone = aim.used & ~np.isin(np.arange(aim.used.size), last.pairs[:, 0])
-        near = np.zeros(int(alone.sum()))
-        for now in (first.now, last.now):
-            found = scores(
-                ComparedModes(aim.frequencies, aim.shapes, now.frequencies, now.shapes), aim.pairing
-            )
-            near = np.maximum(near, found.merged[alone].max(axis=1, initial=0.0))
-        out += int((near > WORTH.hold * aim.pairing.mac_gate).sum())
+    for c, *ends in zip(problem.configurations, begin.points, at.points, strict=True):
+        alone = c.target.used.copy()
+        alone[ends[1].pairs[:, 0]] = False
+        near = [c.target.compared(p.now).merged[alone].max(axis=1, initial=0.0) for p in ends]
+        out += int((np.maximum(*near) > WORTH.hold * c.target.pairing.mac_gate).sum())
     return out
 
 
@@ -232,20 +223,17 @@ def whole_cost(problem: Problem, at: Evaluated) -> float:
     """J at an end, by the prior that was given, over all used test modes: none costs more than one
     without partner.
 
-    That is `DOUBT`.
+    That is `Target.doubt`.
     """
     cost = problem.loss.cost(squares(at.value, at.datum))
     mode = at.mode[np.unique(at.datum, return_index=True)[1]]
-    _, of = np.unique(mode, return_inverse=True)
+    modes, of = np.unique(mode, return_inverse=True)
     each = np.bincount(of, cost)
-    unpaired = np.bincount(of, mode == NO_MODE) > 0
-    data = float(np.where(unpaired, each, np.minimum(each, DOUBT)).sum())
-    return data + at.lost + float(at.x @ problem.precision @ at.x) + DOUBT * lost(problem, at)
-
-
-def _aimed(problem: Problem, aims: Sequence[Target]) -> Problem:
-    held = zip(problem.configurations, aims, strict=True)
-    return replace(problem, configurations=tuple(replace(c, target=t) for c, t in held))
+    doubt = np.array([c.target.doubt() for c in problem.configurations])
+    most = np.where(modes == NO_MODE, np.inf, doubt[modes // MODE_STRIDE])
+    data = float(np.minimum(each, most).sum())
+    unpaired = float(doubt @ lost(problem, at))
+    return data + at.lost + float(at.x @ problem.precision @ at.x) + unpaired
 
 
 def _solved(problem: Problem, course: Course, start: Float, progress: Progress | None) -> Solution:

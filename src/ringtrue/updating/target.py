@@ -26,13 +26,14 @@ from ringtrue.correlation.assignment import (
     peak_shares,
     scores,
 )
+from ringtrue.correlation.one_criterion import chance_of_mac, independent_patterns
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.shapes import above_rounding, close_groups, fade, unit
 
 # a used mode without a partner counts like a frequency deviation of ten standard deviations
 LOST = 100.0
-DOUBT = 16.0  # four standard deviations
+DOUBT = 16.0  # four standard deviations, of a mode whose shape says nothing
 SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
 
 
@@ -121,7 +122,7 @@ class Target:
             raise InputError(f"{m} frequencies; shapes, std and used of {sizes} modes")
 
     def doubting(self, spread: float = 1.0) -> Target:
-        """The same for a point near the end: a mode that costs more than `DOUBT` has no partner.
+        """The same for a point near the end: a mode that costs more than `doubt` has no partner.
 
         A test mode that the model does not have then pulls no more than one without a partner.
         Shapes say which modes belong together: in a dense band some mode always has the right
@@ -131,8 +132,31 @@ class Target:
         """
         if self.frequency_only:
             return self
-        lost = DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
-        return replace(self, rule="capped", lost=lost)
+        return replace(self, rule="capped", lost=self.doubt(spread))
+
+    def doubt(self, spread: float = 1.0) -> float:
+        """What a pair at the MAC gate costs at most: more means that the model lacks the mode.
+
+        Four standard deviations, and −2 ln of the probability that the shape of a mode that the
+        model lacks matches one of its modes by chance (`unexpected`). With many sensors shapes that
+        match are of one mode, however far its frequency is off; with few they say little.
+        """
+        deviation = DOUBT * spread**2 * max(self.weights.data / 2, 1.0)
+        return deviation + float(self.unexpected(np.array(self.pairing.mac_gate)))
+
+    def unexpected(self, mac: Float) -> Float:
+        """−2 ln of the probability that a mode which the model lacks has a MAC as large with one of
+        its modes; of these as many are near as were measured. 0 without measured shapes.
+        """
+        if self.frequency_only or not self.shapes.any():
+            return np.zeros(mac.shape)
+        chance = chance_of_mac(mac, independent_patterns(self.shapes)) * self.frequencies.size
+        return -2 * np.log(np.clip(chance, np.finfo(np.float64).tiny, 1.0))
+
+    def compared(self, now: Linearisation) -> Scores:
+        """Each test mode with each mode of the model."""
+        modes = ComparedModes(self.frequencies, self.shapes, now.frequencies, now.shapes)
+        return scores(modes, self.pairing)
 
     def lowest(self, count: int) -> Target:
         """The same up to the highest of so many used modes, the lowest; pairs are made anew."""
@@ -180,15 +204,17 @@ def match(
         both = zip(pairs[:, 0].tolist(), of, strict=True)
         rest = [span_residual(target.shapes, now, t, s)[0] for t, s in both]
         return pairs, np.array([1 - r @ r for r in rest]), of
-    modes = ComparedModes(target.frequencies, target.shapes, now.frequencies, now.shapes)
-    s = scores(modes, target.pairing)
+    s = target.compared(now)
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
     elif target.rule == "capped":
         pairs = _gated(target, now, s, locks, np.ones(target.used.size, dtype=np.bool_))
         forced, _ = locks.mask((target.used.size, now.frequencies.size))
-        pairs = pairs[((_costs(target, s) < target.lost) | forced)[pairs[:, 0], pairs[:, 1]]]
+        # a shape that matches by less than the gate says less against the deviation
+        gate = np.array(target.pairing.mac_gate)
+        less = target.unexpected(gate) - target.unexpected(np.minimum(s.merged, gate))
+        pairs = pairs[((_costs(target, s) < target.lost - less) | forced)[tuple(pairs.T)]]
     else:
         pairs = _gated(target, now, s, locks, held)
     of = spans(target.frequencies, target.used, pairs, now, target.pairing)
@@ -208,27 +234,26 @@ def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bo
         locks=locks,
         trust=trust,
     )
+    pairs = np.stack([rows, cols], axis=1)
     if held is None:
         held = ~every
     lost = held & ~np.isin(np.arange(every.size), rows)
     if lost.any():
         keep = held[rows]  # a mode that had no partner gives way
         free = usable & ~np.isin(np.arange(usable.size), cols[keep])
-        more = _held(
-            target,
-            s,
-            lost=lost,
-            free=free,
-            locks=locks,
-            trust=trust,
+        gates = target.pairing
+        wide = replace(
+            gates,
+            mac_gate=WORTH.hold * gates.mac_gate,
+            frequency_gate=gates.frequency_gate / WORTH.hold,
         )
-        keep |= ~np.isin(cols, more[1])
-        rows = np.append(rows[keep], more[0])
-        cols = np.append(cols[keep], more[1])
-        order = np.argsort(rows)
-        rows = rows[order]
-        cols = cols[order]
-    return np.stack([rows, cols], axis=1)
+        barred = Locks((), locks.forbidden)
+        found = assign(s, wide, usable_a=lost, usable_b=free, locks=barred, trust=trust)
+        more = np.stack(found, axis=1)
+        keep |= ~np.isin(cols, more[:, 1])
+        pairs = np.concatenate([pairs[keep], more])
+        pairs = pairs[np.argsort(pairs[:, 0])]
+    return pairs
 
 
 def _usable(now: Linearisation) -> Bool:
@@ -254,28 +279,6 @@ def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
     better = rest < visible
     trust[:, faint] = np.where(better, 1 - rest / np.where(better, visible, 1.0), 0.0)[:, faint]
     return trust
-
-
-def _held(
-    target: Target, s: Scores, lost: Bool, free: Bool, locks: Locks, trust: Float
-) -> tuple[Int, Int]:
-    """Partners of the test modes `lost` (m,) among the modes `free` (n,) of the model, inside wider
-    gates.
-    """
-    gates = target.pairing
-    wide = replace(
-        gates,
-        mac_gate=WORTH.hold * gates.mac_gate,
-        frequency_gate=gates.frequency_gate / WORTH.hold,
-    )
-    return assign(
-        s,
-        wide,
-        usable_a=lost,
-        usable_b=free,
-        locks=Locks((), locks.forbidden),
-        trust=trust,
-    )
 
 
 def _cheapest(target: Target, now: Linearisation, s: Scores, locks: Locks) -> Int:
