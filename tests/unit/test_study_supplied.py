@@ -289,7 +289,7 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
 def test_frequencies_alone_propose_parameters(tmp_path: Path, capsys: Capture) -> None:
     frequencies_alone(tmp_path, "")
     files = [str(tmp_path / n) for n in ("deck/frame.bdf", "test.csv")]
-    assert run(["localise", *files, "--most", "3", "--json", "-"]) == 0
+    assert run(["localise", *files, "--most", "3", "--pool", "14", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {p["name"] for p in found["proposed"]} == {"MAT1 1 E", "MAT1 2 E", "MAT1 3 E"}
     assert found["mean_deviation_percent"][1] < 0.3 * found["mean_deviation_percent"][0]

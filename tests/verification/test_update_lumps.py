@@ -45,6 +45,8 @@ def _measured(folder: Path, truth: str, rng: np.random.Generator) -> list[str]:
         str(folder / "modes.json"),
         "--most",
         "3",
+        "--pool",
+        "12",
         "--json",
         str(folder / "found.json"),
     ]
