@@ -63,7 +63,7 @@ from ringtrue.identification.ambient.record_checks import (
 from ringtrue.identification.ambient.spectral_bins import SpectrumPeak, spectrum_peaks
 from ringtrue.identification.ambient.ssi_cov import SsiCov, positions
 from ringtrue.identification.common.diagram import SpectrumAccount
-from ringtrue.identification.common.manual_selection import chosen
+from ringtrue.identification.common.manual_selection import chosen, with_evidence
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.shapes import mac
 from ringtrue.signal.band_correlations import map_in_threads
@@ -456,9 +456,8 @@ def _assembled(
     reasons = []
     remarks = []
     for row in rows:
-        evidence = reason(found[row[0]], row[1])
-        said = by_hand.said.get(row)
-        reasons.append(f"{said}; {evidence}" if said else evidence)
+        said = by_hand.said.get(row, "")
+        reasons.append(with_evidence(said, reason(found[row[0]], row[1])))
         remarks.append(said or in_short(found[row[0]], row[1]))
     noted = [note for row in others if (note := against[row])]
     return AmbientResult(

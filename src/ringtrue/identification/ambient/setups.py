@@ -31,7 +31,7 @@ from ringtrue.identification.ambient.pipeline import (
     weighed_candidates,
 )
 from ringtrue.identification.ambient.shape_reading import RecordCorrelations, with_joined_shapes
-from ringtrue.identification.common.manual_selection import chosen_of_setups
+from ringtrue.identification.common.manual_selection import chosen_of_setups, with_evidence
 from ringtrue.identification.common.merging import Merged, merge_modes
 
 MergeMethod = Literal["poser", "preger"]
@@ -205,8 +205,7 @@ def identify_setups(
         count, spread = _scatter(of_mode)
         hand = said[k] if said else ""
         remarks.append(hand or f"{count}/{len(setups)} setups, f ±{spread:.2g} %")
-        evidence = _reason(of_mode, of_damping)
-        reasons.append(f"{hand}; {evidence}" if hand else evidence)
+        reasons.append(with_evidence(hand, _reason(of_mode, of_damping)))
     return SetupsResult(
         modes=replace(modes, confidence=joint[natural], source=f"{len(setups)} setups: SSI-cov"),
         uncertainty=merged.uncertainty.take(natural),

@@ -131,11 +131,19 @@ def reject_and_merge(
     return notes
 
 
+def _place(source: str, pick: Pick) -> str:
+    order = f" at order {pick.order}" if pick.order else ""
+    return f"{source or 'choice'}: pick at {pick.frequency:.6g} Hz{order}"
+
+
+def with_evidence(said: str, evidence: str) -> str:
+    """What the hand did to a mode, and the evidence for it; either may be empty."""
+    return "; ".join(filter(None, (said, evidence)))
+
+
 def nothing_there(source: str, pick: Pick, sets: Sequence[PoleSet]) -> DataError:
     """The error of a pick that means no pole."""
-    where = f"{source or 'choice'}: pick at {pick.frequency:.6g} Hz"
-    if pick.order:
-        where += f" at order {pick.order}"
+    where = _place(source, pick)
     f = np.concatenate([np.empty(0), *(p.frequencies for p in sets)])
     if not f.size:
         return DataError(f"{where}: the diagrams hold no pole")
@@ -214,8 +222,8 @@ def hand_poles(
     texts: list[str] = []
     taken: list[int] = []
     plain = [p for p in choice.picks if not p.order]
-    here = np.where(inside, f, np.inf)
-    at = _meant(plain, here, np.array([d.frequency for d in doubtful]))
+    there = np.append(np.where(inside, f, np.inf), [d.frequency for d in doubtful])
+    at = _meant(plain, there, np.arange(there.size) < f.size)
     for pick, k in zip(plain, at.tolist(), strict=True):
         if k >= f.size:
             taken.append(k - f.size)
@@ -244,13 +252,12 @@ def hand_poles(
     return HandPoles(keep, more, tuple(taken), (*kept, *texts), tuple(notes))
 
 
-def _meant(picks: Sequence[Pick], modes: Float, doubtful: Float) -> Int:
-    """Position of the mode that each pick means, then of the doubtful mode; -1 for neither. A mode
+def _meant(picks: Sequence[Pick], frequency: Float, natural: Bool) -> Int:
+    """Position in `frequency` (m,) Hz of the mode that each pick means, -1 for none. A natural mode
     is meant rather than a doubtful one, but for the digits of the latter.
     """
     wanted = np.array([p.frequency for p in picks])
-    penalty = np.repeat([0.0, 1.0], [modes.size, doubtful.size])
-    return match(wanted, np.concatenate([modes, doubtful]), penalty)
+    return match(wanted, frequency, (~natural).astype(np.float64))
 
 
 def chosen_of_setups(
@@ -278,17 +285,13 @@ def chosen_of_setups(
     DataError
         If a pick names an order, as the setups have diagrams of their own, or means no candidate.
     """
-    at = match(
-        np.array([pick.frequency for pick in choice.picks]),
-        frequency,
-        (~natural).astype(np.float64),
-    )
+    at = _meant(choice.picks, frequency, natural)
     keep = natural & choice.automatic
     said = [""] * frequency.size
     for pick, k in zip(choice.picks, at.tolist(), strict=True):
-        where = f"{choice.source or 'choice'}: pick at {pick.frequency:.6g} Hz"
+        where = _place(choice.source, pick)
         if pick.order:
-            raise DataError(f"{where} at order {pick.order}: of several setups without an order")
+            raise DataError(f"{where}: of several setups without an order")
         if k < 0:
             raise DataError(f"{where}: no candidate of the setups within {100 * WITHIN:g} %")
         keep[k] = True
@@ -330,10 +333,10 @@ def current_poles(
         return own
     if doubtful is not None and len(doubtful):
         own = np.concatenate([own, _poles_of(doubtful)])
-    keep = np.arange(own.size) < len(modes) * choice.automatic
+    natural = np.arange(own.size) < len(modes)
+    keep = natural & choice.automatic
     plain = [p for p in choice.picks if not p.order]
-    f = np.abs(own) / (2 * np.pi)
-    at = _meant(plain, f[: len(modes)], f[len(modes) :])
+    at = _meant(plain, np.abs(own) / (2 * np.pi), natural)
     keep[at[at >= 0]] = True
     picked = [p for p, k in zip(plain, at.tolist(), strict=True) if k < 0]
     picked += [p for p in choice.picks if p.order]

@@ -14,7 +14,7 @@ from ringtrue.core.modes import ModalModel, ModeSet, Norm, OtherCandidates, Unce
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
-from ringtrue.identification.common.manual_selection import hand_poles
+from ringtrue.identification.common.manual_selection import hand_poles, with_evidence
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.frf.confidence import (
     Assessment,
@@ -474,10 +474,8 @@ def _by_hand(
         if not keep.any():
             raise DataError(f"{search.source}: the choice {choice.source} leaves no mode")
         fit = search.assessed(search.refined(both.take(keep)), strict=True)
-    reasons = tuple(
-        f"{by_hand}; {evidence}" if by_hand and evidence else by_hand or evidence
-        for by_hand, evidence in zip(hand.said, fit.assessment.reason, strict=True)
-    )
+    each = zip(hand.said, fit.assessment.reason, strict=True)
+    reasons = tuple(with_evidence(said, evidence) for said, evidence in each)
     left = [d for k, d in enumerate(doubtful) if k not in hand.taken]
     return replace(fit, assessment=replace(fit.assessment, reason=reasons)), left, hand.notes
 

@@ -156,8 +156,7 @@ class _UpdateScreen:
 
     def put(self, factors: dict[str, float]) -> None:
         """Put all factors, within their bounds; those that are not named have 1."""
-        if self.model is None:
-            return
+        assert self.model is not None
         every = self.model.parameters.parameters
         self.factors = {p.name: _within(p, factors.get(p.name, 1.0)) for p in every}
         for name, (slider, value) in self.sliders.items():
