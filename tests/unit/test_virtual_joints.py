@@ -13,7 +13,7 @@ from scipy import fft
 from ringtrue.core.modes import ModalModel, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.virtual.joints import SofteningJoints
+from ringtrue.virtual.joints import JointIteration, SofteningJoints
 from ringtrue.virtual.sensors import lines, response_spectrum, tone
 
 MASS, STIFFNESS, LOSS, SLIP, RATE, SAMPLES = 2.0, 8e3, 2e3, 1e-3, 128.0, 1280
@@ -63,9 +63,27 @@ def test_small_motions_are_those_of_the_linear_spring() -> None:
     assert amplitude(oscillator(), 1e-3, 9.8) == pytest.approx(linear, rel=1e-4)
 
 
-def test_an_iteration_that_does_not_end_and_wrong_sizes_are_refused() -> None:
-    with pytest.raises(NumericalError, match="smaller loss"):
-        amplitude(oscillator(loss=30 * STIFFNESS), 1e4, 10.0)
+def test_a_hit_far_beyond_the_slip_rings_down_as_the_law_says() -> None:
+    joints = oscillator(loss=800.0)
+    hit = np.zeros((1, SAMPLES))
+    hit[0, 100] = 200.0
+    pushed = fft.rfft(hit)
+    forces = joints.with_forces(pushed, SAMPLES, RATE)
+    freqs = lines(SAMPLES, RATE)
+    spectrum = response_spectrum(joints.model, forces, freqs, quantity="displacement")
+    moved = fft.irfft(spectrum, SAMPLES)
+    assert np.abs(moved).max() > 8 * SLIP
+    added = fft.irfft(forces - pushed, SAMPLES)
+    wanted = joints.pseudo_force(moved)
+    assert np.linalg.norm(added - wanted) < 2e-3 * np.linalg.norm(wanted)
+
+
+def test_an_iteration_that_does_not_end_and_wrong_sizes_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     j = oscillator()
+    monkeypatch.setattr("ringtrue.virtual.joints.ITERATION", JointIteration(rounds=1))
+    with pytest.raises(NumericalError, match="smaller loss"):
+        amplitude(j, 300.0, 8.7)
     with pytest.raises(InputError, match="as many"):
         SofteningJoints(j.model, j.inputs, np.zeros(2), j.slip)

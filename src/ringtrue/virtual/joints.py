@@ -1,16 +1,19 @@
 """Joints whose stiffness falls with amplitude, in a modal model that is linear but for them.
 
 What a joint takes less than a linear spring is a force on the structure (a pseudo-force), a
-function of the extension. Both are found by iteration over the whole record, exact at every line of
-the spectrum: alternating frequency and time (Cameron and Griffin 1989).
+function of the extension. Both are solved for over the whole record, exact at every line of the
+spectrum: alternating frequency and time (Cameron and Griffin 1989), by Newton's method whose steps
+are found by GMRES (Knoll and Keyes 2004).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from ringtrue.core.arrays import Complex, Float, FrozenArrays, Int
 from ringtrue.core.modes import ModalModel
@@ -20,21 +23,24 @@ from ringtrue.virtual.sensors import lines, response_spectrum
 
 @dataclass(frozen=True, slots=True)
 class JointIteration:
-    """The fixed-point iteration of the forces in joints.
+    """Newton's iteration for the forces in joints.
 
     Attributes
     ----------
     rounds : int
         At most.
     exact : float
-        Change of the pseudo-forces in a round, relative, that ends it.
-    depth : int
-        Rounds that are mixed.
+        What is left of the pseudo-forces that ends it, relative.
+    step : float
+        What GMRES leaves of a step, relative.
+    directions : int
+        Of GMRES in a step, at most.
     """
 
-    rounds: int = 60
+    rounds: int = 30
     exact: float = 1e-3
-    depth: int = 5
+    step: float = 0.05
+    directions: int = 16
 
 
 ITERATION = JointIteration()
@@ -77,6 +83,10 @@ class SofteningJoints(FrozenArrays):
         slip = self.slip[:, None]
         return np.asarray(self.loss[:, None] * (extension - slip * np.tanh(extension / slip)))
 
+    def tangent(self, extension: Float) -> Float:
+        """(j, sample) derivative of the pseudo-force by the extension, N/m."""
+        return np.asarray(self.loss[:, None] * np.tanh(extension / self.slip[:, None]) ** 2)
+
     def with_forces(self, forces: Complex, samples: int, rate: float) -> Complex:
         """The forces (in, line) with those that the joints add.
 
@@ -93,66 +103,63 @@ class SofteningJoints(FrozenArrays):
             If the iteration does not converge: the joints are too large a part of the stiffness.
         """
         freqs = lines(samples, rate)
-        alone = response_spectrum(self.model, forces, freqs, quantity="displacement")
-        receptance = self._receptances(freqs)
-        now = np.zeros((self.inputs.size, samples))
-        mixed = _Mixing()
+        mean = self.loss[:, None] / 2
+        free = response_spectrum(self.model, forces, freqs, quantity="displacement")
+        alone, receptance = _softened(free, self._receptances(freqs), mean)
+
+        def extension_by(force: Float) -> Float:
+            spectrum = np.einsum("ijf,jf->if", receptance, fft.rfft(force))
+            return np.asarray(fft.irfft(spectrum, samples))
+
+        start = fft.irfft(alone, samples)
+        beyond = np.zeros_like(start)  # what the pseudo-forces have more than the mean loss
         for _ in range(ITERATION.rounds):
-            moved = alone + np.einsum("ijf,jf->if", receptance, fft.rfft(now))
-            new = self.pseudo_force(fft.irfft(moved, samples))
-            off = float(np.linalg.norm(new - now))
-            if off <= ITERATION.exact * float(np.linalg.norm(new)):
+            extension = start + extension_by(beyond)
+            wanted = self.pseudo_force(extension)
+            left = wanted - mean * extension - beyond
+            off = float(np.linalg.norm(left))
+            if off <= ITERATION.exact * float(np.linalg.norm(wanted)):
                 out = np.array(forces)
-                out[self.inputs] += fft.rfft(new)
+                out[self.inputs] += fft.rfft(wanted)
                 return out
-            now = mixed.next(now, new)
+            beyond = beyond + _step(extension_by, self.tangent(extension) - mean, left)
         raise NumericalError(
-            f"joints: pseudo-forces still change by {off / np.linalg.norm(new):.2g} after "
+            f"joints: pseudo-forces are still off by {off / np.linalg.norm(wanted):.2g} after "
             f"{ITERATION.rounds} rounds; try a smaller loss"
         )
 
     def _receptances(self, freqs: Float) -> Complex:
-        """(j, j, line) of the extensions under forces in the joints, m/N: as the outputs of a model
-        with one input.
-        """
+        """(j, j, line) of the extensions under unit forces in the joints, m/N."""
         model = self.model
-        count = self.inputs.size
-        into = model.participation[:, self.inputs].T  # (j, m)
-        pairs = (model.shapes[:, None, :] * into).reshape(count**2, -1)
-        rest = [getattr(model, n)[:, self.inputs].reshape(-1, 1) for n in ("lower", "upper")]
-        as_outputs = replace(
-            model,
-            shapes=pairs,
-            participation=np.ones((model.poles.size, 1), dtype=np.complex128),
-            lower=rest[0],
-            upper=rest[1],
-            outputs=model.outputs * count,
-            inputs=model.inputs[:1],
-        )
         unit = np.ones((1, freqs.size), dtype=np.complex128)
-        found = response_spectrum(as_outputs, unit, freqs, quantity="displacement")
-        return found.reshape(count, count, -1)
+        out = []
+        for i in self.inputs:
+            columns = {x: getattr(model, x)[:, [i]] for x in ("participation", "lower", "upper")}
+            lone = replace(model, **columns, inputs=(model.inputs[i],))
+            out.append(response_spectrum(lone, unit, freqs, quantity="displacement"))
+        return np.stack(out, axis=1)
 
 
-class _Mixing:
-    """Anderson's mixing of the last rounds of a fixed-point iteration (Anderson 1965)."""
+def _softened(free: Complex, receptance: Complex, loss: Float) -> tuple[Complex, Complex]:
+    """Extensions (j, line) and receptances (j, j, line) with springs that have lost the mean
+    `loss` (j, 1): what is left for the iteration is half as much, up or down.
+    """
+    per_line = np.moveaxis(receptance, -1, 0)
+    both = np.concatenate([free.T[:, :, None], per_line], axis=2)
+    solved = np.linalg.solve(np.eye(loss.size) - per_line * loss[:, 0], both)
+    by_line = np.ascontiguousarray(np.moveaxis(solved, 0, -1), dtype=np.complex128)
+    return by_line[:, 0], by_line[:, 1:]
 
-    def __init__(self) -> None:
-        self._points: list[Float] = []
-        self._steps: list[Float] = []
 
-    def next(self, point: Float, image: Float) -> Float:
-        """The point of the next round, from one and its image."""
-        self._points.append(point)
-        self._steps.append(image - point)
-        self._points = self._points[-ITERATION.depth :]
-        self._steps = self._steps[-ITERATION.depth :]
-        if len(self._steps) == 1:
-            return image
-        last = self._steps[-1]
-        changes = np.stack([(last - s).ravel() for s in self._steps[:-1]], axis=1)
-        share, *_ = np.linalg.lstsq(changes.T @ changes, changes.T @ last.ravel(), rcond=1e-12)
-        out = image.copy()
-        for c, p, s in zip(share.tolist(), self._points[:-1], self._steps[:-1], strict=True):
-            out -= c * (image - p - s)
-        return out
+def _step(extension_by: Callable[[Float], Float], tangent: Float, left: Float) -> Float:
+    """Newton's step of the forces (j, sample) that takes away what is `left`."""
+
+    def changed(step: Float) -> Float:
+        force = step.reshape(left.shape)
+        return np.asarray((force - tangent * extension_by(force)).ravel())
+
+    operator = LinearOperator((left.size, left.size), matvec=changed, dtype=left.dtype)
+    step, _ = gmres(
+        operator, left.ravel(), rtol=ITERATION.step, restart=ITERATION.directions, maxiter=1
+    )
+    return np.asarray(step.reshape(left.shape))
