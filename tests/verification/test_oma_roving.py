@@ -172,18 +172,31 @@ def test_a_choice_is_of_the_modes_of_all_setups(tmp_path: Path) -> None:
     assert rt.read_modes(json).frequencies == pytest.approx(made.F[:2], rel=0.01)
 
 
+@pytest.mark.parametrize("merge", ["poser", "preger"])
+def test_the_diagram_has_the_poles_of_all_setups(merge: str, tmp_path: Path) -> None:
+    page = tmp_path / "d.html"
+    words = ["--setups", table_of(tmp_path), "--rate", made.RATE, "--merge", merge]
+    assert run(["oma", *map(str, words), "--diagram", str(page)]) == 0
+    assert "singular values" in page.read_text(encoding="utf-8")
+    found = rt.identify_ambient_setups(tmp_path / "setups.csv", rate=made.RATE, merge=merge)
+    poles = np.concatenate([d.poles.frequencies for d in found.diagram.diagrams])
+    near = np.abs(poles[:, None] / made.F - 1) < 0.01
+    assert (near.sum(axis=0) >= 4 * (3 if merge == "poser" else 1)).all()
+    freqs, level = found.diagram.singular_value(0)
+    assert np.isfinite(level).all()
+    assert (np.diff(freqs) > 0).all()
+
+
 def test_a_pick_takes_up_what_the_setups_doubt() -> None:
     f = np.array([1.1, 1.9, 2.3])
     natural = np.array([True, False, True])
-    choice = Choice((Pick(1.9),), rejects=(Reject(2.3, "crane"),), source="choice.toml")
+    choice = Choice((Pick(1.9, 40),), rejects=(Reject(2.3, "crane"),), source="choice.toml")
     keep, said, notes = chosen_of_setups(f, 1e-3 * f, natural, choice)
     assert keep.tolist() == [True, True, False]
     assert said == ["", "taken up by hand", ""]
     assert notes == ["mode at 2.3 Hz rejected by hand: crane"]
     with pytest.raises(DataError, match=r"choice\.toml: pick at 3 Hz: no candidate"):
         chosen_of_setups(f, 1e-3 * f, natural, Choice((Pick(3.0),), source="choice.toml"))
-    with pytest.raises(DataError, match="without an order"):
-        chosen_of_setups(f, 1e-3 * f, natural, Choice((Pick(1.9, 40),)))
 
 
 @pytest.mark.parametrize(

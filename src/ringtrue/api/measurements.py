@@ -811,6 +811,7 @@ def modes_of_setups(
         uncertainty=found.uncertainty,
         reasons=found.reasons,
         notes=found.notes,
+        diagrams=found.diagrams,
         result=found,
     )
 

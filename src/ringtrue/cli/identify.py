@@ -233,7 +233,6 @@ def oma(
     """
     check_band(fmin, fmax)
     by_setup = {
-        "--diagram": diagram,
         "--near": near,
         "--decay": decay,
         "--method": method if method != AUTOMATIC_AMBIENT else None,
@@ -247,7 +246,7 @@ def oma(
         settings = AmbientSettings(fmin=fmin, fmax=fmax)
         by_hand = choice_of(choice, setups)
         found = _modes_of_setups(setups, merge, reading, settings, by_hand)
-        write_pages(setups, found, choice_to, None)
+        write_pages(setups, found, choice_to, diagram, sheet)
         return print_result(str(setups), found, json, more=_setups_json(found), why=why)
     if not records:
         raise ConfigError("a record is missing; several setups are given by --setups table.csv")

@@ -33,6 +33,7 @@ from ringtrue.identification.ambient.pipeline import (
 from ringtrue.identification.ambient.shape_reading import RecordCorrelations, with_joined_shapes
 from ringtrue.identification.common.manual_selection import chosen_of_setups, with_evidence
 from ringtrue.identification.common.merging import Merged, merge_modes
+from ringtrue.identification.common.stabilisation import StableDiagram
 
 MergeMethod = Literal["poser", "preger"]
 
@@ -71,6 +72,8 @@ class SetupsResult:
         Names.
     frequency, damping : (setup, m) float64
         Of each mode by each setup, Hz and fraction of critical; NaN where it did not find it.
+    diagrams : tuple of StableDiagram
+        Poles of all setups, or those of the references.
     """
 
     modes: ModeSet
@@ -82,6 +85,7 @@ class SetupsResult:
     setups: tuple[str, ...]
     frequency: Float
     damping: Float
+    diagrams: tuple[StableDiagram, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +192,7 @@ def identify_setups(
         natural = np.flatnonzero(keep)
         merged = with_joined_shapes(merged, records, readers, natural, references)
         others = _others(merged, members, found, joint, kinds)
+        diagrams = _diagrams(setups)
     else:
         of_references = _of_references(kept, settings, choice, report)
         by_hand = of_references.record_notes if choice else ()
@@ -195,7 +200,8 @@ def identify_setups(
         joint = of_references.modes.confidence
         natural = np.arange(len(of_references.modes))
         merged = with_joined_shapes(merged, records, readers, natural, references)
-        others = of_references.others
+        others = _on_channels(of_references.others, merged.modes.channels)
+        diagrams = of_references.diagrams
     members = _members(merged, setups)[:, natural]
     frequency, damping = _by_setup(members, found)
     modes = merged.modes.take(natural)
@@ -216,7 +222,23 @@ def identify_setups(
         setups=tuple(x.name for x in setups),
         frequency=frequency,
         damping=damping,
+        diagrams=diagrams,
     )
+
+
+def _diagrams(setups: Sequence[IdentifiedSetup]) -> tuple[StableDiagram, ...]:
+    """Of all setups; the mean level over those that have the same bands stands behind the poles."""
+    first, *others = (x.result.diagrams for x in setups)
+    equal = [own for own in others if len(own) == len(first)]
+    out = []
+    for k, d in enumerate(first):
+        levels = [d.level]
+        for own in equal:
+            levels.append(np.stack([np.interp(d.freqs, own[k].freqs, x) for x in own[k].level]))
+        rows = min(len(x) for x in levels)
+        out.append(replace(d, level=np.mean([x[:rows] for x in levels], axis=0)))
+    none = np.empty(0)
+    return (*out, *(replace(d, freqs=none, level=none[None]) for own in others for d in own))
 
 
 def _refuse_unconnected(setups: Sequence[IdentifiedSetup], references: Sequence[str]) -> None:
@@ -254,6 +276,17 @@ def _of_references(
         level = np.sqrt(np.nanmean(np.nanvar(part.data, axis=1)))
         parts.append(replace(part, data=part.data / level))
     return identify_stretches(parts, settings, choice=choice, progress=report)
+
+
+def _on_channels(others: OtherCandidates, channels: tuple[str, ...]) -> OtherCandidates:
+    """Candidates of the references on the channels of all setups: NaN where they were not read."""
+    at = [channels.index(c) for c in others.modes.channels]
+    shapes = np.full((len(channels), len(others)), np.nan, dtype=np.complex128)
+    std = np.full(shapes.shape, np.nan)
+    shapes[at] = others.modes.shapes
+    std[at] = others.uncertainty.shape
+    modes = replace(others.modes, shapes=shapes, labels=channels)
+    return replace(others, modes=modes, uncertainty=replace(others.uncertainty, shape=std))
 
 
 def _at_poles_of(

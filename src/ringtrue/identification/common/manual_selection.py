@@ -263,7 +263,8 @@ def _meant(picks: Sequence[Pick], frequency: Float, natural: Bool) -> Int:
 def chosen_of_setups(
     frequency: Float, deviation: Float, natural: Bool, choice: Choice
 ) -> tuple[Bool, list[str], list[str]]:
-    """Apply a choice to the candidates of several setups.
+    """Apply a choice to the candidates of several setups, by frequency: an order is that of a pole
+    of one setup, and plays no role.
 
     Parameters
     ----------
@@ -283,16 +284,14 @@ def chosen_of_setups(
     Raises
     ------
     DataError
-        If a pick names an order, as the setups have diagrams of their own, or means no candidate.
+        If a pick means no candidate.
     """
     at = _meant(choice.picks, frequency, natural)
     keep = natural & choice.automatic
     said = [""] * frequency.size
     for pick, k in zip(choice.picks, at.tolist(), strict=True):
-        where = _place(choice.source, pick)
-        if pick.order:
-            raise DataError(f"{where}: of several setups without an order")
         if k < 0:
+            where = _place(choice.source, pick)
             raise DataError(f"{where}: no candidate of the setups within {100 * WITHIN:g} %")
         keep[k] = True
         said[k] = "confirmed by hand" if natural[k] else "taken up by hand"
