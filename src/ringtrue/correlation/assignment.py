@@ -365,14 +365,15 @@ def _weighed(
         limit = float(gap[near <= low].min(initial=FADE * settings.close))
         if limit != last:
             groups = close_groups(fb, limit, settings.largest_group)
-            close = {j: tuple(sorted(g)) for g in groups for j in g}
+            close = {j: tuple(sorted(g)) for g in groups if len(g) > 1 for j in g}
         of = dict(close)
         for sets in mixed:
-            members = [m for s, m in sets if s >= high]
-            one = tuple(sorted({j for m in members[-1] for j in of[m]})) if members else ()
+            if not (joined := [m for s, m in sets if s >= high]):
+                continue
+            one = tuple(sorted({j for m in joined[-1].tolist() for j in of.get(m, (m,))}))
             if len(one) <= settings.largest_group:
                 of.update(dict.fromkeys(one, one))
-        for g in dict.fromkeys(g for g in of.values() if len(g) > 1):
+        for g in dict.fromkeys(of.values()):
             out[g] = out.get(g, 0.0) + high - low
     return dict(sorted(out.items()))
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, FrozenArrays, freeze_arrays
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
 from ringtrue.reduction.matrix_model import matrices_at
@@ -379,7 +379,7 @@ def run_up(
     rng: np.random.Generator,
     *,
     level: float = 0.9,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> RunUp:
     """Steady response to unbalance at each speed, no gyroscopic moments.
 
@@ -408,8 +408,7 @@ def run_up(
     for i, x in enumerate(known.draws):  # an eigensolution each
         scatter: Float = np.asarray(known.discrepancy * rng.standard_normal(r))
         found.append(one(x, scatter, known.damping.drawn(rng)))
-        if progress is not None:
-            progress((i + 1) / len(known.draws), "run-up")
+        progress((i + 1) / len(known.draws), "run-up")
     drawn = np.array(found)
     return RunUp(
         freqs=load.freqs,

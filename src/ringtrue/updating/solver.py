@@ -305,7 +305,7 @@ def solve(
     start: Float | None = None,
     iterations: int = 100,
     checkpoint: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Solution:
     """Minimise J.
 
@@ -423,7 +423,7 @@ def staged(
     method: Method | None = None,
     *,
     iterations: int = 100,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[Solution, ...]:
     """Solve with growing sets of parameters, by name, each stage from the end of the one before.
 
@@ -437,8 +437,7 @@ def staged(
     for i, names in enumerate(stages):
         part = held_to(problem, names, x)
         start = linalg.lstsq(part.link, x)[0]
-        if progress is not None:
-            progress(i / len(stages), f"stage {i + 1}: {', '.join(names)}")
+        progress(i / len(stages), f"stage {i + 1}: {', '.join(names)}")
         done.append(solve(part, method, start=start, iterations=iterations))
         x = np.array(done[-1].x)
     return tuple(done)

@@ -11,7 +11,7 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import numpy as np
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import rigid_below
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.correlation.assignment import WORTH
@@ -80,7 +80,7 @@ def settled(
     course: Course | None = None,
     *,
     start: Float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Settled:
     """Updated with no pair dearer than a lost mode, then with the pairs made there for good,
     weighed as asked for.
@@ -134,7 +134,7 @@ def joined_by_all(
     problem: Problem,
     first: Settled,
     course: Course,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Settled:
     """From the end of an updating `by_modes` to that of the whole problem: with broad peaks first,
     which narrow in turns.
@@ -236,7 +236,7 @@ def whole_cost(problem: Problem, at: Evaluated) -> float:
     return data + at.lost + float(at.x @ problem.precision @ at.x) + unpaired
 
 
-def _solved(problem: Problem, course: Course, start: Float, progress: Progress | None) -> Solution:
+def _solved(problem: Problem, course: Course, start: Float, progress: Progress) -> Solution:
     if course.prior != "given":
         return regularised(problem, course.prior, course.method, start=start).solution
     return solve(
@@ -320,7 +320,7 @@ def solve_verified(
     solved: Callable[[Problem, Float | None], tuple[Solution, Problem]] | None = None,
     start: Float | None = None,
     tolerance: float = 1e-4,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Verified:
     """Solve on the basis; at each end solve the full model and add its modes, until the two agree.
 
@@ -366,11 +366,10 @@ def solve_verified(
         now = whole_cost(problem, problem.evaluate(done.y))
         moved = abs(now - before) / (1.0 + before)
         done, end = solved(problem, done.y)
-        if progress is not None:
-            progress(
-                count / FULL_SOLUTIONS,
-                f"full solution {count}: frequencies of the basis off by {error:.1e}",
-            )
+        progress(
+            count / FULL_SOLUTIONS,
+            f"full solution {count}: frequencies of the basis off by {error:.1e}",
+        )
     return Verified(done, end, error, count)
 
 

@@ -21,7 +21,7 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Float, FrozenArrays, Int
-from ringtrue.core.iterate import Outcome, Progress, iterate
+from ringtrue.core.iterate import Outcome, Progress, iterate, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, NotConverged, NumericalError, SolverError
 from ringtrue.model.ports import Linearisation, ObservedModel
@@ -180,7 +180,7 @@ def tune(
     target: Target,
     *,
     start: Float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Suspended:
     """Tune the suspension under every pairing that the data leave open.
 
@@ -227,8 +227,7 @@ def tune(
         far = [np.abs((end.x - e.x) / std).max(initial=0.0) >= ASSIGNMENTS.same for e in twins]
         if all(far):
             found.append((end, choice))
-        if progress is not None:
-            progress((i + 1) / len(order), f"assignment {i + 1} of the rigid-body modes")
+        progress((i + 1) / len(order), f"assignment {i + 1} of the rigid-body modes")
     if not found:
         raise NotConverged(
             "no assignment of rigid-body modes can be solved: look at bounds and start"

@@ -6,7 +6,7 @@ Friswell and Mottershead (1995), Finite Element Model Updating in Structural Dyn
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -201,9 +201,8 @@ def match(
     """
     if target.fixed is not None:
         pairs, of = target.fixed
-        both = zip(pairs[:, 0].tolist(), of, strict=True)
-        rest = [span_residual(target.shapes, now, t, s)[0] for t, s in both]
-        return pairs, np.array([1 - r @ r for r in rest]), of
+        rest, _ = span_residuals(target.shapes, now, pairs, of)
+        return pairs, 1 - (rest**2).sum(axis=0), of
     s = target.compared(now)
     locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
     if target.rule == "cost":
@@ -383,12 +382,36 @@ def _around(
     return Span(tuple(at[: k + 1] for k in some), weight[some], slope[some])
 
 
-def span_residual(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
-    """ψ − Σ w P ψ and ∂(Σ w P ψ)/∂x of test mode `t` of `shapes` (channel, m): (channel,) and
-    (channel, p).
+def span_residuals(
+    shapes: Float, now: Linearisation, pairs: Int, of: Sequence[Span]
+) -> tuple[Float, Float]:
+    """ψ − Σ w P ψ and ∂(Σ w P ψ)/∂x of test modes ψ: (channel, k) and (channel, k, p).
+
+    Parameters
+    ----------
+    shapes : (channel, m) float64
+        Of the test.
+    now : Linearisation
+    pairs : (k, 2) int64
+        Test modes and their partners.
+    of : sequence (k) of Span
     """
-    if len(span.sets) == 1:  # as nearly always
-        return shape_residual(shapes, now, t, span.sets[0])
+    t, f = pairs.T
+    psi = unit(shapes[:, t])
+    phi = now.shapes[:, f]
+    size = np.maximum((phi**2).sum(axis=0), np.finfo(np.float64).tiny)
+    share = (phi * psi).sum(axis=0) / size
+    rest = psi - share * phi
+    d_phi = now.d_shapes[:, f]
+    slope = share[:, None] * d_phi
+    along = np.einsum("ckp,ck->kp", d_phi, rest) - np.einsum("ckp,ck->kp", slope, phi)
+    slope += phi[:, :, None] * (along / size[:, None])
+    for k in (k for k, span in enumerate(of) if span.size > 1):  # few pairs
+        rest[:, k], slope[:, k] = _of_span(shapes, now, t[k], of[k])
+    return rest, slope
+
+
+def _of_span(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
     parts = [shape_residual(shapes, now, t, g) for g in span.sets]
     rest = np.array([r for r, _ in parts])
     slope = np.einsum("s,scp->cp", span.weight, np.array([g for _, g in parts]))
@@ -402,9 +425,7 @@ def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tup
     """
     psi = unit(shapes[:, [t]])[:, 0]
     phi = now.shapes[:, group]
-    size = max((phi**2).sum(), np.finfo(np.float64).tiny)
-    # one mode, as nearly always: half the time
-    plus = phi.T / size if group.size == 1 else np.linalg.pinv(phi)
+    plus = np.linalg.pinv(phi)
     inside = phi @ (plus @ psi)
     rest = psi - inside
     d_phi = now.d_shapes[:, group, :]

@@ -16,7 +16,7 @@ from scipy import linalg
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError, NumericalError, SolverError
 from ringtrue.fem.assembly import System
@@ -27,7 +27,7 @@ from ringtrue.shapes import basis
 from ringtrue.updating.problem import Configuration, Evaluated, Problem
 from ringtrue.updating.residuals.modal import Eigenvalues, Quantity, Shapes
 from ringtrue.updating.selection.localisation import strain_energies
-from ringtrue.updating.target import Target, match, span_residual
+from ringtrue.updating.target import Target, match, span_residuals
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,11 +333,11 @@ def errors_of_shapes(target: Target, now: Linearisation) -> float:
     pair.
     """
     pairs, _, of = match(target, now)
-    some = [(t, s) for t, s in zip(pairs[:, 0].tolist(), of, strict=True) if target.used[t]]
-    if not some:
+    used = target.used[pairs[:, 0]]
+    if not used.any():
         return 1.0
-    rest = np.stack([span_residual(target.shapes, now, t, s)[0] for t, s in some], axis=1)
-    return independent_errors(rest, np.array([s.size for _, s in some]), now.shapes)
+    rest, _ = span_residuals(target.shapes, now, pairs, of)
+    return independent_errors(rest[:, used], np.array([s.size for s in of])[used], now.shapes)
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
@@ -437,7 +437,7 @@ def ensemble(
     rng: np.random.Generator,
     *,
     burn: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Chains:
     """Sample a density.
 
@@ -486,8 +486,7 @@ def ensemble(
             )
         if i >= burn:
             samples[i - burn] = x
-        if progress is not None:
-            progress((i + 1) / (burn + steps), "sampling the posterior")
+        progress((i + 1) / (burn + steps), "sampling the posterior")
     share = taken / (walkers * (burn + steps))
     return Chains(samples, share, autocorrelation_time(samples), _reduction(samples))
 

@@ -27,7 +27,7 @@ from scipy import linalg
 from scipy.special import chdtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
-from ringtrue.core.iterate import Outcome, Progress
+from ringtrue.core.iterate import Outcome, Progress, quiet
 from ringtrue.errors import InputError
 from ringtrue.updating.problem import MODE_STRIDE, Configuration, Evaluated, Problem
 from ringtrue.updating.residuals.modal import NO_MODE, Quantity, Weighted
@@ -149,7 +149,7 @@ def k_fold(
     *,
     start: Float | None = None,
     others: Sequence[Configuration] = (),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Held:
     """Update without each fold in turn and predict it; at last with all used modes, for those that
     are not used.
@@ -202,8 +202,7 @@ def k_fold(
             break
         of[list(fold)] = i
         ends.append(done.x)
-        if progress is not None:
-            progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
+        progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
     error = predicted / target.frequencies - 1
     by_f = spread[:, 0]
     fixed = by_f * float(np.mean(target.std**2)) + spread[:, 1] * mean_miss(mac) + spread[:, 2]
@@ -266,7 +265,7 @@ def with_discrepancy(
     *,
     start: Float | None = None,
     others: Sequence[Configuration] = (),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[Configuration, Held]:
     """The configuration with the weights that its left-out modes ask for, and the predictions of
     these.

@@ -16,7 +16,7 @@ import numpy as np
 from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.errors import NumericalError
 from ringtrue.model.ports import Linearisation, ObservedModel
-from ringtrue.updating.target import Span, Target, match, span_residual
+from ringtrue.updating.target import Span, Target, match, span_residuals
 
 NO_MODE = -1
 
@@ -354,22 +354,20 @@ class Shapes(Term):
 
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
-        root = np.sqrt(self.factor / self.mac)
         shapes = at.target.shapes
         if self.scaling == "fit":
-            tests = at.pairs[:, 0].tolist()
-            parts = [
-                span_residual(shapes, at.now, t, s) for t, s in zip(tests, at.spans, strict=True)
-            ]
+            rest, slopes = span_residuals(shapes, at.now, at.pairs, at.spans)
         else:
-            parts = [_at_largest(shapes, at.now, t, f) for t, f in at.pairs.tolist()]
-        p = at.now.d_lambda.shape[1]
+            rest, slopes = _at_largest(shapes, at.now, at.pairs)
         # a datum a pair, with a row a channel
-        rows = np.array([r.size for r, _ in parts], dtype=np.int64)
-        value = np.concatenate([root * r for r, _ in parts] or [np.zeros(0)])
-        slope = np.concatenate([root * g for _, g in parts] or [np.zeros((0, p))])
-        datum = np.repeat(np.arange(rows.size), rows)
-        return ResidualBlock(value, slope, datum, np.repeat(at.pairs[:, 0], rows))
+        root = np.sqrt(self.factor / self.mac)
+        channels, count = rest.shape
+        return ResidualBlock(
+            root * rest.T.ravel(),
+            root * slopes.swapaxes(0, 1).reshape(rest.size, slopes.shape[2]),
+            np.repeat(np.arange(count), channels),
+            np.repeat(at.pairs[:, 0], channels),
+        )
 
     def fit(self, at: Point) -> Float:
         """See `Term`: (1 − MAC) over that expected, whatever the factor."""
@@ -393,20 +391,25 @@ class Shapes(Term):
         return replace(self, mac=by**2 * self.mac)
 
 
-def _at_largest(shapes: Float, now: Linearisation, t: int, f: int) -> tuple[Float, Float]:
-    """ψ/ψ_q − φ/φ_q with q where |ψ| is largest, over ‖ψ/ψ_q‖, and its sensitivity."""
+def _at_largest(shapes: Float, now: Linearisation, pairs: Int) -> tuple[Float, Float]:
+    """ψ/ψ_q − φ/φ_q with q where |ψ| is largest, over ‖ψ/ψ_q‖, and its sensitivity, of all pairs:
+    (channel, k) and (channel, k, p).
+    """
+    t, f = pairs.T
     psi = shapes[:, t]
-    phi = now.shapes[:, f]
-    d_phi = now.d_shapes[:, f]
-    q = int(np.argmax(np.abs(psi)))
-    if phi[q] == 0.0:
+    each = np.arange(t.size)
+    q = np.abs(psi).argmax(axis=0)
+    there = now.shapes[q, f]
+    for k in np.flatnonzero(there == 0.0).tolist():
         raise NumericalError(
-            f"test mode {t + 1}: the FE shape is zero at channel {q + 1}, which scales it"
+            f"test mode {t[k] + 1}: the FE shape is zero at channel {q[k] + 1}, which scales it"
         )
-    size = float(np.linalg.norm(psi / psi[q]))
-    return (psi / psi[q] - phi / phi[q]) / size, (d_phi - np.outer(phi / phi[q], d_phi[q])) / (
-        phi[q] * size
-    )
+    psi = psi / psi[q, each]
+    phi = now.shapes[:, f] / there
+    d_phi = now.d_shapes[:, f]
+    size = np.linalg.norm(psi, axis=0)
+    slope = (d_phi - phi[:, :, None] * d_phi[q, each]) / (there * size)[:, None]
+    return (psi - phi) / size, slope
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,19 +441,15 @@ class Mac(Deviations):
 
     def __call__(self, at: Point) -> ResidualBlock:
         """See `Term`."""
-        t = at.pairs[:, 0]
-        value = np.zeros(t.size)
-        slope = np.zeros((t.size, at.now.d_lambda.shape[1]))
-        # each pair has its own space
-        for i, (k, span) in enumerate(zip(t.tolist(), at.spans, strict=True)):
-            rest, d_inside = span_residual(at.target.shapes, at.now, k, span)
-            value[i], slope[i] = rest @ rest, 2 * rest @ d_inside
+        rest, d_inside = span_residuals(at.target.shapes, at.now, at.pairs, at.spans)
+        value = (rest**2).sum(axis=0)
+        slope = 2 * np.einsum("ck,ckp->kp", rest, d_inside)
         if self.form == "ratio":
             # 1 − √m = (1 − m)/(1 + √m) keeps its digits where m is nearly 1
             root = np.sqrt(np.maximum(1 - value, 1e-12))
             slope = slope / (2 * root**3)[:, None]
             value = value / (1 + root) / root
-        return rows_block(value / self.std, slope / self.std, t)
+        return rows_block(value / self.std, slope / self.std, at.pairs[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
