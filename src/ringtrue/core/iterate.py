@@ -20,10 +20,8 @@ def quiet(fraction: float, text: str) -> None:
     """No progress."""
 
 
-def part(progress: Progress | None, begin: float, end: float) -> Progress:
+def part(progress: Progress, begin: float, end: float) -> Progress:
     """Progress of the part of a job that takes it from `begin` to `end`."""
-    if progress is None:
-        return quiet
     return lambda fraction, text: progress(begin + (end - begin) * fraction, text)
 
 
@@ -93,9 +91,7 @@ class Iteration(Generic[S]):
         return self.states[-1]
 
 
-def iterate(
-    algorithm: Algorithm[S], *, limit: int, progress: Progress | None = None
-) -> Iteration[S]:
+def iterate(algorithm: Algorithm[S], *, limit: int, progress: Progress = quiet) -> Iteration[S]:
     """Run `algorithm` until it terminates, at most `limit` steps.
 
     Raises
@@ -114,8 +110,7 @@ def iterate(
             return Iteration(tuple(states), verdict)
         if len(states) > limit:
             return Iteration(tuple(states), Outcome.MAX_ITERATIONS)
-        if progress is not None:
-            said = IterationText(f"iteration {len(states) - 1}: {value:.6g}")
-            said.state = states[-1]
-            progress((len(states) - 1) / limit, said)
+        said = IterationText(f"iteration {len(states) - 1}: {value:.6g}")
+        said.state = states[-1]
+        progress((len(states) - 1) / limit, said)
         states.append(algorithm.step(states[-1]))

@@ -33,7 +33,7 @@ from scipy import linalg, sparse
 from scipy.linalg.blas import dgemm
 
 from ringtrue.core.arrays import Bool, Float, Int
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import InputError, NotConverged
@@ -580,7 +580,7 @@ def eigenvector_derivatives(
     *,
     count: int | None = None,
     tolerance: float = 1e-7,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Float:
     """∂φ/∂a (f, count, p) of the lowest `count` mass-normalised modes.
 
@@ -595,7 +595,7 @@ def eigenvector_derivatives(
         All if not given.
     tolerance : float
         Relative residual ‖(K − λM)φ' + (K' − λM')φ − λ'Mφ‖ / ‖(K' − λM')φ‖.
-    progress : callable, optional
+    progress : callable (fraction, text)
         Called with (share done, what).
 
     Raises
@@ -637,8 +637,7 @@ def eigenvector_derivatives(
         for i, load in enumerate(loads, start):
             still = np.flatnonzero(~load.live)
             out[i, still] = (phi @ load.along[:, still]).T
-        if progress is not None:
-            progress(min((start + per) / len(slopes), 1.0), "eigenvector derivatives")
+        progress(min((start + per) / len(slopes), 1.0), "eigenvector derivatives")
     return out.transpose(2, 1, 0)
 
 

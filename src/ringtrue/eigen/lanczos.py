@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.eigen import memory
 from ringtrue.eigen.pencil import Factor, Labels, Pencil, named_rows, refuse_negative_motion
 from ringtrue.errors import NotConverged
@@ -322,7 +322,7 @@ def solve(
     *,
     expected: int,
     known: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> RitzPairs:
     """Pairs of the largest |θ|, until `enough(theta)` holds for the leading converged ones.
 
@@ -357,11 +357,10 @@ def solve(
         theta, _y, error = krylov.ritz()
         good = error <= LANCZOS.tolerance * np.abs(theta)
         count = int(good.size if good.all() else np.argmin(good))
-        if progress is not None:
-            progress(
-                min(count / (known + expected), 0.99),
-                f"Lanczos: {count} of about {known + expected} modes",
-            )
+        progress(
+            min(count / (known + expected), 0.99),
+            f"Lanczos: {count} of about {known + expected} modes",
+        )
         if exhausted or enough(theta[:count]):
             return _pairs(krylov, count, exhausted=exhausted)
         if krylov.held + 2 * BLOCK > krylov.capacity:

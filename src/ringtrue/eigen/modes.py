@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Float
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.eigen import lanczos
 from ringtrue.eigen.eigenpairs import EigenModes, eigenvalue, frequencies, polish
 from ringtrue.eigen.lanczos import rayleigh_ritz
@@ -67,7 +67,7 @@ def solve_modes(
     *,
     band: tuple[float, float] | None = None,
     shift: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> EigenModes:
     """The lowest `count` modes, or all in `band`.
 
@@ -165,11 +165,9 @@ def _first_definite(pencil: Pencil, shifts: tuple[float, ...]) -> tuple[Float, F
     return spectrum(pencil.stiffness, pencil.mass, shifts[-1], pencil.labels)  # or a mechanism
 
 
-def _lowest(
-    pencil: Pencil, count: int, shift: float | None, progress: Progress | None
-) -> EigenModes:
+def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
-    _say(progress, pencil)
+    progress(0.0, f"factorising {pencil.size} DOFs")
     shift, begun, still = (shift, None, 0) if shift is not None else find_shift(pencil, count)
     factor = pencil.at(shift)
     start = _Count(factor.negatives, shift)
@@ -208,11 +206,6 @@ def _lowest(
             at = int((shift + 1 / pairs.theta < top.shift).sum())
         complete, proof = _judge(top.below, at, start, top.shift)
     return _finish(pencil, pairs, shift, take=slice(0, count), complete=complete, proof=proof)
-
-
-def _say(progress: Progress | None, pencil: Pencil) -> None:
-    if progress is not None:
-        progress(0.0, f"factorising {pencil.size} DOFs")
 
 
 def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
@@ -264,7 +257,7 @@ def _filled(
     sigma: float,
     top: _Count,
     bottom: _Count | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> lanczos.RitzPairs:
     """The pairs with all others between `bottom`, or the lowest, and `top`: sought from `sigma` as
     long as more come.
@@ -348,11 +341,11 @@ def _band(
     pencil: Pencil,
     band: tuple[float, float],
     shift: float | None,
-    progress: Progress | None,
+    progress: Progress,
 ) -> EigenModes:
     low = _low(band)
     high = eigenvalue(band[1])
-    _say(progress, pencil)
+    progress(0.0, f"factorising {pencil.size} DOFs")
     top = _counted(pencil, high, 1)
     bottom = _counted(pencil, low, -1) if band[0] > 0 else _Count(0, -np.inf)
     wanted = top.below - bottom.below

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.channels import POWER
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.eigen.damped import DynamicStiffness
 from ringtrue.errors import InputError, did_you_mean
 
@@ -136,7 +136,7 @@ def direct(
     rows_in: sparse.csr_array,
     *,
     kind: str = "accelerance",
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Complex:
     """H(ω) = (iω)^n C_out Q(iω)⁻¹ C_inᵀ, one factorisation a frequency on one analysis.
 
@@ -166,6 +166,5 @@ def direct(
     for i, f in enumerate(np.asarray(freqs, dtype=np.float64).tolist()):
         s = 2j * np.pi * f
         H[i] = s**power * (rows_out @ system.solve(s, loads))
-        if progress is not None:
-            progress((i + 1) / len(freqs), f"direct solution at {len(freqs)} lines")
+        progress((i + 1) / len(freqs), f"direct solution at {len(freqs)} lines")
     return H

@@ -113,7 +113,7 @@ def identify_ambient_by(
     settings: AmbientSettings | None = None,
     *,
     near: Sequence[float] = (),
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> SecondOpinion:
     """Modes of an ambient record by one of `AMBIENT_METHODS`.
 
@@ -125,7 +125,7 @@ def identify_ambient_by(
         Band and references.
     near : sequence of float, Hz
         Peaks for methods that take them; () for all that stand out.
-    progress : callable, optional
+    progress : callable (fraction, text)
 
     Raises
     ------
@@ -138,17 +138,16 @@ def identify_ambient_by(
         raise ConfigError(f"method {method!r}{did_you_mean(method, tuple(AMBIENT_METHODS))}")
     chosen = AMBIENT_METHODS[method]
     settings = settings or AmbientSettings()
-    report = progress or quiet
     whole, gaps = bridge_gaps(history)
     good, states = usable(whole)
     good = remove_drift(good, lowest(good.duration, settings))
     good = scaled(good, unit_factor(good))
     notes = tuple(map(sentence, (*gaps.notes, *states)))
-    report(0.0, chosen.title)
+    progress(0.0, chosen.title)
     if isinstance(chosen, PeakMethod):
         modes, std = chosen.identify(good, settings, near)
     else:
-        modes, std, short = _in_bands(chosen, good, settings, report)
+        modes, std, short = _in_bands(chosen, good, settings, progress)
         notes += short
     edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
     notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
@@ -163,7 +162,7 @@ def identify_ambient_by(
 
 
 def _in_bands(
-    method: BandMethod, history: TimeHistory, settings: AmbientSettings, report: Progress
+    method: BandMethod, history: TimeHistory, settings: AmbientSettings, progress: Progress
 ) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
     """Modes of every band of the pyramid, and a note where bands are too short for the method."""
     every = long_enough(bands_for(history.rate, history.duration, settings), history)
@@ -172,7 +171,7 @@ def _in_bands(
     found = []
     settings = replace(settings, confidence_min=method.least)
     for k, band in enumerate(bands):
-        report(k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz")
+        progress(k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz")
         limits = Band(band.low, band.high, band.rate)
         data, rate = band_signals(history.data, history.rate, (limits,))[0]
         signals = np.asarray(data, dtype=np.float64)

@@ -15,7 +15,7 @@ from scipy import fft
 from scipy.special import betaincinv
 
 from ringtrue.core.arrays import Bool, Float, Int, freeze_arrays, freeze_fields
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.correlation.pairing import PairingSettings, pair_modes
@@ -265,7 +265,7 @@ def trials(
     rng: np.random.Generator,
     *,
     force: float,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> VirtualTest:
     """What tests find of structures that scatter about the planned one.
 
@@ -285,8 +285,7 @@ def trials(
     error = np.full((3, conditions.trials, int(target.sum())), np.nan)
     invented = 0
     for k, stream in enumerate(rng.spawn(conditions.trials)):
-        if progress:
-            progress(k / conditions.trials, f"virtual test {k + 1} of {conditions.trials}")
+        progress(k / conditions.trials, f"virtual test {k + 1} of {conditions.trials}")
         f = plan.frequencies * (
             1 + conditions.frequency_scatter * stream.standard_normal(zeta.size)
         )
@@ -418,7 +417,7 @@ def simulate_impact_test(
     conditions: Conditions,
     rng: np.random.Generator,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> VirtualTest:
     """Test the plan on signals: strike, record, estimate FRFs, identify and correlate, trial by
     trial.
@@ -430,7 +429,7 @@ def simulate_impact_test(
     plan : Planned
     conditions : Conditions
     rng : Generator
-    progress : callable, optional
+    progress : callable (fraction, text)
     """
     nominal = modal_model(
         plan, plan.frequencies, np.full(plan.frequencies.size, conditions.damping)
@@ -585,7 +584,7 @@ def simulate_ambient_test(
     conditions: Conditions,
     rng: np.random.Generator,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> VirtualTest:
     """Test an ambient plan on signals: record under random forces, identify by SSI and correlate,
     trial by trial.

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.eigenpairs import EigenModes
@@ -83,7 +83,7 @@ def observed_system(
     parameters: ParameterSet,
     observation: Observation,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> AffineSystem:
     """The affine system of a model, of which `system` is assembled."""
     transform = system.transform
@@ -191,18 +191,17 @@ class StaticSensitivities:
     modes: EigenModes
     count: int
 
-    def of_each(self, terms: Sequence[Pair], progress: Progress | None) -> Float:
+    def of_each(self, terms: Sequence[Pair], progress: Progress) -> Float:
         """Of each term and mode, (f, terms · count)."""
         found = [np.zeros((self.pencil.size, 0))]
         for done, term in enumerate(terms):
             load = np.zeros((self.pencil.size, self.count), order="F")
             rows, load[rows] = self._forces(term)
             found.append(self._responses(load))
-            if progress is not None:
-                progress((done + 1) / len(terms), "static sensitivities")
+            progress((done + 1) / len(terms), "static sensitivities")
         return np.concatenate(found, axis=1)
 
-    def mixed(self, terms: Sequence[Pair], columns: int, progress: Progress | None) -> Float:
+    def mixed(self, terms: Sequence[Pair], columns: int, progress: Progress) -> Float:
         """As many random mixtures of all of them: their range, for a solve each (Halko et al. 2011,
         4.1).
         """
@@ -224,7 +223,7 @@ class StaticSensitivities:
         scale = 1 / np.sqrt(np.maximum(lam - shift, np.abs(shift)))
         return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
-    def _responses(self, load: Float, progress: Progress | None = None) -> Float:
+    def _responses(self, load: Float, progress: Progress = quiet) -> Float:
         """Static responses to loads (f, k), both free of the modes; by columns, as the factor takes
         and gives them.
         """
@@ -236,8 +235,7 @@ class StaticSensitivities:
             some = load[:, s : s + CHUNK].T
             part = factor.solve((some - (some @ phi) @ mphi.T).T).T
             x[:, s : s + CHUNK] = (part - (part @ mphi) @ phi.T).T
-            if progress is not None:
-                progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
+            progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
         return x
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.iterate import Progress, part
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.eigenpairs import EigenModes, frequencies
@@ -237,7 +237,7 @@ class ReducedModel:
         )
 
     def enrich(
-        self, x: Float, *, sensitivities: bool = False, progress: Progress | None = None
+        self, x: Float, *, sensitivities: bool = False, progress: Progress = quiet
     ) -> tuple[ReducedModel, Linearisation]:
         """Solve the full model at x and add its modes to the basis.
 
@@ -291,7 +291,7 @@ def _static(
     sensitivities: StaticSensitivities,
     terms: Sequence[Pair],
     most: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Float:
     """At most `most` principal directions of the static sensitivities: of each, or of random
     mixtures where they are too many.
@@ -344,7 +344,7 @@ def reduced_model(
     count: int,
     *,
     known: KnownModes | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> ReducedModel:
     """Build the basis: modes at x = 0 and static sensitivities to every parameter.
 
@@ -369,8 +369,7 @@ def reduced_model(
         most=max(320, 3 * modes.values.size // 2) - modes.values.size,
         progress=part(progress, 0.3, 0.8),
     )
-    if progress is not None:
-        progress(0.8, "projection")
+    progress(0.8, "projection")
     base_modes = modes.vectors / np.sqrt(modes.values - modes.shift)
     vectors = np.hstack([base_modes, orthonormal_part(energy, base_modes, x)])
     return ReducedModel(

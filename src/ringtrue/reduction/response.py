@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float, FrozenArrays, Int
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import elastic
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.eigen.pencil import Factor, Pencil
@@ -172,7 +172,7 @@ def response_basis(
     start: Float,
     search: ResponseSearch,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> ResponseBasis:
     """Vectors that hold the steady response to harmonic loads at all lines.
 
@@ -221,9 +221,8 @@ def response_basis(
         residual[left] = at.residual(span, left)
         if residual.max() <= search.tolerance:
             residual = at.residual(span, every)
-        if progress is not None:
-            done = max(done, float(np.mean(residual <= search.tolerance)))
-            progress(done, f"response at {lines[-1]:.4g} Hz")
+        done = max(done, float(np.mean(residual <= search.tolerance)))
+        progress(done, f"response at {lines[-1]:.4g} Hz")
     pencil.close()
     return ResponseBasis(span.vectors, residual, tuple(lines))
 

@@ -25,7 +25,7 @@ from ringtrue.core.channels import (
     channel,
     input_id,
 )
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet, Impacts, Quantity, TimeHistory, join_impacts
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.frf_sets import join_frfs
@@ -285,7 +285,7 @@ def estimate_frf(
     settings: HammerSettings | None = None,
     *,
     full_scale: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[FrfSet, tuple[ImpactReport, ...]]:
     """FRFs from one or several hammer records.
 
@@ -300,7 +300,7 @@ def estimate_frf(
     settings : HammerSettings, optional
     full_scale : mapping of str to float, optional
         Range of each channel by id, in its unit; for the detection of overloads.
-    progress : callable, optional
+    progress : callable (fraction, text)
 
     Returns
     -------
@@ -326,7 +326,7 @@ def estimate_columns(
     settings: HammerSettings | None = None,
     *,
     full_scale: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[tuple[FrfSet, ...], tuple[ImpactReport, ...]]:
     """The FRFs of each input with each set of responses, on the same lines, before `estimate_frf`
     joins them.
@@ -356,8 +356,7 @@ def estimate_columns(
     decay = max(_decay(c, g, length, settings) for c, g in zip(cuts, good, strict=True))
     sums: dict[tuple[str, ...], _Sums] = {}
     for i, (cut, hits) in enumerate(zip(cuts, good, strict=True)):
-        if progress:
-            progress(i / len(cuts), f"FRFs of {cut.record.source or f'record {i + 1}'}")
+        progress(i / len(cuts), f"FRFs of {cut.record.source or f'record {i + 1}'}")
         new = _spectra(cut, hits, length, decay, settings)
         key = (new.input, *(c.id for c in new.outputs))
         sums[key] = sums[key].plus(new) if key in sums else new

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.signals import FrfKind
@@ -66,7 +66,7 @@ class EmbeddedAnalysis:
         *,
         whole: System | None = None,
         spins: DofSet | None = None,
-        progress: Progress | None = None,
+        progress: Progress = quiet,
     ) -> None:
         self.model = model
         self.system = system
@@ -100,7 +100,7 @@ class EmbeddedAnalysis:
             self._lowest = (request.count, found)
         return self._lowest[1]
 
-    def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
+    def modes(self, request: ModesRequest, progress: Progress = quiet) -> ModesResult:
         """Natural modes; those asked for and no more."""
         found = self.eigen(request, progress)
         n = found.values.size
@@ -416,13 +416,13 @@ class EmbeddedSolver:
 
     Parameters
     ----------
-    progress : callable, optional
+    progress : callable (fraction, text)
         Called with (share done, what).
     """
 
     name = "embedded"
 
-    def __init__(self, *, progress: Progress | None = None) -> None:
+    def __init__(self, *, progress: Progress = quiet) -> None:
         self.progress = progress
 
     def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> EmbeddedAnalysis:

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import NO_DOFS, DofSet
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.eigen.derivatives import MatrixDerivatives
@@ -133,7 +133,7 @@ class MatrixModel:
             ]
         return replace(self, K=total[0], M=total[1], D=total[2])
 
-    def open(self, *, progress: Progress | None = None) -> MatrixAnalysis:
+    def open(self, *, progress: Progress = quiet) -> MatrixAnalysis:
         """Modes, derivatives, static solutions, FRFs and complex modes at α = 0, on one
         factorisation.
         """
@@ -219,7 +219,7 @@ def _checked(a: Any, name: str, n: int) -> Matrix:
 class MatrixAnalysis(EmbeddedAnalysis):
     """A `MatrixModel`, opened; see `ringtrue.model.ports.Analysis`."""
 
-    def __init__(self, matrices: MatrixModel, *, progress: Progress | None = None) -> None:
+    def __init__(self, matrices: MatrixModel, *, progress: Progress = quiet) -> None:
         super().__init__(Model({}), matrices.system(), progress=progress)
         self.matrices = matrices
 

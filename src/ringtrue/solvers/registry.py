@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from typing import Any
 
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.model.ports import ModalSolver
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -44,7 +44,7 @@ def solver(
     ranks: int | None = None,
     launcher: str = "",
     timeout: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> ModalSolver:
     """The solver of that name, with its default settings.
 
@@ -57,7 +57,7 @@ def solver(
         What starts them, in place of their number, such as `srun -n 64`.
     timeout : float, s, optional
         Longest time that a run may take; only for a solver that takes one.
-    progress : callable, optional
+    progress : callable (fraction, text)
         Called with (share done, what) by the embedded solver, not by the others.
 
     Raises

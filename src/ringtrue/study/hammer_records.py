@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from ringtrue.core.channels import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.recognition import Format, format_of
@@ -295,7 +295,7 @@ def forced_frfs(
     resolution: float | None = None,
     *,
     full_scale: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> Forced:
     """FRFs of records as `read_force_records` reads them: of shakers where all forces run all
     the time, else of blows.
@@ -309,7 +309,7 @@ def forced_frfs(
         Distance of the lines of shakers; they are shakers if it is given.
     full_scale : mapping of str to float, optional
         Range of each channel by id, in its unit; for the detection of overloads.
-    progress : callable, optional
+    progress : callable (fraction, text)
 
     Raises
     ------
@@ -329,7 +329,7 @@ def _estimated(
     settings: HammerSettings,
     resolution: float | None,
     full_scale: Mapping[str, float] | None,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Forced:
     if resolution is None and not all(is_continuous(r) for r in records):
         columns, hits = estimate_columns(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import Norm, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.side_by_side import Workers
@@ -236,7 +236,7 @@ class Minimisation:
     settings: UpdateSection
     seed: int
     course: Course | None = None
-    steps: Progress | None = None
+    steps: Progress = quiet
     checkpoint: Path | None = None
     workers: Workers = 1
 

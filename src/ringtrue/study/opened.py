@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from ringtrue.checks.materials import mass_properties
 from ringtrue.core.arrays import Bool, Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.core.iterate import Progress, part
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet, elastic
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation, TestModel
@@ -69,7 +69,7 @@ class Opened:
         made.__dict__ |= {"analysis": self.analysis, "_modes": self._modes}
         return made
 
-    def modes(self, fmax: float, progress: Progress | None = None) -> ModesResult:
+    def modes(self, fmax: float, progress: Progress = quiet) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
             request = ModesRequest(band=(-1.0, fmax))

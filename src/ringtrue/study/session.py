@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Int
-from ringtrue.core.iterate import Progress
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation, TestModel
@@ -302,7 +302,7 @@ class Session:
         opened: Opened,
         test: TestModel | None,
         reference: ModeSet,
-        progress: Progress | None = None,
+        progress: Progress = quiet,
     ) -> ModeSet:
         """The modes of a deck at all channels of a test, as far up as its elastic modes ask for."""
         channels = reference.channels if test is None else test.channels

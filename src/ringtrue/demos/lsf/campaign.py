@@ -13,6 +13,7 @@ from zlib import crc32
 import numpy as np
 from scipy import fft
 
+from ringtrue.core.iterate import quiet
 from ringtrue.demos.lsf.circumstances import DATE, Circumstances, Day, TwinView
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
@@ -149,7 +150,7 @@ def run_campaign(
     seed: int,
     *,
     fast: bool = False,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> CampaignSummary:
     """Measure the twin and write `*.h5`, `sensors*.csv`, `lines.csv` and `campaign.json` to a
     folder.
@@ -164,12 +165,11 @@ def run_campaign(
         The same seed gives the same samples; each record draws from a stream of its own.
     fast : bool
         Short records.
-    progress : callable, optional
+    progress : callable (fraction, text)
         Called with (fraction, text).
     """
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    report = progress or (lambda fraction, text: None)
     here = twin if isinstance(twin, Circumstances) else Circumstances({DATE: twin})
     crew = _Crew(here, plan.shortened() if fast else plan, folder, seed)
     kinds = here.ambient_tests()
@@ -177,13 +177,13 @@ def run_campaign(
     jobs = [(name, kind) for name in tests for kind in kinds[name]]
     ambient = {}
     for i, (name, kind) in enumerate(jobs):
-        report(0.6 * i / len(jobs), f"record {name}-{kind}")
+        progress(0.6 * i / len(jobs), f"record {name}-{kind}")
         ambient[f"{name}-{kind}"] = crew.ambient_record(tests[name], name, kind)
     hammer = {}
     blows = [(i, r) for i in range(len(plan.setups)) for r in plan.references]
     for k, (setup, reference) in enumerate(blows):
         name = hammer_name(setup, reference)
-        report(0.6 + 0.4 * k / len(blows), f"record {name}")
+        progress(0.6 + 0.4 * k / len(blows), f"record {name}")
         hammer[name] = crew.hammer_record(setup, reference)
     by_test = {name: ambient[f"{name}-ambient"] for name in tests}
     by_test["hammer"] = float(np.median(list(hammer.values())))
@@ -191,7 +191,7 @@ def run_campaign(
     log.info(
         "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
     )
-    report(1.0, "campaign written")
+    progress(1.0, "campaign written")
     by_record = ambient | hammer
     return CampaignSummary(
         records=tuple(folder / f"{name}.h5" for name in by_record),

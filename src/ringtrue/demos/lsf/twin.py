@@ -10,6 +10,7 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ import numpy as np
 from ringtrue.checks.materials import mass_properties
 from ringtrue.core.arrays import Any_, Complex, Float, Int
 from ringtrue.core.dofs import DofSet
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModalModel, ModeSet, Norm
 from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
@@ -155,6 +157,7 @@ MACHINES = {
 }
 
 
+@cache
 def twin_hash() -> str:
     """SHA-256 of what defines the twin, whatever the code that makes it looks like.
 
@@ -372,7 +375,7 @@ def make_twin(
     references: Sequence[str],
     *,
     softening: Sequence[SofteningRegion] = (),
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress = quiet,
 ) -> Twin:
     """Build the as-built model, solve it, and keep what can be seen at the channels.
 
@@ -386,10 +389,9 @@ def make_twin(
         Channel ids that are hammer points as well.
     softening : sequence of SofteningRegion
         Bushes that are not linear.
-    progress : callable, optional
+    progress : callable (fraction, text)
     """
-    report = progress or (lambda fraction, text: None)
-    report(0.0, "as-built model")
+    progress(0.0, "as-built model")
     with tempfile.TemporaryDirectory() as folder:
         model = read_deck(deck.write(facility.build(built), Path(folder), "LSF as built"))
     # it was made with these shells, and stays as it is
@@ -397,9 +399,9 @@ def make_twin(
     extra, kinds = _extra_points()
     at = model["GRID"].ids, positions(model)
     with EmbeddedSolver().open(model) as analysis:
-        report(0.2, "as-built modes")
+        progress(0.2, "as-built modes")
         real = analysis.modes(ModesRequest(band=(-1.0, FMAX))).modes
-        report(0.7, "as-built damping")
+        progress(0.7, "as-built damping")
         lossy = _damped(analysis.system, real)
         see = observe(test, *at, analysis.dofs, tolerance=0.6, method="rigid")
         push = observe(extra, *at, analysis.dofs, tolerance=0.6)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import Progress, part
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.errors import UnsupportedError
@@ -49,7 +49,7 @@ def affine_terms(
     parameters: ParameterSet,
     system: System,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> tuple[AffineTerm, ...]:
     """The parts of K(a) = K(1) + Σ g_t(a) K_t, M likewise, in the free degrees of freedom.
 

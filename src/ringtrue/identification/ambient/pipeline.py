@@ -204,7 +204,7 @@ def identify_ambient(
     settings: AmbientSettings | None = None,
     *,
     choice: Choice | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> AmbientResult:
     """Modes of a structure in operation, from its responses alone.
 
@@ -232,7 +232,7 @@ def identify_stretches(
     settings: AmbientSettings | None = None,
     *,
     choice: Choice | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> AmbientResult:
     """Modes from a record that comes in stretches: what is kept of each does not grow with the
     record.
@@ -256,14 +256,13 @@ def identify_stretches(
         If the band of interest is empty.
     """
     settings = settings or AmbientSettings()
-    report = progress or quiet
     return modes_of_record(
-        weighed_candidates(stretches, settings, choice, report), settings, report
+        weighed_candidates(stretches, settings, choice, progress), settings, progress
     )
 
 
 def modes_of_record(
-    weighed: WeighedRecord, settings: AmbientSettings, report: Progress
+    weighed: WeighedRecord, settings: AmbientSettings, progress: Progress
 ) -> AmbientResult:
     """The modes among the weighed candidates of a record, as `identify_stretches` returns them."""
     record = weighed.record
@@ -271,7 +270,7 @@ def modes_of_record(
     result = _assembled(record, weighed.found, facts, settings)
     if not facts.driven:  # events have lines of their own
         result = replace(result, unexplained=_unexplained(record, weighed.sums, result))
-    report(1.0, f"{len(result.modes)} modes")
+    progress(1.0, f"{len(result.modes)} modes")
     noisy = noisy_channels(result.modes, result.uncertainty.shape)
     notes = (
         record.notes + event_notes(weighed.events, result.modes.frequencies) + result.record_notes
@@ -315,7 +314,7 @@ def weighed_candidates(
     stretches: Iterable[TimeHistory],
     settings: AmbientSettings,
     choice: Choice | None,
-    report: Progress,
+    progress: Progress,
 ) -> WeighedRecord:
     """The candidates of all bands with their confidence, as `identify_stretches` weighs them."""
     coming = iter(stretches)
@@ -325,17 +324,17 @@ def weighed_candidates(
     coming = (part for part in coming if part.duration >= SHORTEST * first.duration)
     second = next(coming, None)
     record = _first_stretch(first, settings, single=second is None)
-    report(0.0, "filtering into bands")
+    progress(0.0, "filtering into bands")
     # four blocks of each stretch of a long record
     ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else 4)
     later = chain(() if second is None else (second,), coming)
     factor = record.factor
-    sums, events = sums_of_stretches(record, (scaled(x, factor) for x in later), ssi, report)
+    sums, events = sums_of_stretches(record, (scaled(x, factor) for x in later), ssi, progress)
     motion = one_motion(record.good.channels)
     strongest = max(events, key=lambda e: e.share)
     duration = record.good.duration * len(events)
     facts = RecordFacts(response_slope(record.good), choice, strongest, motion, duration)
-    found = _modes_of_bands(record, sums, facts, settings, report)
+    found = _modes_of_bands(record, sums, facts, settings, progress)
     return WeighedRecord(record, sums, events, facts, found)
 
 
@@ -412,14 +411,14 @@ def _modes_of_bands(
     sums: list[BandSums],
     facts: RecordFacts,
     settings: AmbientSettings,
-    report: Progress,
+    progress: Progress,
 ) -> list[BandModes]:
     found = []
     results = map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, facts), sums)
     for k, modes in enumerate(results):
         band = record.bands[k]
         share = (k + 1) / (len(record.bands) + 2)
-        report(share, f"identified {band.low:.3g} .. {band.high:.3g} Hz")
+        progress(share, f"identified {band.low:.3g} .. {band.high:.3g} Hz")
         found.append(modes)
     return found
 

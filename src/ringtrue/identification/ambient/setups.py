@@ -141,7 +141,7 @@ def identify_setups(
     references: Sequence[str] = (),
     merge: MergeMethod = "poser",
     choice: Choice | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> SetupsResult:
     """Modes of a structure in operation from records of several setups.
 
@@ -165,11 +165,10 @@ def identify_setups(
         no candidate.
     """
     settings = settings or AmbientSettings()
-    report = progress or quiet
     setups: list[IdentifiedSetup] = []
     kept: list[TimeHistory] = []
     for history in histories:
-        report(0.0, f"setup {len(setups) + 1}: {history.source}")
+        progress(0.0, f"setup {len(setups) + 1}: {history.source}")
         setups.append(identified_setup((history,), settings, history.source))
         if merge == "preger":
             kept.append(history.pick(references) if references else history)
@@ -194,7 +193,7 @@ def identify_setups(
         others = _others(merged, members, found, joint, kinds)
         diagrams = _diagrams(setups)
     else:
-        of_references = _of_references(kept, settings, choice, report)
+        of_references = _of_references(kept, settings, choice, progress)
         by_hand = of_references.record_notes if choice else ()
         merged = _at_poles_of(of_references, records)
         joint = of_references.modes.confidence
@@ -260,7 +259,7 @@ def _of_references(
     histories: Sequence[TimeHistory],
     settings: AmbientSettings,
     choice: Choice | None,
-    report: Progress,
+    progress: Progress,
 ) -> AmbientResult:
     """The channels of all setups, at equal levels, identified as one record with pauses."""
     ids = [
@@ -275,7 +274,7 @@ def _of_references(
         part = history.pick(ids)
         level = np.sqrt(np.nanmean(np.nanvar(part.data, axis=1)))
         parts.append(replace(part, data=part.data / level))
-    return identify_stretches(parts, settings, choice=choice, progress=report)
+    return identify_stretches(parts, settings, choice=choice, progress=progress)
 
 
 def _on_channels(others: OtherCandidates, channels: tuple[str, ...]) -> OtherCandidates:

@@ -84,7 +84,7 @@ def identify_batches(
     batches: Sequence[FrfSet],
     settings: HammerModes | None = None,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> LocalFit:
     """Modes of a structure measured in several batches that share their inputs.
 
@@ -99,7 +99,7 @@ def identify_batches(
     batches : sequence of FrfSet
         Same inputs in the same order; responses may recur, the one of least deviation then counts.
     settings : HammerModes, optional
-    progress : callable, optional
+    progress : callable (fraction, text)
 
     Raises
     ------
@@ -113,16 +113,15 @@ def identify_batches(
             "local fits need two or more batches with the same inputs in the same order"
         )
     settings = settings or HammerModes()
-    tell = progress or quiet
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
     first = identify_hammer(
-        batches[lead], settings, progress=lambda share, text: tell(0.6 * share, text)
+        batches[lead], settings, progress=lambda share, text: progress(0.6 * share, text)
     )
     band = float(first.freqs[0]), float(first.freqs[-1])
     found = [_local(b, band, first.model) for b in batches]
     alone = dict[int, HammerResult]()
     for i, (batch, fit) in enumerate(zip(batches, found, strict=True)):
-        tell(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
+        progress(0.6 + 0.4 * i / len(batches), f"batch {i + 1} of {len(batches)}")
         if fit.left > LIMITS.strayed * found[lead].left:
             alone[i] = identify_hammer(batch, settings)
     start = _with_unseen(first.model, list(alone.values()))
@@ -194,7 +193,7 @@ def with_local_fits(
     batches: Sequence[FrfSet],
     settings: HammerModes | None = None,
     *,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> HammerResult:
     """The result of one fit of all batches, with the modes of local fits where it is clear that the
     batches disagree.
@@ -211,7 +210,7 @@ def with_local_fits(
         One alone, other inputs, the same responses in all or roving hammers leave the joint result
         as it is.
     settings : HammerModes, optional
-    progress : callable, optional
+    progress : callable (fraction, text)
     """
     inputs = {tuple(c.id for c in b.inputs) for b in batches}
     roving = any(b.data.shape[1] < b.data.shape[2] for b in batches)

@@ -110,7 +110,7 @@ class HammerModes:
     Attributes
     ----------
     fmin, fmax : float, Hz, optional
-        The modes to report; by default all up to where the FRFs are noise. Lines just outside are
+        The modes to progress; by default all up to where the FRFs are noise. Lines just outside are
         used where there are such.
     damping_max : float
         Largest damping ratio of a mode.
@@ -179,7 +179,7 @@ def identify_hammer(
     settings: HammerModes | None = None,
     *,
     choice: Choice | None = None,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> HammerResult:
     """Modes from frequency response functions, automatically.
 
@@ -196,7 +196,7 @@ def identify_hammer(
     settings : HammerModes, optional
     choice : Choice, optional
         What a person decided on the modes; the poles picked are refined together with the others.
-    progress : callable, optional
+    progress : callable (fraction, text)
         Called with the share done and a word.
 
     Raises
@@ -205,7 +205,6 @@ def identify_hammer(
         If there are fewer than 32 lines in the band, the FRFs are no FRFs, or no mode is found.
     """
     settings = settings or HammerModes()
-    report = progress or quiet
     refuse_bad_frfs(frfs)
     frfs, roving = exchange_by_reciprocity(frfs)
     low, high = band_limits(frfs, settings.fmin, settings.fmax)
@@ -214,7 +213,7 @@ def identify_hammer(
     used = lines_between(frfs, 0.8 * low, 1.25 * high)
     sigma = noise(used)
     curve = cmif(used.data / sigma.response[:, None])
-    candidates, diagrams = _candidates(used, sigma, curve, settings, report)
+    candidates, diagrams = _candidates(used, sigma, curve, settings, progress)
     if not candidates.pole.size:
         raise DataError(
             f"{frfs.source}: no pole is stable over the orders between {low:g} and {high:g} Hz"
@@ -224,7 +223,7 @@ def identify_hammer(
             f"{frfs.source}: {candidates.pole.size} candidates on {used.freqs.size} lines are "
             "too many; narrow the band with fmin, fmax"
         )
-    report(0.65, f"residues of {candidates.pole.size} candidates")
+    progress(0.65, f"residues of {candidates.pole.size} candidates")
     search = _Fitter(
         lines=prepare(used, sigma),
         points=sound_pairs(used),
@@ -233,9 +232,9 @@ def identify_hammer(
         decay=used.window_decay,
         source=frfs.source,
     )
-    fit, left_out = _fit(search, candidates, report)
+    fit, left_out = _fit(search, candidates, progress)
     used, search, fit, faded = _of_blocks(used, search, fit)
-    report(0.95, "confidence and standard deviations of the modes")
+    progress(0.95, "confidence and standard deviations of the modes")
     search, fit, more = _reweighed(search, used, fit)
     left_out += more
     search, fit, split = _whole(search, fit)
@@ -277,14 +276,14 @@ def identify_hammer(
 
 
 def _candidates(
-    used: FrfSet, sigma: Noise, curve: Float, settings: HammerModes, report: Progress
+    used: FrfSet, sigma: Noise, curve: Float, settings: HammerModes, progress: Progress
 ) -> tuple[CandidatePoles, tuple[StableDiagram, ...]]:
     """Stable poles of all bands, and the diagram of each band."""
     bands = choose_bands(used.freqs, curve)
     found = []
     diagrams = []
     for k, band in enumerate(bands):
-        report(0.05 + 0.55 * k / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
+        progress(0.05 + 0.55 * k / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
         clusters, diagram = band_candidates(
             used, sigma, curve=curve, band=band, damping_max=settings.damping_max
         )
@@ -482,7 +481,7 @@ def _by_hand(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reported:
-    """The modes to report, and the model of all poles of the fit."""
+    """The modes to progress, and the model of all poles of the fit."""
 
     model: ModalModel
     modes: ModeSet
