@@ -407,15 +407,14 @@ def span_residuals(
     along = np.einsum("ckp,ck->kp", d_phi, rest) - np.einsum("ckp,ck->kp", slope, phi)
     slope += phi[:, :, None] * (along / size[:, None])
     for k in (k for k, span in enumerate(of) if span.size > 1):  # few pairs
-        rest[:, k], slope[:, k] = _of_span(shapes, now, t[k], of[k])
+        span = of[k]
+        parts = [shape_residual(shapes, now, t[k], g) for g in span.sets]
+        rests = np.array([r for r, _ in parts])
+        rest[:, k] = span.weight @ rests
+        slope[:, k] = np.einsum("s,scp->cp", span.weight, np.array([g for _, g in parts]))
+        if span.slope.shape[1]:
+            slope[:, k] -= rests.T @ span.slope
     return rest, slope
-
-
-def _of_span(shapes: Float, now: Linearisation, t: int, span: Span) -> tuple[Float, Float]:
-    parts = [shape_residual(shapes, now, t, g) for g in span.sets]
-    rest = np.array([r for r, _ in parts])
-    slope = np.einsum("s,scp->cp", span.weight, np.array([g for _, g in parts]))
-    return span.weight @ rest, slope - (rest.T @ span.slope if span.slope.shape[1] else 0.0)
 
 
 def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
