@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ringtrue as rt
 from ringtrue.core.channels import channel
 from ringtrue.core.signals import FrfSet
+from ringtrue.io.frfs import write_frfs
 from ringtrue.signal.frf_sets import join_frfs, setup_gains, without_gains
 
 FREQS = np.linspace(5.0, 40.0, 200)
@@ -47,6 +50,19 @@ def test_the_channel_and_the_setup_are_named_with_the_factor(gain: float) -> Non
     right = join_frfs(setups())
     undone = join_frfs([without_gains(s, (found,), measured) for s in measured])
     np.testing.assert_allclose(undone.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02)
+
+
+def test_files_of_setups_are_joined_without_the_gain_and_it_is_said(tmp_path: Path) -> None:
+    files = [tmp_path / f"setup{k}.h5" for k in range(4)]
+    for file, frfs in zip(files, setups(gain=2.0), strict=True):
+        write_frfs(file, frfs)
+    found = rt.estimate_frfs(files)
+    (said,) = found.notes
+    assert "channel 1+Z: reads 2" in said
+    assert "in setup 4 " in said
+    right = join_frfs(setups())
+    np.testing.assert_allclose(found.frfs.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02)
+    assert rt.estimate_frfs(files[:2]).notes == ()
 
 
 def test_nothing_is_named_where_all_agree_or_two_setups_differ() -> None:

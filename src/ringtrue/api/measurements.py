@@ -48,7 +48,7 @@ from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.io.uff.shapes import write_mode_sets
 from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import explain_clipping, find_spikes, remove_overlap
-from ringtrue.signal.frf_sets import join_by_setup, join_frfs, of_one_kind
+from ringtrue.signal.frf_sets import SetupGain, join_frfs, of_one_kind, with_equal_gains
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import (
@@ -518,15 +518,20 @@ def estimate_frfs(
         full_scale=ranges,
         progress=part(progress, 0.0, 0.05),
     )
-    joined = join_frfs(forced.columns)
+    columns, setups, gains = with_equal_gains(forced.columns)
+    joined = join_frfs(columns)
     said = _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
     return MeasuredFrfs(
         _windowed(joined, window_decay),
         forced.hits,
-        (*notes, *said),
+        (*notes, *said, *_of_setups(gains, setups)),
         forced.clipped,
-        tuple(_windowed(s, window_decay) for s in join_by_setup(forced.columns)),
+        tuple(_windowed(s, window_decay) for s in setups),
     )
+
+
+def _of_setups(gains: Sequence[SetupGain], setups: Sequence[FrfSet]) -> list[str]:
+    return [sentence(g.note(setups[g.setup].source or str(g.setup + 1))) for g in gains]
 
 
 def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
@@ -541,7 +546,9 @@ def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | No
     found = of_one_kind([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
     if len(found) == 1:
         return MeasuredFrfs(found[0])
-    return MeasuredFrfs(join_frfs(found), setups=tuple(found))
+    columns, setups, gains = with_equal_gains(found)
+    notes = tuple(_of_setups(gains, setups))
+    return MeasuredFrfs(join_frfs(columns), notes=notes, setups=tuple(columns))
 
 
 def _frf_notes(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:

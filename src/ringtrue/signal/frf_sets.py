@@ -16,6 +16,7 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.channels import LINEAR, OF_KIND, POWER, as_motion, channel
+from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, FrfKind, FrfSet, join_impacts, shared_lines
 from ringtrue.errors import DataError
 
@@ -257,6 +258,27 @@ class SetupGain:
     setup: int
     factor: float
     others: int
+
+    def note(self, setup: str) -> Note:
+        """What is to be said of it; `setup` is the name of the setup."""
+        values: dict[str, float | int | str] = {
+            "setup": setup,
+            "factor": self.factor,
+            "others": self.others,
+        }
+        return Note("channel gain", "warning", self.channel, values)
+
+
+def with_equal_gains(
+    columns: Sequence[FrfSet],
+) -> tuple[list[FrfSet], tuple[FrfSet, ...], tuple[SetupGain, ...]]:
+    """Columns of FRFs without the gains that a channel has in one setup only, the same joined by
+    setup, and these gains.
+    """
+    setups = join_by_setup(columns)
+    gains = setup_gains(setups)
+    mended = [without_gains(c, gains, setups) for c in columns]
+    return mended, join_by_setup(mended) if gains else setups, gains
 
 
 def setup_gains(

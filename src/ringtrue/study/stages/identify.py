@@ -44,12 +44,9 @@ from ringtrue.planning.exciters import ambient_std
 from ringtrue.planning.geometry import relative_neighbours
 from ringtrue.signal.channel_checks import Gaps, bridge_gaps
 from ringtrue.signal.frf_sets import (
-    SetupGain,
     exchange_by_reciprocity,
-    join_by_setup,
     join_frfs,
-    setup_gains,
-    without_gains,
+    with_equal_gains,
 )
 from ringtrue.signal.impacts import HammerSettings, ImpactReport
 from ringtrue.signal.spectra import (
@@ -432,11 +429,7 @@ def frfs_of_records(
             )
         )
     columns = [frfs_by_sheet(c, sheet.model)[0] for c in found.columns]
-    setups = join_by_setup(columns)
-    gains = setup_gains(setups)
-    if gains:
-        columns = [without_gains(c, gains, setups) for c in columns]
-        setups = join_by_setup(columns)
+    columns, setups, gains = with_equal_gains(columns)
     frfs, _ = exchange_by_reciprocity(join_frfs(columns))
     label = {
         tuple(c.id for c in s.outputs): str(record.setup) or record.name
@@ -444,18 +437,8 @@ def frfs_of_records(
         for record, (runs, _) in zip(reversed(records), reversed(read), strict=True)
         if {c.id for c in s.outputs} <= {c.id for c in runs[0].channels}
     }
-    gained = [_gain_note(g, label[tuple(c.id for c in setups[g.setup].outputs)]) for g in gains]
+    gained = [g.note(label[tuple(c.id for c in setups[g.setup].outputs)]) for g in gains]
     return FrfsOfRecords(frfs, setups, tuple(shown), found.hits, tuple(gained))
-
-
-def _gain_note(gain: SetupGain, setup: str) -> Note:
-    """That a channel reads otherwise in one setup."""
-    values: dict[str, float | int | str] = {
-        "setup": setup,
-        "factor": gain.factor,
-        "others": gain.others,
-    }
-    return Note("channel gain", "warning", gain.channel, values)
 
 
 def acquisitions(
