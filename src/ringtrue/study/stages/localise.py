@@ -24,7 +24,8 @@ from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.expansion import ShapeReadings
 from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.reduction.parametric import ReducedModel, condensed
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.projected import condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels, expanded
 from ringtrue.study.form import form_of
