@@ -201,31 +201,37 @@ class StaticSensitivities:
 
     Attributes
     ----------
-    modes : EigenModes
-        Their vectors in the rows of the terms.
-    count : int
-        Modes taken, the lowest.
+    values : (n,) float64, (rad/s)²
+    shapes : (f, n) float64
+        Of unit modal mass, in the rows of the terms.
+    shift : float, (rad/s)²
     respond : callable
         Static responses to loads (f, k) in the rows of the terms, both free of the modes.
     inner : callable
     """
 
-    modes: EigenModes
-    count: int
+    values: Float
+    shapes: Float
+    shift: float
     respond: Callable[[Float, Progress | None], Float]
     inner: Inner
 
     @classmethod
     def of(cls, pencil: Pencil, modes: EigenModes, count: int) -> StaticSensitivities:
-        """Of a model that this process holds as a whole."""
-        inner = inner_product(pencil.stiffness, pencil.mass, modes.shift)
-        return cls(modes, count, partial(_responses, pencil, modes), inner)
+        """Of the lowest modes of a model that this process holds as a whole."""
+        return cls(
+            values=modes.values[:count],
+            shapes=modes.vectors[:, :count],
+            shift=modes.shift,
+            respond=partial(_responses, pencil, modes),
+            inner=inner_product(pencil.stiffness, pencil.mass, modes.shift),
+        )
 
     def of_each(self, terms: Sequence[Pair], progress: Progress | None) -> Float:
         """Of each term and mode, (f, terms · count); at least one term."""
         found = []
         for done, term in enumerate(terms):
-            load = np.zeros((len(self.modes.vectors), self.count), order="F")
+            load = np.zeros(self.shapes.shape, order="F")
             rows, load[rows] = self._forces(term)
             found.append(self.respond(load, None))
             if progress is not None:
@@ -237,21 +243,20 @@ class StaticSensitivities:
         4.1).
         """
         rng = np.random.default_rng(0)
-        load = np.zeros((len(self.modes.vectors), columns))
+        load = np.zeros((len(self.shapes), columns))
         for term in terms:  # over parameters and their powers
             rows, forces = self._forces(term)
-            mixture = rng.standard_normal((self.count, columns)) / np.sqrt(columns)
+            mixture = rng.standard_normal((self.values.size, columns)) / np.sqrt(columns)
             load[rows] += forces @ mixture
         return self.respond(load, progress)
 
     def _forces(self, term: Pair) -> tuple[Int, Float]:
-        """The rows that a term touches, and its forces (r, count) there."""
+        """The rows that a term touches, and its forces (r, n) there."""
         stiffness, mass = term
         rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in term))
-        shift = self.modes.shift
-        phi = self.modes.vectors[:, : self.count]
-        lam = self.modes.values[: self.count]
-        scale = 1 / np.sqrt(np.maximum(lam - shift, np.abs(shift)))
+        phi = self.shapes
+        lam = self.values
+        scale = 1 / np.sqrt(np.maximum(lam - self.shift, np.abs(self.shift)))
         return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
 

@@ -124,7 +124,7 @@ def _static(
     """At most `most` principal directions of the static sensitivities: of each, or of random
     mixtures where they are too many.
     """
-    count = sensitivities.count
+    count = sensitivities.values.size
     inner = sensitivities.inner
     drop = 1e-5  # share of the largest (strain energy norm) below which directions are left out
     if len(terms) * count > max(MANY, 4 * most):
@@ -141,7 +141,7 @@ def _static(
 
 
 def basis_vectors(
-    vectors: Float,
+    modes: Float,
     sensitivities: StaticSensitivities,
     terms: Sequence[Pair],
     progress: Progress | None = None,
@@ -150,21 +150,20 @@ def basis_vectors(
 
     Parameters
     ----------
-    vectors : (rows, m) float64
-        The modes in the rows that this process has of all columns.
+    modes : (rows, m) float64
+        Of unit energy, in the rows that this process has of all columns.
     terms : sequence of (stiffness, mass)
 
     Returns
     -------
     (rows, r) float64
     """
-    modes = sensitivities.modes
-    base = vectors / np.sqrt(modes.values - modes.shift)
-    most = max(320, 3 * modes.values.size // 2) - modes.values.size
+    count = modes.shape[1]
+    most = max(320, 3 * count // 2) - count
     if not terms or most <= 0:
-        return base
+        return modes
     x = _static(sensitivities, terms, most, progress)
-    return np.hstack([base, orthonormal_part(sensitivities.inner, base, x)])
+    return np.hstack([modes, orthonormal_part(sensitivities.inner, modes, x)])
 
 
 def modes_of(count: int) -> int:
@@ -215,7 +214,7 @@ def reduced_model(
         modes = solve_modes(pencil, wanted, shift=known.shift, progress=part(progress, 0.0, 0.3))
     n = min(count, modes.values.size)
     vectors = basis_vectors(
-        modes.vectors,
+        modes.vectors / np.sqrt(modes.values - modes.shift),
         StaticSensitivities.of(pencil, modes, n),
         [t for i in range(len(system.parameters)) for t in system.terms_of(i)],
         progress=part(progress, 0.3, 0.8),
