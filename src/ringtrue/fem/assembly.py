@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.constraints import EPZERO, Stiffening, eliminate, singular_dofs
@@ -305,6 +305,18 @@ def assemble(model: Model, share: Share = WHOLE) -> System:
         xyz=m.xyz,
         rayleigh=(alpha, beta),
     )
+
+
+def moving(model: Model, autospc: DofSet) -> Bool:
+    """Which of all DOFs move, (full,), where AUTOSPC holds these: the rows of `System.transform`
+    that are not empty, without a matrix of the model.
+    """
+    m = mesh(model)
+    T, free = eliminate(m)
+    held = m.dofs.find(autospc.node, autospc.direction)
+    T = sparse.csr_array(turn(m) @ T[:, ~np.isin(free, held)])
+    T.eliminate_zeros()
+    return np.asarray(np.diff(T.indptr) > 0)
 
 
 def refuse_held(system: System) -> None:

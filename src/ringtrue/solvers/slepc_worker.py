@@ -406,9 +406,9 @@ def answered(
         rank.write(asked["path"], rank.vectors)
         return answer, (rank.values, rank.residuals(count))
     if what == "times":
-        return {}, (rank.combined(*arrays, asked["stiffness"], asked["mass"]),)
+        return {}, (rank.combined(arrays[0], asked["stiffness"], asked["mass"]),)
     if what == "responses":
-        return {}, (rank.responses(*arrays, asked["modes"]),)
+        return {}, (rank.responses(arrays[0], arrays[1], asked["modes"]),)
     lam, row, loads = arrays
     rank.write(asked["path"], rank.columns(lam, row, loads, asked["tolerance"]))
     return {}, ()

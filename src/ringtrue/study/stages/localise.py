@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
@@ -23,15 +23,17 @@ from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.expansion import ShapeReadings
+from ringtrue.reduction.held import HeldModel
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.projected import condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels, expanded
 from ringtrue.study.form import form_of
+from ringtrue.study.held_decks import HeldDecks, held_decks
 from ringtrue.study.measured_data import flexible
 from ringtrue.study.objective import data_of, on_parameters, problem_of, target, terms_of
-from ringtrue.study.opened import AtChannels, lump_places
+from ringtrue.study.opened import AtChannels, SeenModel, lump_places
 from ringtrue.study.results import (
     CandidateEffects,
     CandidatePool,
@@ -59,10 +61,16 @@ from ringtrue.updating.selection.localisation import (
     reduced_errors,
     variation,
 )
-from ringtrue.updating.selection.missing_members import FittedModel, missing_members
-from ringtrue.updating.selection.proposal import propose
+from ringtrue.updating.selection.missing_members import (
+    FittedModel,
+    MissingMember,
+    missing_members,
+)
+from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import (
     SIZES,
+    Dropped,
+    HeldDeck,
     ScreenedDeck,
     conflicts,
     drawn,
@@ -86,6 +94,19 @@ NO_PAIR = (
 )
 
 
+NO_INDICATORS = ErrorIndicators(
+    regions=(),
+    strain=np.zeros(0),
+    force=np.zeros(0),
+    constitutive=np.zeros(0),
+    energy=np.zeros(0),
+    modes=np.zeros(0, dtype=np.int64),
+    relative=np.zeros(0),
+    expansion="",
+    misfit=np.zeros(0),
+)
+
+
 def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """Indicators and proposal; None where there is neither a candidate nor a paired mode.
 
@@ -96,24 +117,29 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """
     found: CorrelateStage = session.get("correlate")
     paired = bool(found.remodelled.used.any())
-    chosen = _candidates(session, part(progress, 0.0, 0.4)) if paired else None
-    if chosen is None or not chosen.kept:
-        if session.config.propose:
-            raise DataError(NO_CANDIDATE if paired else NO_PAIR)
-        return None
+    with held_decks(session) as held:
+        chosen = _candidates(session, held, part(progress, 0.0, 0.4)) if paired else None
+        if chosen is None or not chosen.kept:
+            if session.config.propose:
+                raise DataError(NO_CANDIDATE if paired else NO_PAIR)
+            return None
+        return _localised(session, chosen, held, progress)
+
+
+def _localised(
+    session: Session, chosen: _Chosen, held: HeldDecks | None, progress: Progress
+) -> LocaliseStage:
+    """What the data say of the candidates that are looked at closely."""
     candidates = chosen.kept
     aim = target(session.own)
-    model = _candidate_model(session, candidates, part(progress, 0.4, 0.6))
-    start = model.linearise(np.zeros(len(model.parameters)))
-    pairs, _, _ = match(aim, start)
-    pairs = pairs[
-        aim.used[pairs[:, 0]] & (not aim.frequency_only)
-    ]  # without measured shapes no local errors
+    model = _candidate_model(session, candidates, held, part(progress, 0.4, 0.6))
     progress(0.6, "error indicators")
-    errors, misfit = _error_indicators(session, model, aim, pairs)
-    others: tuple[AtChannels, ...] = ()
+    indicators, gathered = _local_errors(session, model, candidates, aim)
+    others: tuple[SeenModel, ...] = ()
     if _updated(session):
-        others = tuple(c.model(progress) for c in session.others)
+        others = tuple(
+            c.model(progress) if held is None else held.model(c, progress) for c in session.others
+        )
     problem = _problem(session, (model, *others))
     with_others = _updated(session) and (session.others or session.config.residual)
     points = _points(session, model, candidates)
@@ -127,7 +153,7 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         _problem(session, search),
         SearchSettings(asked.most, asked.alike, passed_over=chosen.passed_over),
         conflicts=conflicts(session.remodelled.model, candidates),
-        errors=errors.concentration(membership(session.steps[-1].model, candidates)),
+        errors=gathered,
         words=[c.what for c in candidates],
         progress=part(progress, 0.7, 1.0),
     )
@@ -139,12 +165,9 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         data = [m.name for c in session.configurations for m in c.measured]
         basis = ", ".join([*tests, *data])
     p = model.parameters
-    deck = session.remodelled
-    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
-    members = missing_members(deck.model, fitted)
     known = identifiability(end_data.slope * p.std())
     return LocaliseStage(
-        indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
+        indicators=indicators,
         candidates=CandidateEffects(
             parameters=p,
             what=tuple(c.what for c in candidates),
@@ -158,9 +181,21 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         proposal=proposal,
         proposal_basis=basis,
         places=session.places,
-        members=members,
-        form=_form(session, aim),
+        members=_members(session, proposal, model, aim),
+        form=FormFindings() if held else _form(session, aim),
+        reduced_by="" if held is None else session.deck.solver,
     )
+
+
+def _members(
+    session: Session, proposal: Proposal, model: SeenModel, aim: Target
+) -> tuple[MissingMember, ...]:
+    """Members that the deck may lack, where its matrices are here."""
+    if not isinstance(model, AtChannels):
+        return ()
+    deck = session.remodelled
+    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
+    return missing_members(deck.model, fitted)
 
 
 def _form(session: Session, aim: Target) -> FormFindings:
@@ -182,7 +217,7 @@ def _updated(session: Session) -> bool:
     return bool(len(session.config.candidates())) or session.config.propose
 
 
-def _problem(session: Session, models: Sequence[AtChannels]) -> Problem:
+def _problem(session: Session, models: Sequence[SeenModel]) -> Problem:
     """All tests and what was measured besides modes."""
     if not (_updated(session) and (session.others or session.config.residual)):
         return single(models[0], target(session.own))
@@ -201,7 +236,7 @@ class _Chosen:
     passed_over: int = 0
 
 
-def _candidates(session: Session, progress: Progress) -> _Chosen:
+def _candidates(session: Session, held: HeldDecks | None, progress: Progress) -> _Chosen:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     given = session.config.candidates()
     asked = session.config.localise
@@ -223,9 +258,26 @@ def _candidates(session: Session, progress: Progress) -> _Chosen:
     springs = tuple(of_parameter(model, p) for p in session.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
-    held = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
-    every = tuple(c for c in every if c.name not in held and not never.keys() & c.parameter.targets)
+    held_fields = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
+    every = tuple(
+        c for c in every if c.name not in held_fields and not never.keys() & c.parameter.targets
+    )
     every += masses
+    screen = _screened if held is None else partial(_screened_there, held)
+    near, some, lost = screen(session, every, progress)
+    far = tuple(c.name for c in some if c not in near)
+    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held_fields))
+    return _Chosen(near, pool, passed_over(some, near))
+
+
+# candidates to be looked at closely, those that change a mode, those that do not
+_Screened = tuple[tuple[Candidate, ...], tuple[Candidate, ...], tuple[Dropped, ...]]
+
+
+def _screened(session: Session, every: tuple[Candidate, ...], progress: Progress) -> _Screened:
+    """By the matrices of the deck."""
+    asked = session.config.localise
+    model = session.remodelled.model
     system = session.remodelled.analysis.system
     modes = session.remodelled.modes(session.fmax).modes
     lam = (2 * np.pi * modes.frequencies) ** 2
@@ -239,7 +291,7 @@ def _candidates(session: Session, progress: Progress) -> _Chosen:
     if data is not None:
         data = replace(data, candidates=some)
 
-    def look(few: tuple[Candidate, ...]) -> tuple[AtChannels, ReducedModel]:
+    def look(few: tuple[Candidate, ...]) -> tuple[SeenModel, ReducedModel]:
         reduced = session.own.reduced(parameters(few), quiet)
         reduced = reduced if data is None else data.loaded(reduced)
         return _small(session.own, reduced, _points(session, reduced, few)), reduced.model
@@ -255,37 +307,88 @@ def _candidates(session: Session, progress: Progress) -> _Chosen:
         settings=SearchSettings(asked.most, asked.alike),
         progress=progress,
     )
-    far = tuple(c.name for c in some if c not in near)
-    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held))
-    return _Chosen(near, pool, passed_over(some, near))
+    return near, some, lost
 
 
-def _points(session: Session, model: AtChannels, candidates: Sequence[Candidate]) -> list[Float]:
+def _screened_there(
+    held: HeldDecks, session: Session, every: tuple[Candidate, ...], progress: Progress
+) -> _Screened:
+    """By the processes that hold the deck."""
+    own = session.own
+    asked = session.config.localise
+    start = held.reduced(own, ParameterSet(()), progress)
+    rows = own.rows(own.reference.elastic.channels)
+    deck, lost = HeldDeck(session.remodelled.model, every, start, rows).effective()
+
+    def look(few: tuple[Candidate, ...]) -> tuple[SeenModel, HeldModel]:
+        reduced = held.reduced(own, parameters(few), quiet)
+        seen = SeenModel(reduced, rows)
+        return _small(own, seen, _points(session, seen, few)), reduced
+
+    near = screened(
+        deck,
+        target(own),
+        look,
+        asked.pool,
+        settings=SearchSettings(asked.most, asked.alike),
+        progress=progress,
+    )
+    return near, deck.candidates, lost
+
+
+def _points(session: Session, model: SeenModel, candidates: Sequence[Candidate]) -> list[Float]:
     """Where a search will look."""
     together = conflicts(session.remodelled.model, candidates)
     return drawn(model.parameters, together, np.random.default_rng([session.config.study.seed, 5]))
 
 
 def _candidate_model(
-    session: Session, candidates: tuple[Candidate, ...], progress: Progress
-) -> AtChannels:
+    session: Session,
+    candidates: tuple[Candidate, ...],
+    held: HeldDecks | None,
+    progress: Progress,
+) -> SeenModel:
     """The reduced model over the candidates: that of the updating where it has the same."""
-    if len(session.config.candidates()):
-        return session.own.model(progress)
-    if session.config.propose:
+    own = session.own
+    if not _updated(session):
+        only = parameters(candidates)
+        if held is None:
+            return own.reduced(only, progress)
+        rows = own.rows(own.reference.elastic.channels)
+        return SeenModel(held.reduced(own, only, progress), rows)
+    if not len(session.config.candidates()):
         session.generated = parameters(candidates)
-        return session.own.model(progress)
-    return session.own.reduced(parameters(candidates), progress)
+    return own.model(progress) if held is None else held.model(own, progress)
 
 
-def _small(c: StudyConfiguration, model: AtChannels, points: Sequence[Float]) -> AtChannels:
+def _small(c: StudyConfiguration, model: SeenModel, points: Sequence[Float]) -> SeenModel:
     """The model on its modes around the points, and on the static responses to what was excited or
     pulled.
     """
-    small = condensed(model.model, points, max(SIZES.vectors, 2 * model.model.count))
+    size = max(SIZES.vectors, 2 * model.model.count)
+    if not isinstance(model, AtChannels):
+        return replace(model, model=condensed(model.model, points, size))
+    small = condensed(model.model, points, size)
     if c.session.config.residual and _updated(c.session):
         small = flexible(small, c.measured, model.loaded)
     return replace(model, model=small)
+
+
+def _local_errors(
+    session: Session, model: SeenModel, candidates: Sequence[Candidate], aim: Target
+) -> tuple[ErrorIndicators, Mapping[str, Float]]:
+    """Error indicators of the regions, and their concentration on each candidate; none where the
+    matrices of the deck are not here.
+    """
+    if not isinstance(model, AtChannels):
+        return NO_INDICATORS, {}
+    pairs, _, _ = match(aim, model.linearise(np.zeros(len(model.parameters))))
+    pairs = pairs[
+        aim.used[pairs[:, 0]] & (not aim.frequency_only)
+    ]  # without measured shapes no local errors
+    errors, misfit = _error_indicators(session, model, aim, pairs)
+    gathered = errors.concentration(membership(session.steps[-1].model, candidates))
+    return _region_indicators(session, errors, misfit, pairs[:, 0]), gathered
 
 
 def _error_indicators(

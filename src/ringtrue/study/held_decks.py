@@ -1,0 +1,61 @@
+"""Decks that the processes of the study's solver hold and reduce: no matrix of a whole deck is in
+this process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringtrue.core.iterate import Progress
+from ringtrue.core.parameters import ParameterSet
+from ringtrue.model.superelements import whole_mesh
+from ringtrue.reduction.held import HeldModel, ReducingAnalysis
+from ringtrue.study.opened import SeenModel
+from ringtrue.study.session import Session, StudyConfiguration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldDecks:
+    """The decks of all configurations, in the order of these, as long as they are open."""
+
+    analyses: tuple[ReducingAnalysis, ...]
+
+    def reduced(
+        self, c: StudyConfiguration, parameters: ParameterSet, progress: Progress
+    ) -> HeldModel:
+        """The reduced model of a configuration at all its channels, as
+        `StudyConfiguration.reduced`.
+        """
+        progress(0.0, f"reduced model by {c.session.deck.solver}")
+        fmax = c.session.up_to(c.reference.elastic)
+        count = len(c.deck.modes(fmax).modes)
+        analysis = self.analyses[c.session.configurations.index(c)]
+        return analysis.reduced(parameters, c.seen.matrix, count, fmax)
+
+    def model(self, c: StudyConfiguration, progress: Progress) -> SeenModel:
+        """The reduced model over the candidates that its deck has, as
+        `StudyConfiguration.model`.
+        """
+        every, count = c.parameters()
+        model = self.reduced(c, every, progress)
+        seen = SeenModel(model, c.rows(c.reference.elastic.channels))
+        return seen.with_parameters(range(count), np.zeros(len(every)))
+
+
+@contextmanager
+def held_decks(session: Session) -> Iterator[HeldDecks | None]:
+    """The decks of a study in its solver; None where that does not reduce them."""
+    engine = session.engine
+    if engine is None or not session.remodelled.reduces:
+        yield None
+        return
+    with ExitStack() as open_ones:
+        analyses = [
+            open_ones.enter_context(engine.open(whole_mesh(c.deck.model)))
+            for c in session.configurations
+        ]
+        yield HeldDecks(tuple(a for a in analyses if isinstance(a, ReducingAnalysis)))
