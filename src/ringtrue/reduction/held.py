@@ -12,6 +12,7 @@ from scipy import sparse
 
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import Parameter, ParameterSet
+from ringtrue.model.ports import Analysis
 from ringtrue.reduction.projected import ProjectedModel
 
 Along = Callable[[Sequence[Parameter], Float], tuple[Float, Float]]
@@ -33,7 +34,7 @@ class HeldModel(ProjectedModel):
 
 
 @runtime_checkable
-class ReducingAnalysis(Protocol):
+class ReducingAnalysis(Analysis, Protocol):
     """An analysis that reduces its model where its matrices are."""
 
     def reduced(

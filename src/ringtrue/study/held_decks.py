@@ -20,8 +20,17 @@ from ringtrue.study.session import Session, StudyConfiguration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldDecks:
-    """The decks of all configurations, in the order of these, as long as they are open."""
+    """The decks of all configurations, as long as they are open.
 
+    Attributes
+    ----------
+    solver : str
+        Its name.
+    analyses : tuple of ReducingAnalysis
+        In the order of the configurations.
+    """
+
+    solver: str
     analyses: tuple[ReducingAnalysis, ...]
 
     def reduced(
@@ -30,10 +39,10 @@ class HeldDecks:
         """The reduced model of a configuration at all its channels, as
         `StudyConfiguration.reduced`.
         """
-        progress(0.0, f"reduced model by {c.session.deck.solver}")
+        progress(0.0, f"reduced model by {self.solver}")
         fmax = c.session.up_to(c.reference.elastic)
-        count = len(c.deck.modes(fmax).modes)
         analysis = self.analyses[c.session.configurations.index(c)]
+        count = len(c.deck.modes_by(analysis, fmax).modes)
         return analysis.reduced(parameters, c.seen.matrix, count, fmax)
 
     def model(self, c: StudyConfiguration, progress: Progress) -> SeenModel:
@@ -58,4 +67,5 @@ def held_decks(session: Session) -> Iterator[HeldDecks | None]:
             open_ones.enter_context(engine.open(whole_mesh(c.deck.model)))
             for c in session.configurations
         ]
-        yield HeldDecks(tuple(a for a in analyses if isinstance(a, ReducingAnalysis)))
+        reducing = tuple(a for a in analyses if isinstance(a, ReducingAnalysis))
+        yield HeldDecks(engine.name, reducing)

@@ -25,7 +25,7 @@ from ringtrue.fem.assembly import moving
 from ringtrue.fem.element_cards import mesh
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
+from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest, ModesResult
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.held import ReducingAnalysis
@@ -82,18 +82,23 @@ class Opened:
     def modes(self, fmax: float, progress: Progress | None = None) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
-            request = ModesRequest(band=(-1.0, fmax))
-            own = self.engine is None
-            self._modes[fmax] = (
-                self.analysis.modes(request, progress) if own else self._outside(request)
-            )
+            if self.engine is None:
+                request = ModesRequest(band=(-1.0, fmax))
+                self._modes[fmax] = self.analysis.modes(request, progress)
+            else:
+                with self.engine.open(whole_mesh(self.model)) as analysis:
+                    self.modes_by(analysis, fmax)
         return self._modes[fmax]
 
-    def _outside(self, request: ModesRequest) -> ModesResult:
+    def modes_by(self, analysis: Analysis, fmax: float) -> ModesResult:
+        """The same by an analysis of the engine that is open."""
+        if fmax not in self._modes:
+            self._modes[fmax] = self._outside(analysis, ModesRequest(band=(-1.0, fmax)))
+        return self._modes[fmax]
+
+    def _outside(self, analysis: Analysis, request: ModesRequest) -> ModesResult:
         """By another solver, at the degrees of freedom of the embedded one."""
-        assert self.engine is not None
-        with self.engine.open(whole_mesh(self.model)) as analysis:
-            found = analysis.modes(request)
+        found = analysis.modes(request)
         labels = found.modes.labels
         dofs = self.dofs
         assert isinstance(labels, DofSet)
@@ -138,8 +143,11 @@ class Opened:
     @cached_property
     def _autospc(self) -> DofSet:
         """What the engine holds because nothing stiffens it."""
-        known = next(iter(self._modes.values()), None)
-        return (known or self._outside(ModesRequest(1))).autospc
+        for known in self._modes.values():
+            return known.autospc
+        assert self.engine is not None
+        with self.engine.open(whole_mesh(self.model)) as analysis:
+            return self._outside(analysis, ModesRequest(1)).autospc
 
     @cached_property
     def reduces(self) -> bool:

@@ -183,7 +183,7 @@ def _localised(
         places=session.places,
         members=_members(session, proposal, model, aim),
         form=FormFindings() if held else _form(session, aim),
-        reduced_by="" if held is None else session.deck.solver,
+        reduced_by="" if held is None else held.solver,
     )
 
 
