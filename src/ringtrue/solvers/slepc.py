@@ -43,7 +43,7 @@ from ringtrue.solvers.slepc_share import (
     QUESTION,
     SHAPES,
     Asked,
-    Question,
+    ShareQuestion,
     failed,
     place,
     put,
@@ -234,7 +234,7 @@ class SlepcAnalysis:
             along=along,
         )
 
-    def _answer(self, asked: Question) -> dict[str, Any]:
+    def _answer(self, asked: ShareQuestion) -> dict[str, Any]:
         """What the ranks say; arrays are in files that they have written."""
         if self._ranks is None:
             (self._folder / "model.pickle").write_bytes(pickle.dumps(self._model))
@@ -256,7 +256,7 @@ class SlepcAnalysis:
         """An array of the last answer, in a file."""
         return read_npy(self._file(what))
 
-    def _put(self, asked: Question | None) -> None:
+    def _put(self, asked: ShareQuestion | None) -> None:
         self._questions += 1
         put(place(self._folder, self._questions, QUESTION), pickle.dumps(asked))
 

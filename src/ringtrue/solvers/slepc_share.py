@@ -69,13 +69,13 @@ class Asked:
     readings: sparse.csr_array | None = None
 
     def answer(self, own: ShareOfModel, at: Callable[[str], Path]) -> dict[str, Any]:
-        """See `Question`."""
+        """See `ShareQuestion`."""
         if self.parameters is None:
             return own.modes(self.request, at(SHAPES))
         return own.derivatives(self, at(SHAPES), at(LOWEST))
 
 
-class Question(Protocol):
+class ShareQuestion(Protocol):
     """What all shares are asked."""
 
     def answer(self, own: ShareOfModel, at: Callable[[str], Path]) -> dict[str, Any]:
@@ -362,7 +362,7 @@ def _entries(A: sparse.csr_array) -> tuple[Float, Int, Int]:
     return coo.data, coo.row.astype(np.int64), coo.col.astype(np.int64)
 
 
-def questions(folder: Path) -> Iterator[tuple[int, Question]]:
+def questions(folder: Path) -> Iterator[tuple[int, ShareQuestion]]:
     """What is asked, one after the other, until there is no more or the rank is gone."""
     rank = os.getppid()
     for number in count(1):

@@ -14,7 +14,7 @@ from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.held import HeldModel, ReducingAnalysis
-from ringtrue.study.opened import SeenModel
+from ringtrue.study.opened import ProjectedAtChannels
 from ringtrue.study.session import Session, StudyConfiguration
 
 
@@ -45,13 +45,13 @@ class HeldDecks:
         count = len(c.deck.modes_by(analysis, fmax).modes)
         return analysis.reduced(parameters, c.seen.matrix, count, fmax)
 
-    def model(self, c: StudyConfiguration, progress: Progress) -> SeenModel:
+    def model(self, c: StudyConfiguration, progress: Progress) -> ProjectedAtChannels:
         """The reduced model over the candidates that its deck has, as
         `StudyConfiguration.model`.
         """
         every, count = c.parameters()
         model = self.reduced(c, every, progress)
-        seen = SeenModel(model, c.rows(c.reference.elastic.channels))
+        seen = ProjectedAtChannels(model, c.rows(c.reference.elastic.channels))
         return seen.with_parameters(range(count), np.zeros(len(every)))
 
 

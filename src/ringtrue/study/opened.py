@@ -213,7 +213,7 @@ class PairedShapes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenModel:
+class ProjectedAtChannels:
     """A projected model at some rows of its channels.
 
     Attributes
@@ -263,7 +263,7 @@ class SeenModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AtChannels(SeenModel):
+class AtChannels(ProjectedAtChannels):
     """A reduced model at some rows of its channels.
 
     Attributes

@@ -4,36 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import Progress, part, quiet
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
-from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.changed_model import affected_cards
-from ringtrue.fem.parametrisation.derivatives import congruent
-from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
-from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.expansion import ShapeReadings
-from ringtrue.reduction.held import HeldModel
-from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import condensed
-from ringtrue.reduction.response import responding, with_responses
-from ringtrue.study.evidence import at_channels, expanded
+from ringtrue.study.candidate_screening import (
+    screened_here,
+    screened_there,
+    search_model,
+    search_points,
+    search_settings,
+    updates_candidates,
+)
+from ringtrue.study.evidence import expanded
 from ringtrue.study.form import form_of
 from ringtrue.study.held_decks import HeldDecks, held_decks
-from ringtrue.study.measured_data import flexible
-from ringtrue.study.objective import data_of, on_parameters, problem_of, target, terms_of
-from ringtrue.study.opened import AtChannels, SeenModel, lump_places
+from ringtrue.study.objective import problem_of, target
+from ringtrue.study.opened import AtChannels, ProjectedAtChannels, lump_places
 from ringtrue.study.results import (
     CandidateEffects,
     CandidatePool,
@@ -41,11 +38,9 @@ from ringtrue.study.results import (
     ErrorIndicators,
     LocaliseStage,
 )
-from ringtrue.study.session import Session, StudyConfiguration
+from ringtrue.study.session import Session
 from ringtrue.updating.identifiability import identifiability
-from ringtrue.updating.problem import Configuration, Problem, residual_at, single
-from ringtrue.updating.residuals.modal import Point, Weighted
-from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.problem import Problem, residual_at, single
 from ringtrue.updating.selection.candidates import (
     Candidate,
     CandidateSettings,
@@ -68,18 +63,10 @@ from ringtrue.updating.selection.missing_members import (
 )
 from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import (
-    SIZES,
-    Dropped,
-    HeldDeck,
-    ScreenedDeck,
     conflicts,
-    drawn,
-    effective,
     of_parameter,
     passed_over,
-    screened,
 )
-from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.target import Target, match
 
 NO_CANDIDATE = (
@@ -135,23 +122,22 @@ def _localised(
     model = _candidate_model(session, candidates, held, part(progress, 0.4, 0.6))
     progress(0.6, "error indicators")
     indicators, gathered = _local_errors(session, model, candidates, aim)
-    others: tuple[SeenModel, ...] = ()
-    if _updated(session):
+    others: tuple[ProjectedAtChannels, ...] = ()
+    if updates_candidates(session):
         others = tuple(
             c.model(progress) if held is None else held.model(c, progress) for c in session.others
         )
     problem = _problem(session, (model, *others))
-    with_others = _updated(session) and (session.others or session.config.residual)
-    points = _points(session, model, candidates)
-    search = [_small(session.own, model, points)]
+    with_others = updates_candidates(session) and (session.others or session.config.residual)
+    points = search_points(session, model, candidates)
+    search = [search_model(session.own, model, points)]
     names = model.parameters.names
     for c, other in zip(session.others, others, strict=False):
         at = model.parameters.at(other.parameters.names)
-        search.append(_small(c, other, [x[at] for x in points]))
-    asked = session.config.localise
+        search.append(search_model(c, other, [x[at] for x in points]))
     proposal = propose(
         _problem(session, search),
-        SearchSettings(asked.most, asked.alike, passed_over=chosen.passed_over),
+        replace(search_settings(session), passed_over=chosen.passed_over),
         conflicts=conflicts(session.remodelled.model, candidates),
         errors=gathered,
         words=[c.what for c in candidates],
@@ -188,7 +174,7 @@ def _localised(
 
 
 def _members(
-    session: Session, proposal: Proposal, model: SeenModel, aim: Target
+    session: Session, proposal: Proposal, model: ProjectedAtChannels, aim: Target
 ) -> tuple[MissingMember, ...]:
     """Members that the deck may lack, where its matrices are here."""
     if not isinstance(model, AtChannels):
@@ -210,16 +196,9 @@ def _form(session: Session, aim: Target) -> FormFindings:
     return form_of(deck, modes, test, std=reference.elastic_std, target=aim, observe=observe)
 
 
-def _updated(session: Session) -> bool:
-    """Whether the candidates are those of the updating: only then do other tests and data know
-    them.
-    """
-    return bool(len(session.config.candidates())) or session.config.propose
-
-
-def _problem(session: Session, models: Sequence[SeenModel]) -> Problem:
+def _problem(session: Session, models: Sequence[ProjectedAtChannels]) -> Problem:
     """All tests and what was measured besides modes."""
-    if not (_updated(session) and (session.others or session.config.residual)):
+    if not (updates_candidates(session) and (session.others or session.config.residual)):
         return single(models[0], target(session.own))
     return problem_of(session, models)
 
@@ -263,83 +242,11 @@ def _candidates(session: Session, held: HeldDecks | None, progress: Progress) ->
         c for c in every if c.name not in held_fields and not never.keys() & c.parameter.targets
     )
     every += masses
-    screen = _screened if held is None else partial(_screened_there, held)
+    screen = screened_here if held is None else partial(screened_there, held)
     near, some, lost = screen(session, every, progress)
     far = tuple(c.name for c in some if c not in near)
     pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held_fields))
     return _Chosen(near, pool, passed_over(some, near))
-
-
-# candidates to be looked at closely, those that change a mode, those that do not
-_Screened = tuple[tuple[Candidate, ...], tuple[Candidate, ...], tuple[Dropped, ...]]
-
-
-def _screened(session: Session, every: tuple[Candidate, ...], progress: Progress) -> _Screened:
-    """By the matrices of the deck."""
-    asked = session.config.localise
-    model = session.remodelled.model
-    system = session.remodelled.analysis.system
-    modes = session.remodelled.modes(session.fmax).modes
-    lam = (2 * np.pi * modes.frequencies) ** 2
-    vectors = np.asarray(system.local @ modes.shapes)
-    data = None
-    strained = lam, vectors
-    if session.own.measured and _updated(session):
-        data = DataScreening.of(session.own, every)
-        strained = data.strained()
-    some, lost = effective(model, system, every, *strained)
-    if data is not None:
-        data = replace(data, candidates=some)
-
-    def look(few: tuple[Candidate, ...]) -> tuple[SeenModel, ReducedModel]:
-        reduced = session.own.reduced(parameters(few), quiet)
-        reduced = reduced if data is None else data.loaded(reduced)
-        return _small(session.own, reduced, _points(session, reduced, few)), reduced.model
-
-    deck = session.remodelled
-    channels = session.own.reference.elastic.channels
-    readings = at_channels(deck, session.own.observed(deck), channels)
-    near = screened(
-        ScreenedDeck(model, system, some, observe=readings, values=lam, vectors=vectors, data=data),
-        target(session.own),
-        look,
-        asked.pool,
-        settings=SearchSettings(asked.most, asked.alike),
-        progress=progress,
-    )
-    return near, some, lost
-
-
-def _screened_there(
-    held: HeldDecks, session: Session, every: tuple[Candidate, ...], progress: Progress
-) -> _Screened:
-    """By the processes that hold the deck."""
-    own = session.own
-    asked = session.config.localise
-    start = held.reduced(own, ParameterSet(()), progress)
-    rows = own.rows(own.reference.elastic.channels)
-    deck, lost = HeldDeck(session.remodelled.model, every, start, rows).effective()
-
-    def look(few: tuple[Candidate, ...]) -> tuple[SeenModel, HeldModel]:
-        reduced = held.reduced(own, parameters(few), quiet)
-        seen = SeenModel(reduced, rows)
-        return _small(own, seen, _points(session, seen, few)), reduced
-
-    near = screened(
-        deck,
-        target(own),
-        look,
-        asked.pool,
-        settings=SearchSettings(asked.most, asked.alike),
-        progress=progress,
-    )
-    return near, deck.candidates, lost
-
-
-def _points(session: Session, model: SeenModel, candidates: Sequence[Candidate]) -> list[Float]:
-    """Where a search will look."""
-    together = conflicts(session.remodelled.model, candidates)
-    return drawn(model.parameters, together, np.random.default_rng([session.config.study.seed, 5]))
 
 
 def _candidate_model(
@@ -347,35 +254,22 @@ def _candidate_model(
     candidates: tuple[Candidate, ...],
     held: HeldDecks | None,
     progress: Progress,
-) -> SeenModel:
+) -> ProjectedAtChannels:
     """The reduced model over the candidates: that of the updating where it has the same."""
     own = session.own
-    if not _updated(session):
+    if not updates_candidates(session):
         only = parameters(candidates)
         if held is None:
             return own.reduced(only, progress)
         rows = own.rows(own.reference.elastic.channels)
-        return SeenModel(held.reduced(own, only, progress), rows)
+        return ProjectedAtChannels(held.reduced(own, only, progress), rows)
     if not len(session.config.candidates()):
         session.generated = parameters(candidates)
     return own.model(progress) if held is None else held.model(own, progress)
 
 
-def _small(c: StudyConfiguration, model: SeenModel, points: Sequence[Float]) -> SeenModel:
-    """The model on its modes around the points, and on the static responses to what was excited or
-    pulled.
-    """
-    size = max(SIZES.vectors, 2 * model.model.count)
-    if not isinstance(model, AtChannels):
-        return replace(model, model=condensed(model.model, points, size))
-    small = condensed(model.model, points, size)
-    if c.session.config.residual and _updated(c.session):
-        small = flexible(small, c.measured, model.loaded)
-    return replace(model, model=small)
-
-
 def _local_errors(
-    session: Session, model: SeenModel, candidates: Sequence[Candidate], aim: Target
+    session: Session, model: ProjectedAtChannels, candidates: Sequence[Candidate], aim: Target
 ) -> tuple[ErrorIndicators, Mapping[str, Float]]:
     """Error indicators of the regions, and their concentration on each candidate; none where the
     matrices of the deck are not here.
@@ -472,153 +366,3 @@ def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[
             continue
         out += [named.get(p, f"property {p}") for p in table["PID"].tolist()]
     return out
-
-
-@dataclass(frozen=True, eq=False)
-class DataScreening:
-    """The [[residual]]s of the study's own deck, as a screening of candidates sees them.
-
-    Attributes
-    ----------
-    configuration : StudyConfiguration
-        The study's own.
-    candidates : tuple of Candidate
-        All that are screened.
-    start : ReducedModel
-        The deck without a parameter, with the responses to unit loads at the touched channels.
-    """
-
-    configuration: StudyConfiguration
-    candidates: tuple[Candidate, ...]
-    start: ReducedModel
-
-    @classmethod
-    def of(
-        cls, configuration: StudyConfiguration, candidates: tuple[Candidate, ...]
-    ) -> DataScreening:
-        """On the deck as it is.
-
-        Raises
-        ------
-        DataError
-            As `objective.data_of`.
-        """
-        deck = configuration.reduced(ParameterSet(()), quiet)
-        data_of(configuration, deck)
-        bare = cls(configuration, candidates, deck.model)
-        return replace(bare, start=bare.loaded(deck).model)
-
-    @cached_property
-    def chosen(self) -> ParameterSet:
-        """All candidates."""
-        return parameters(self.candidates)
-
-    @cached_property
-    def touched(self) -> Int:
-        """Channels that were struck or pulled, and those whose deflections were read."""
-        c = self.configuration
-        read = [name for m in c.measured if m.static for name in m.outputs]
-        return np.unique([*c.loaded, *c.rows(read)]).astype(np.int64)
-
-    @cached_property
-    def mass(self) -> tuple[Float, Float]:
-        """The rigid-body mass (6, 6) of the deck about the origin, and its slopes (p, 6, 6) to the
-        factors.
-        """
-        free = unconstrained(self.configuration.deck.model)
-        system = assemble(free)
-        r = system.rigid_body()
-        return np.asarray(r.T @ (system.mass @ r)), _projected(free, self.chosen, system, r)[1]
-
-    def strained(self) -> tuple[Float, Float]:
-        """λ and vectors of the deck in which a candidate must have a part to be seen: modes and
-        responses.
-        """
-        return responding(self.start, self.touched, np.zeros(0))
-
-    def loaded(self, model: AtChannels) -> AtChannels:
-        """With the responses to unit loads at the touched channels in its basis."""
-        loads = self.configuration.loaded
-        more = flexible(model.model, self.configuration.measured, loads)
-        read = np.setdiff1d(self.touched, loads)
-        if read.size:
-            more, _ = with_responses(more, read, np.zeros(len(more.parameters)))
-        return replace(model, model=more, loaded=loads)
-
-    def problem(self, search: AtChannels, aim: Target) -> Problem:
-        """Modes and data, over some of the candidates."""
-        terms = terms_of(self.configuration, search)
-        return Problem((Configuration(search, aim, terms),))
-
-    def misfit(
-        self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
-    ) -> tuple[Float, Float]:
-        """Weighted deviations (n,) at a point, and what each candidate does to them in units of its
-        prior, (n, p).
-
-        Along the modes there and the responses to unit loads at the touched channels (Fox and
-        Kapoor 1968).
-
-        Parameters
-        ----------
-        at : ReducedModel, optional
-            Over some of the candidates; the deck as it is if not given.
-        x : (k,) float64
-            Of those.
-        which : sequence of int
-            Their positions among all.
-        """
-        model = at or self.start
-        deck = self.configuration.deck
-        p = len(self.chosen)
-        lam, vectors = responding(model, self.touched, x)
-        dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
-        dense = DenseModel(
-            stiffness=np.diag(lam),
-            mass=np.eye(lam.size),
-            d_stiffness=dk,
-            d_mass=dm,
-            observation=model.system.observe @ vectors,
-            parameters=self.chosen,
-            count=lam.size,
-        )
-        now = dense.linearise(np.zeros(p))
-        none = np.zeros((0, 2), dtype=np.int64)
-        here = Point(
-            model=dense,
-            now=now,
-            target=aim,
-            pairs=none,
-            spans=(),
-            every=none,
-            mac=np.zeros(0),
-            whole=now,
-        )
-        everything = np.zeros(p)
-        everything[list(which)] = x
-        data = on_parameters(self.configuration, lambda: self._rigid(everything), tuple(range(p)))
-        blocks = [Weighted(d.term, d.weight)(here) for d in data]
-        slopes = np.concatenate([b.slope for b in blocks]) * self.chosen.std()
-        return np.concatenate([b.value for b in blocks]), slopes
-
-    def _rigid(self, x: Float) -> RigidMass:
-        """About x (p,), linear in the factors."""
-        mass, slopes = self.mass
-        none = sparse.csr_array((6, 6))
-        here = mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1)
-        terms = tuple(AffineTerm(power(i), none, sparse.csr_array(s)) for i, s in enumerate(slopes))
-        whole = AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none)
-        return RigidMass(whole, np.eye(6))
-
-
-def _projected(
-    model: Model, chosen: ParameterSet, system: System, vectors: Float
-) -> tuple[Float, Float]:
-    """∂K/∂a and ∂M/∂a of each parameter along vectors (f, r), (p, r, r) each."""
-    r = vectors.shape[1]
-    out = np.zeros((2, len(chosen), r, r))
-    for i, *both in congruent(model, chosen.parameters, system, vectors):
-        for total, change in zip(out, both, strict=True):
-            if change.size:
-                total[i] += change
-    return out[0], out[1]
