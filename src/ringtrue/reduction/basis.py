@@ -111,7 +111,7 @@ class ProjectedSystem:
     parameters : ParameterSet
     vectors : (f, r) float64
         Orthonormal in the nominal energy K − σM; by the free DOFs, or by vectors that others hold
-        (`reduction.held`).
+        (`reduction.projected`).
     stiffness, mass : (r, r) float64
         At a = 1.
     terms : tuple of (function, stiffness (r, r), mass (r, r))

@@ -4,19 +4,19 @@ small dense eigensolution, and no matrix of the whole model is needed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeVar
+from typing import Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import InputError, NumericalError
-from ringtrue.model.ports import Linearisation
+from ringtrue.model.ports import Analysis, Linearisation
 from ringtrue.reduction.basis import ProjectedSystem
 
 # θ = 1/(λ − σ), relative to the largest, below which a vector of the basis has no mass
@@ -186,6 +186,37 @@ class ProjectedModel:
         lam, _ = everything._solve(self.base, all_modes=False)
         count = int(np.searchsorted(lam, 100**2 * abs(lam[self.count - 1]), side="right"))
         return replace(self, count=count, scale=self.scale or self.count)
+
+
+Along = Callable[[Sequence[Parameter], Float], tuple[Float, Float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HeldModel(ProjectedModel):
+    """A projected model; the vectors of its basis are coordinates (h, r) by h vectors held
+    elsewhere.
+
+    Attributes
+    ----------
+    along : callable
+        vᵀ(∂K/∂a)v and vᵀ(∂M/∂a)v, (p, m, m) each, of p parameters along combinations (h, m) of the
+        held vectors.
+    """
+
+    along: Along
+
+
+@runtime_checkable
+class ReducingAnalysis(Analysis, Protocol):
+    """An analysis that reduces its model where its matrices are."""
+
+    def reduced(
+        self, parameters: ParameterSet, readings: sparse.csr_array, count: int, fmax: float
+    ) -> HeldModel:
+        """The reduced model that returns the lowest `count` modes, up to `fmax`, Hz, seen by
+        readings (channel, dof).
+        """
+        ...
 
 
 AnyProjected = TypeVar("AnyProjected", bound=ProjectedModel)

@@ -33,7 +33,7 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.model.superelements import condenses
 from ringtrue.reduction.basis import ProjectedSystem
-from ringtrue.reduction.held import HeldModel
+from ringtrue.reduction.projected import HeldModel
 from ringtrue.solvers import slepc_share
 from ringtrue.solvers.runner import Running
 from ringtrue.solvers.slepc_basis import BASIS, CHANGES, PROJECTED, AskedBasis, AskedChanges
@@ -46,7 +46,7 @@ from ringtrue.solvers.slepc_share import (
     ShareQuestion,
     failed,
     place,
-    put,
+    put_object,
 )
 
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
@@ -209,7 +209,7 @@ class SlepcAnalysis:
     def reduced(
         self, parameters: ParameterSet, readings: sparse.csr_array, count: int, fmax: float
     ) -> HeldModel:
-        """See `ringtrue.reduction.held.ReducingAnalysis`.
+        """See `ringtrue.reduction.projected.ReducingAnalysis`.
 
         Raises
         ------
@@ -258,7 +258,7 @@ class SlepcAnalysis:
 
     def _put(self, asked: ShareQuestion | None) -> None:
         self._questions += 1
-        put(place(self._folder, self._questions, QUESTION), pickle.dumps(asked))
+        put_object(self._file(QUESTION), asked)
 
     def __enter__(self) -> Self:
         return self

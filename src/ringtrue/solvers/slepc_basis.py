@@ -4,7 +4,6 @@ holds its rows of the basis, in a file of all.
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.reduction.basis import AffineSystem, ProjectedSystem, StaticSensitivities, project
 from ringtrue.reduction.parametric import basis_vectors, modes_of
-from ringtrue.solvers.slepc_share import ShareOfModel, put
+from ringtrue.solvers.slepc_share import ShareOfModel, put_object
 
 BASIS = "basis.npy"  # (r, free)
 PROJECTED = "projected.pickle"
@@ -60,7 +59,7 @@ class AskedBasis:
         own.write_rows(at(BASIS), vectors)
         projected = self._projected(own, part, vectors, read_npy(at(BASIS)))
         if own.share.number == 0:
-            put(at(PROJECTED), pickle.dumps(projected))
+            put_object(at(PROJECTED), projected)
         return {"shift": own.shift, "count": count}
 
     def _projected(

@@ -95,6 +95,11 @@ def put(path: Path, content: bytes) -> None:
         part.write_bytes(content)
 
 
+def put_object(path: Path, value: object) -> None:
+    """The same of an object for the other process."""
+    put(path, pickle.dumps(value))
+
+
 def failure(e: RingtrueError) -> bytes:
     """An error for the other process."""
     return pickle.dumps((type(e), str(e), e.__dict__))

@@ -18,10 +18,9 @@ from ringtrue.fem.parametrisation.derivatives import congruent
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.held import HeldModel
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import condensed
+from ringtrue.reduction.projected import HeldModel, condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.held_decks import HeldDecks

@@ -13,7 +13,7 @@ import numpy as np
 from ringtrue.core.iterate import Progress
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.model.superelements import whole_mesh
-from ringtrue.reduction.held import HeldModel, ReducingAnalysis
+from ringtrue.reduction.projected import HeldModel, ReducingAnalysis
 from ringtrue.study.opened import ProjectedAtChannels
 from ringtrue.study.session import Session, StudyConfiguration
 

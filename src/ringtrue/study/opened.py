@@ -28,10 +28,9 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest, ModesResult
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
-from ringtrue.reduction.held import ReducingAnalysis
 from ringtrue.reduction.matrix_model import MatricesAtPoint, matrices_at
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
-from ringtrue.reduction.projected import ProjectedModel
+from ringtrue.reduction.projected import ProjectedModel, ReducingAnalysis
 from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.updating.residuals.modal import Whole
