@@ -39,8 +39,8 @@ NO_SHAPES = (
     "fewer parameters than there are modes."
 )
 REDUCED_THERE = (
-    "The ranks of {0} have reduced the deck. Local errors, missing members and causes of form "
-    'need its matrices as a whole and are left out; [model] solver = "embedded" has them.'
+    "The solver {0} has reduced the deck and keeps its matrices. Local errors, missing members "
+    'and causes of form need these and are left out; [model] solver = "embedded" has them.'
 )
 EXPANSIONS = {
     "hybrid": "a balance of readings and equation of motion",
