@@ -130,14 +130,14 @@ def _static(
     if len(terms) * count > max(MANY, 4 * most):
         return compress(inner, sensitivities.mixed(terms, 2 * most, progress), most, drop)
     block = max(1, 800 // max(count, 1))  # what is held in memory
-    held: list[Float] = []
+    x = None
     for first in range(0, len(terms), block):
         some = terms[first : first + block]
         share = part(progress, first / len(terms), (first + len(some)) / len(terms))
-        held.append(sensitivities.of_each(some, share))
-        if first + block < len(terms):
-            held = [principal(inner, np.hstack(held), most, drop)]
-    return compress(inner, np.hstack(held), most, drop)
+        fresh = sensitivities.of_each(some, share)
+        x = fresh if x is None else np.hstack([principal(inner, x, most, drop), fresh])
+    assert x is not None  # there is at least one term
+    return compress(inner, x, most, drop)
 
 
 def basis_vectors(

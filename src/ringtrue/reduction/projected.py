@@ -119,7 +119,7 @@ class ProjectedModel:
         return self._last[key]
 
     def vectors(self, x: Float) -> tuple[Float, Float]:
-        """λ (m,) and φ (f, m) at x, in the free DOFs."""
+        """λ (m,) and φ (f, m) at x, as the vectors of the basis are given."""
         lam, y = self.coordinates(x)
         return lam, self.basis.vectors @ y
 

@@ -38,6 +38,7 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.basis import CHUNK
 from ringtrue.solvers.wire import make_file, receive, send, write_columns
 
 POLL = 0.02  # s
@@ -284,7 +285,12 @@ class ShareOfModel:
 
     def inner(self, a: Float, b: Float, stiffness: float, mass: float) -> Float:
         """aᵀ(k K + m M)b of columns of which this share has its rows, and two factors k and m."""
-        return self.share.summed(a.T @ self.rank("times", b, stiffness=stiffness, mass=mass)[1][0])
+        out = np.empty((a.shape[1], b.shape[1]))
+        for first in range(0, b.shape[1], CHUNK):
+            some = slice(first, first + CHUNK)
+            made = self.rank("times", b[:, some], stiffness=stiffness, mass=mass)[1][0]
+            out[:, some] = a.T @ made
+        return self.share.summed(out)
 
     def write_rows(self, path: Path, rows: Float) -> None:
         """Write its rows (own, k) of columns to a file (k, free) of all shares."""

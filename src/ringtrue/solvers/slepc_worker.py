@@ -260,7 +260,7 @@ class OwnedRows:
         return taken(made, given)
 
     def combined(self, x: Any, stiffness: float, mass: float) -> Any:
-        """(k K + m M) times columns (rows, k), for two factors k and m."""
+        """(k K + m M) times columns (rows, n), for two factors k and m."""
         pairs = [(f, A) for f, A in ((stiffness, self.K), (mass, self.M)) if f]
         return sum(f * self.times(A, x) for f, A in pairs)
 
