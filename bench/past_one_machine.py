@@ -8,18 +8,24 @@ a free cube (CHEXA), on 1 and 2 ranks. Times are of the clock, from the start of
 starting and importing is part of them. Memory is the largest peak (VmHWM) of a rank and of the
 ringtrue next to it. The answers are right if they are the embedded solver's.
 
+A study of the shell, from whose test two moduli differ, is localised: candidates
+are made from the deck, screened and proposed. Each run has a process of its own, whose peak is
+stated as well.
+
 Not covered: several hosts; more ranks than this machine has cores.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from outcome import Check, Peer, Report, arguments, at_most, sized
+from outcome import Check, Peer, Report, arguments, at_least, at_most, sized
 from scipy import sparse
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
@@ -30,14 +36,27 @@ from solid_meshes import box
 from ringtrue.core.arrays import Float
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.core.testmodel import TestModel
+from ringtrue.decks.nastran.writer import write_bulk
 from ringtrue.errors import SolverMissing
+from ringtrue.io.modes import write_modes
+from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
+from ringtrue.solvers.observed import at_factors
 from ringtrue.solvers.slepc import SHARE, WORKER, SlepcSolver, find_slepc
+from ringtrue.study.results import LocaliseStage
+from ringtrue.study.run import run_study
+from ringtrue.study.session import Session
+from ringtrue.study.stages import localise
+from ringtrue.virtual.measurements import write_sheet
 
 MODES, RIGID, CHANNELS = 20, 6, 40
+TESTED = 12  # elastic modes of the test that is localised
+WRONG = {2: 0.8, 5: 1.2}  # factors of the moduli of its regions
 SAME_MOST = 1e-6  # relative, of eigenvalues, derivatives of eigenvalues and of shapes
+SAME_FACTORS = 1e-5  # relative, of what is proposed: where the search stops
 GB = 1e9
 
 
@@ -68,6 +87,12 @@ def cube(n: int) -> Model:
     return Model(tables)
 
 
+def peak(process: Path) -> float:
+    """Of a process, by its folder in /proc, GB."""
+    size = (process / "status").read_text().partition("VmHWM:")[2].split()
+    return float(size[0]) * 1024 / GB if size else 0.0
+
+
 def peaks() -> tuple[float, float]:
     """Peak memory, GB, of the processes of slepc: the largest rank, and the largest ringtrue next
     to one.
@@ -76,10 +101,9 @@ def peaks() -> tuple[float, float]:
     for process in Path("/proc").glob("[0-9]*"):
         try:
             words = (process / "cmdline").read_text().split("\0")
-            status = (process / "status").read_text()
+            size = peak(process) if words[0] else 0.0
         except OSError:  # it has ended
             continue
-        size = float(status.partition("VmHWM:")[2].split()[0]) * 1024 / GB if words[0] else 0.0
         if words[1:2] == [str(WORKER)]:
             rank = max(rank, size)
         elif words[1:3] == ["-c", SHARE]:
@@ -128,6 +152,79 @@ def same(got: Run, want: Run) -> list[Check]:
     return checks
 
 
+def write_study(model: Model, folder: Path) -> Path:
+    """A study of a deck whose test is that of another: two moduli are wrong."""
+    wrong = ParameterSet(tuple(Parameter(f"E{r}", (CardField("MAT1", r, "E"),)) for r in WRONG))
+    deck = "SOL 103\nCEND\nBEGIN BULK\n" + write_bulk(model) + "ENDDATA\n"
+    (folder / "deck.bdf").write_text(deck)
+    grid = model["GRID"]
+    at = np.linspace(0, len(grid) - 1, CHANNELS).astype(int)
+    xyz = positions(model)[at]
+    points = grid.ids[at]
+    channels = tuple(f"{p}+Z" for p in points.tolist())
+    axes = np.tile([0.0, 0.0, 1.0], (CHANNELS, 1))
+    none = np.zeros((0, 2), dtype=np.int64)
+    groups = ("",) * CHANNELS
+    test = TestModel(points, xyz, channels, at=points, axes=axes, lines=none, groups=groups)
+    write_sheet(folder / "sensors.csv", test, channels)
+    truth = at_factors(model, wrong, np.array(list(WRONG.values())))
+    with EmbeddedSolver().open(truth) as analysis:
+        modes = analysis.modes(ModesRequest(RIGID + TESTED)).modes.take(slice(RIGID, None))
+    seen = replace(modes, shapes=modes.shapes[6 * at + 2], labels=channels)
+    write_modes(folder / "modes.json", seen)
+    fmax = 1.3 * float(modes.frequencies[-1])
+    study = folder / "study.toml"
+    study.write_text(
+        f'[model]\ndeck = "deck.bdf"\nfmax = {fmax:.1f}\n'
+        '[test]\nsheet = "sensors.csv"\nmodes = "modes.json"\n'
+        '[localise]\nkinds = ["material"]\npool = 4\nmost = 2\n'
+    )
+    return study
+
+
+def localised(study: Path, ranks: int) -> tuple[LocaliseStage, dict[str, float]]:
+    """The localisation of a study by the embedded solver or on ranks, with seconds and GB."""
+    session = Session.of(study)
+    if ranks:
+        session.engine = SlepcSolver(ranks=ranks)
+    memory = [(0.0, 0.0)]
+    start = time.perf_counter()
+    found = localise.run(session, lambda *_: memory.append(peaks()))
+    cost = {"s": time.perf_counter() - start, "GB this process": peak(Path("/proc/self"))}
+    if ranks:
+        most = np.max(memory, axis=0).tolist()
+        cost |= dict(zip(("GB a rank", "GB its ringtrue"), most, strict=True))
+    if found is None:
+        raise RuntimeError("nothing was localised: no mode is paired")
+    return found, cost
+
+
+def localise_row(model: Model, report: Report) -> None:
+    """Localise on two ranks and in one process, and compare."""
+    with tempfile.TemporaryDirectory() as folder:
+        study = write_study(model, Path(folder))
+        run_study(study, until="correlate")
+        runs = []
+        for ranks in (2, 0):
+            with get_context("spawn").Pool(1) as process:
+                runs.append(process.apply(localised, (study, ranks)))
+    (got, cost), (want, own) = runs
+    names = [[m.name for m in r.proposal.members] for r in (got, want)]
+    factors = [np.array([m.factor for m in r.proposal.members]) for r in (got, want)]
+    checks = [at_least("parameters proposed by the embedded solver", len(names[1]), 1)]
+    checks.append(at_most("proposed by one of the two only", len(set(names[0]) ^ set(names[1])), 0))
+    if names[0] == names[1]:
+        off = np.abs(factors[0] / factors[1] - 1).max()
+        checks.append(at_most("their factors off the embedded ones by", off, SAME_FACTORS))
+    dofs = 6 * len(model["GRID"])
+    report.row(
+        f"localise a shell of {dofs / 1000:.3g}k DOFs on 2 ranks",
+        cost,
+        checks,
+        [Peer("embedded", own)],
+    )
+
+
 def main() -> None:
     """Run and state."""
     options = arguments(__doc__).parse_args()
@@ -159,6 +256,7 @@ def main() -> None:
                 same(runs[n], want),
                 [Peer("embedded", own.seconds)],
             )
+    localise_row(shell(*shells[-1], regions=6), report)
     report.end()
 
 

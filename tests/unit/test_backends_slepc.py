@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import small_study
 from scipy import sparse
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "verification"))
@@ -16,18 +17,27 @@ import constrained_plate
 from eigen_shell import parameters as shell_parameters
 from eigen_shell import shell
 
+from ringtrue.core.iterate import quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.correlation.sensor_mapping import at_dofs
+from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import ConfigError, DeckError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.fem.assembly import Sum
 from ringtrue.fem.element_cards import mesh
+from ringtrue.fem.parametrisation.derivatives import quadratic_forms
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.parametric import KnownModes, reduced_model
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.observed import FullModel
 from ringtrue.solvers.registry import solver
 from ringtrue.solvers.slepc import PYTHON, SlepcSolver, find_slepc
 from ringtrue.study.config_sections import ModelSection
+from ringtrue.study.run import run_study
+from ringtrue.study.session import Session
+from ringtrue.study.stages import localise
 from ringtrue.testing import check_modal_solver
 
 DEBIAN = "/usr/bin/python3"
@@ -134,6 +144,67 @@ def test_an_updating_is_linearised_through_it(plate: Model) -> None:
     np.testing.assert_allclose(
         theirs.d_shapes * sign[:, None], ours.d_shapes, atol=1e-6 * np.abs(ours.d_shapes).max()
     )
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_a_model_is_reduced_where_its_matrices_are() -> None:
+    """The same basis, so that also away from x = 0 all is the same; and changes along vectors."""
+    model = shell(12, 8)
+    parameters = shell_parameters()
+    observation = at_dofs(("5+Z", "33+Z", "70+X", "90+Z"), mesh(model).dofs)
+    count, fmax = 12, 60.0
+    with SlepcSolver(ranks=2).open(model) as analysis:
+        theirs = analysis.reduced(parameters, observation.matrix, count, fmax)
+        zero = np.zeros(len(parameters))
+        found = theirs.along(parameters.parameters, theirs.coordinates(zero)[1])
+    with EmbeddedSolver().open(model) as embedded:
+        system = embedded.system
+        affine = observed_system(model, system, parameters, observation)
+        known = KnownModes(embedded.pencil, shift=low_shift(embedded.pencil, fmax))
+        ours = reduced_model(affine, count, known=known)
+    assert theirs.basis.size == ours.basis.size
+    for x in (zero, np.linspace(-0.3, 0.3, len(parameters))):
+        a, b = theirs.linearise(x), ours.linearise(x)
+        np.testing.assert_allclose(a.frequencies[6:], b.frequencies[6:], rtol=1e-6)
+        sign = np.sign(np.sum(a.shapes * b.shapes, axis=0))
+        d_shapes = a.d_shapes * sign[:, None]
+        for got, want in ((a.d_lambda, b.d_lambda), (d_shapes, b.d_shapes)):
+            size = np.abs(want[..., 6:, :]).max()
+            np.testing.assert_allclose(got[..., 6:, :], want[..., 6:, :], atol=1e-6 * size)
+    _, phi = ours.vectors(zero)
+    changes = quadratic_forms(model, parameters.parameters, system, phi)
+    for got, want in zip(found, changes, strict=True):
+        size = np.abs(want).max()
+        elastic = np.einsum("pmm->mp", got)[6:]  # the others turn
+        np.testing.assert_allclose(elastic, want[6:], atol=1e-6 * size)
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_localise_on_ranks_is_that_of_the_embedded_solver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And this process makes no matrix of the model."""
+    asked = '[localise]\nkinds = ["material"]\npool = 4\nmost = 3\n'
+    toml = small_study.MODEL + small_study.TEST + small_study.SETTINGS + asked
+    study = small_study.write_study(tmp_path, toml, ambient=False)
+    ours = run_study(study, until="localise").results["localise"]
+    session = Session.of(study)
+    session.engine = SlepcSolver(ranks=2)
+    with monkeypatch.context() as barred:
+        barred.setattr(Sum, "__init__", lambda *_: pytest.fail("a matrix of the model"))
+        theirs = localise.run(session, quiet)
+    assert theirs is not None
+    assert ours.proposal.members
+    assert theirs.candidates.parameters.names == ours.candidates.parameters.names
+    assert theirs.pool.dropped == ours.pool.dropped
+    np.testing.assert_allclose(theirs.candidates.effect, ours.candidates.effect, rtol=1e-5)
+    for a, b in zip(theirs.proposal.members, ours.proposal.members, strict=True):
+        assert a.name == b.name
+        assert a.factor == pytest.approx(b.factor, rel=1e-5)
+    assert theirs.reduced_by == "slepc"
+    assert not theirs.indicators.modes.size
 
 
 @pytest.mark.solver

@@ -13,9 +13,13 @@ import constrained_plate
 import numpy as np
 import pytest
 
-from ringtrue.fem.assembly import Share, assemble
+from ringtrue.core.arrays import Int
+from ringtrue.core.parameters import CardField, Parameter, ParameterSet
+from ringtrue.fem.assembly import Share, assemble, moving
 from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.parametrisation.derivatives import affine_terms, share_terms
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
+from ringtrue.fem.parametrisation.polynomials import AffineTerm
 
 Result = TypeVar("Result")
 EPS = np.finfo(float).eps
@@ -54,6 +58,8 @@ def test_the_sum_of_shares_is_the_whole(tmp_path: Path, size: int, autospc: str)
     model = replace(model, params={**model.params, "AUTOSPC": autospc})
     whole, spins = without_massless_rotations(model, assemble(model))
     assert autospc == "NO" or spins.labels() == ("904+RZ",)
+    rows = np.diff(assemble(model).transform.indptr)
+    np.testing.assert_array_equal(moving(model, whole.autospc), rows > 0)
     parts = together(
         size, lambda share: without_massless_rotations(model, assemble(model, share), share)
     )
@@ -85,3 +91,30 @@ def test_derivatives_of_shares(tmp_path: Path) -> None:
     parts = together(3, sums)
     assert (whole.max(axis=1) > 0).all()
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-12)
+
+
+def test_terms_of_shares(tmp_path: Path) -> None:
+    """Over the DOFs of each share, in one order; Poisson's ratio is interpolated."""
+    model = constrained_plate.deck(tmp_path)
+    ratio = Parameter("nu", (CardField("MAT1", 1, "NU"),), lower=0.8, upper=1.2)
+    given = ParameterSet((*constrained_plate.parameters().parameters[1:5], ratio))
+    system = assemble(model)
+
+    def made(share: Share) -> tuple[Int, tuple[AffineTerm, ...]]:
+        own = assemble(model, share)
+        cols = np.unique(np.concatenate([own.stiffness.indices, own.mass.indices]))
+        return cols, share_terms(model, given, system.transform[:, cols], share=share)
+
+    parts = together(2, made)
+    whole = affine_terms(model, given, system)
+    a = np.linspace(0.85, 1.15, len(given))
+    for k, want in enumerate(whole):
+        (which,) = {terms[k].function.which for _, terms in parts}
+        assert which == want.function.which
+        for name in ("stiffness", "mass"):
+            total = np.zeros(system.stiffness.shape)
+            for cols, terms in parts:
+                assert terms[k].function.value(a) == pytest.approx(want.function.value(a), rel=1e-9)
+                total[np.ix_(cols, cols)] += getattr(terms[k], name).toarray()
+            there = getattr(want, name).toarray()
+            np.testing.assert_allclose(total, there, atol=1e-12 * np.abs(there).max())

@@ -24,10 +24,10 @@ from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes import write_modes
+from ringtrue.study.candidate_screening import DataScreening
 from ringtrue.study.objective import target
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.stages.localise import DataScreening
 from ringtrue.updating.selection.candidates import CandidateSettings, parameters
 from ringtrue.updating.selection.generation import generate
 from ringtrue.virtual.measurements import write_sheet

@@ -27,11 +27,11 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.modes import write_modes
 from ringtrue.report.build import deliver
-from ringtrue.study import session
+from ringtrue.study import candidate_screening, session
 from ringtrue.study.config import parse_config
 from ringtrue.study.opened import Opened
 from ringtrue.study.run import StudyRun, run_study
-from ringtrue.study.stages import localise, update
+from ringtrue.study.stages import update
 from ringtrue.study.store import Store
 from ringtrue.study.summary import summarise
 from ringtrue.virtual.measurements import write_sheet
@@ -408,7 +408,7 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     both.
     """
     # so that the search has a basis of its own here, too
-    monkeypatch.setattr(localise, "SIZES", replace(localise.SIZES, vectors=1))
+    monkeypatch.setattr(candidate_screening, "SIZES", replace(candidate_screening.SIZES, vectors=1))
     more = {"": "", "static": STATIC, "mass": weighing(made), "frf": FRF}[kind]
     run = run_study(study(made, tmp_path, more, "propose = true\n"), until="sensitivity")
     found = run.results["localise"]

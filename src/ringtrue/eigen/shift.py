@@ -110,8 +110,12 @@ def low_shift(pencil: Pencil, fmax: float) -> float:
     """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)², beyond the rounding of
     rigid-body modes.
     """
-    rounding = SEARCH.rounding * start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal())
-    return min(-LOW * eigenvalue(fmax), rounding)
+    return shift_below(start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal()), fmax)
+
+
+def shift_below(start: float, fmax: float) -> float:
+    """`low_shift` where the first guess is known."""
+    return min(-LOW * eigenvalue(fmax), SEARCH.rounding * start)
 
 
 def suitable_shift(values: Float) -> float:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ringtrue.core.arrays import Any_, Float, Int
+from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.dofs import DofSet
 from ringtrue.errors import InputError
 from ringtrue.fem.constraints import EPZERO, Stiffening, eliminate, singular_dofs
 from ringtrue.fem.element_cards import ELEMENTS, mesh, pieces, refuse
 from ringtrue.fem.elements import given_matrices
-from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, arm
+from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, arm, common
 from ringtrue.fem.negative_stiffness import refuse_negative
 from ringtrue.model.model import Model
 
@@ -60,6 +60,17 @@ class Share:
             if last > first:
                 rows[card] = np.arange(first, last)
         return rows
+
+    def own(self, model: Model, rows: Rows) -> Rows:
+        """Those of some rows that are its own."""
+        mine = self.rows(model)
+        return rows if mine is None else common(rows, mine)
+
+    def joined(self, rows: Rows, cards: Iterable[str]) -> Rows:
+        """The rows of some cards that any share has, known to each."""
+        none = np.empty(0, dtype=np.int64)
+        every = {card: np.unique(self.gathered(rows.get(card, none))) for card in cards}
+        return {card: at for card, at in every.items() if at.size}
 
     def total(self, part: sparse.csr_array) -> sparse.csr_array:
         """The sum of a small matrix over all shares."""
@@ -294,6 +305,18 @@ def assemble(model: Model, share: Share = WHOLE) -> System:
         xyz=m.xyz,
         rayleigh=(alpha, beta),
     )
+
+
+def moving(model: Model, autospc: DofSet) -> Bool:
+    """Which of all DOFs move, (full,), where AUTOSPC holds these: the rows of `System.transform`
+    that are not empty, without a matrix of the model.
+    """
+    m = mesh(model)
+    T, free = eliminate(m)
+    held = m.dofs.find(autospc.node, autospc.direction)
+    T = sparse.csr_array(turn(m) @ T[:, ~np.isin(free, held)])
+    T.eliminate_zeros()
+    return np.asarray(np.diff(T.indptr) > 0)
 
 
 def refuse_held(system: System) -> None:

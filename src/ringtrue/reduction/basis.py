@@ -4,8 +4,9 @@ is observed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy import linalg, sparse
@@ -107,8 +108,10 @@ class ProjectedSystem:
 
     Attributes
     ----------
+    parameters : ParameterSet
     vectors : (f, r) float64
-        Orthonormal in the nominal energy K − σM.
+        Orthonormal in the nominal energy K − σM; by the free DOFs, or by vectors that others hold
+        (`reduction.projected`).
     stiffness, mass : (r, r) float64
         At a = 1.
     terms : tuple of (function, stiffness (r, r), mass (r, r))
@@ -119,6 +122,7 @@ class ProjectedSystem:
         The stiffnesses, and the masses, that are not 0, by the positions of their terms.
     """
 
+    parameters: ParameterSet
     vectors: Float
     stiffness: Float
     mass: Float
@@ -171,7 +175,23 @@ def project(
         for (k, m), (kept_k, kept_m) in zip(pairs, kept, strict=True)
     ]
     terms = tuple((t.function, *b) for t, b in zip(system.terms, blocks[1:], strict=True))
-    return ProjectedSystem(vectors, *blocks[0], terms, np.asarray(system.observe @ vectors))
+    return ProjectedSystem(
+        parameters=system.parameters,
+        vectors=vectors,
+        stiffness=blocks[0][0],
+        mass=blocks[0][1],
+        terms=terms,
+        observe=np.asarray(system.observe @ vectors),
+    )
+
+
+Inner = Callable[[Float, Float], Float]  # aᵀ(K − σM)b of columns a, b: (k, l)
+
+
+def inner_product(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> Inner:
+    """That of the energy K − σM, for columns over all free DOFs."""
+    energy = sparse.csr_array(stiffness - shift * mass)
+    return lambda a, b: np.asarray(a.T @ (energy @ b))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,23 +201,39 @@ class StaticSensitivities:
 
     Attributes
     ----------
-    pencil : Pencil
-    modes : EigenModes
-    count : int
-        Modes taken, the lowest.
+    values : (n,) float64, (rad/s)²
+    shapes : (f, n) float64
+        Of unit modal mass, in the rows of the terms.
+    shift : float, (rad/s)²
+    respond : callable
+        Static responses to loads (f, k) in the rows of the terms, both free of the modes.
+    inner : callable
     """
 
-    pencil: Pencil
-    modes: EigenModes
-    count: int
+    values: Float
+    shapes: Float
+    shift: float
+    respond: Callable[[Float, Progress], Float]
+    inner: Inner
+
+    @classmethod
+    def of(cls, pencil: Pencil, modes: EigenModes, count: int) -> StaticSensitivities:
+        """Of the lowest modes of a model that this process holds as a whole."""
+        return cls(
+            values=modes.values[:count],
+            shapes=modes.vectors[:, :count],
+            shift=modes.shift,
+            respond=partial(_responses, pencil, modes),
+            inner=inner_product(pencil.stiffness, pencil.mass, modes.shift),
+        )
 
     def of_each(self, terms: Sequence[Pair], progress: Progress) -> Float:
-        """Of each term and mode, (f, terms · count)."""
-        found = [np.zeros((self.pencil.size, 0))]
+        """Of each term and mode, (f, terms · count); at least one term."""
+        found = []
         for done, term in enumerate(terms):
-            load = np.zeros((self.pencil.size, self.count), order="F")
+            load = np.zeros(self.shapes.shape, order="F")
             rows, load[rows] = self._forces(term)
-            found.append(self._responses(load))
+            found.append(self.respond(load, quiet))
             progress((done + 1) / len(terms), "static sensitivities")
         return np.concatenate(found, axis=1)
 
@@ -206,58 +242,62 @@ class StaticSensitivities:
         4.1).
         """
         rng = np.random.default_rng(0)
-        load = np.zeros((self.pencil.size, columns))
+        load = np.zeros((len(self.shapes), columns))
         for term in terms:  # over parameters and their powers
             rows, forces = self._forces(term)
-            mixture = rng.standard_normal((self.count, columns)) / np.sqrt(columns)
+            mixture = rng.standard_normal((self.values.size, columns)) / np.sqrt(columns)
             load[rows] += forces @ mixture
-        return self._responses(load, progress)
+        return self.respond(load, progress)
 
     def _forces(self, term: Pair) -> tuple[Int, Float]:
-        """The rows that a term touches, and its forces (r, count) there."""
+        """The rows that a term touches, and its forces (r, n) there."""
         stiffness, mass = term
         rows = np.union1d(*(np.flatnonzero(np.diff(a.indptr)) for a in term))
-        shift = self.modes.shift
-        phi = self.modes.vectors[:, : self.count]
-        lam = self.modes.values[: self.count]
-        scale = 1 / np.sqrt(np.maximum(lam - shift, np.abs(shift)))
+        phi = self.shapes
+        lam = self.values
+        scale = 1 / np.sqrt(np.maximum(lam - self.shift, np.abs(self.shift)))
         return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
-    def _responses(self, load: Float, progress: Progress = quiet) -> Float:
-        """Static responses to loads (f, k), both free of the modes; by columns, as the factor takes
-        and gives them.
-        """
-        factor = self.pencil.at(self.modes.shift)
-        phi = self.modes.vectors
-        mphi = self.pencil.mass @ phi
-        x = np.empty(load.shape, order="F")
-        for s in range(0, load.shape[1], CHUNK):
-            some = load[:, s : s + CHUNK].T
-            part = factor.solve((some - (some @ phi) @ mphi.T).T).T
-            x[:, s : s + CHUNK] = (part - (part @ mphi) @ phi.T).T
-            progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
-        return x
+
+def _responses(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress) -> Float:
+    """Static responses to loads (f, k), both free of the modes; by columns, as the factor takes and
+    gives them.
+    """
+    factor = pencil.at(modes.shift)
+    phi = modes.vectors
+    mphi = pencil.mass @ phi
+    x = np.empty(load.shape, order="F")
+    for s in range(0, load.shape[1], CHUNK):
+        some = load[:, s : s + CHUNK].T
+        part = factor.solve((some - (some @ phi) @ mphi.T).T).T
+        x[:, s : s + CHUNK] = (part - (part @ mphi) @ phi.T).T
+        progress(min(1.0, (s + CHUNK) / load.shape[1]), "static sensitivities")
+    return x
 
 
-def principal(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+def principal(inner: Inner, x: Float, most: int, drop: float) -> Float:
     """Principal directions of x in the energy K − σM, at most `most`, above `drop` of the largest,
     in their size.
     """
     if not x.shape[1] or most <= 0:
         return x[:, :0]
-    gram = x.T @ (energy @ x)
+    gram = inner(x, x)
     s, u = linalg.eigh((gram + gram.T) / 2)
     keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
     return np.asarray(x @ u[:, keep])
 
 
-def compress(energy: sparse.csr_array, x: Float, most: int, drop: float) -> Float:
+def compress(inner: Inner, x: Float, most: int, drop: float) -> Float:
     """The principal directions of x, each of unit energy."""
-    x = principal(energy, x, most, drop)
-    return np.asarray(x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x)))
+    return _scaled(inner, principal(inner, x, most, drop))
 
 
-def orthonormal_part(energy: sparse.csr_array, old: Float, x: Float) -> Float:
+def _scaled(inner: Inner, x: Float) -> Float:
+    """Each column with unit energy."""
+    return np.asarray(x / np.sqrt(np.diag(inner(x, x))))
+
+
+def orthonormal_part(inner: Inner, old: Float, x: Float) -> Float:
     """Part of x outside `old`, orthonormal in the energy K − σM as `old` is; what is nearly inside
     is dropped.
 
@@ -266,14 +306,14 @@ def orthonormal_part(energy: sparse.csr_array, old: Float, x: Float) -> Float:
     """
     if not x.shape[1]:
         return x
-    x = x / np.sqrt(np.einsum("ij,ij->j", x, energy @ x))
+    x = _scaled(inner, x)
     for _ in range(2):
-        x = x - old @ (old.T @ (energy @ x))
-    s, u = linalg.eigh(x.T @ (energy @ x))
+        x = x - old @ inner(old, x)
+    s, u = linalg.eigh(inner(x, x))
     keep = s > 1e-13
     q = x @ (u[:, keep] / np.sqrt(s[keep]))
     for _ in range(2):  # what was kept may have been small
-        q = q - old @ (old.T @ (energy @ q))
-        s, u = linalg.eigh(q.T @ (energy @ q))
+        q = q - old @ inner(old, q)
+        s, u = linalg.eigh(inner(q, q))
         q = q @ (u / np.sqrt(s))
     return np.asarray(q)

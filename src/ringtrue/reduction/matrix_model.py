@@ -15,7 +15,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.projected import ProjectedModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,7 @@ class DenseModel:
 
 
 def matrices_at(model: object, x: Float) -> MatricesAtPoint:
-    """Small matrices of a model at x (p,): of a `ReducedModel` in its basis, or those it gives
+    """Small matrices of a model at x (p,): of a `ProjectedModel` in its basis, or those it gives
     itself by `matrices`.
 
     Raises
@@ -164,7 +164,7 @@ def matrices_at(model: object, x: Float) -> MatricesAtPoint:
     InputError
         If the model has no small matrices.
     """
-    if isinstance(model, ReducedModel):
+    if isinstance(model, ProjectedModel):
         return _reduced(model, x)
     give = getattr(model, "matrices", None)
     if give is None:
@@ -174,11 +174,11 @@ def matrices_at(model: object, x: Float) -> MatricesAtPoint:
     return give(x)  # type: ignore[no-any-return]
 
 
-def _reduced(model: ReducedModel, x: Float) -> MatricesAtPoint:
+def _reduced(model: ProjectedModel, x: Float) -> MatricesAtPoint:
     """The projected matrices."""
     everything = model.full_vector(x)
-    a = model.system.parameters.factors(everything)
-    slope = model.system.parameters.derivative(everything)
+    a = model.basis.parameters.factors(everything)
+    slope = model.basis.parameters.derivative(everything)
     k, m = model.projected(a)
     both = [model.derivative(a, i, float(slope[i])) for i in model.active]
     dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))

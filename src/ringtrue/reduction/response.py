@@ -16,8 +16,9 @@ from ringtrue.core.modes import elastic
 from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.eigen.pencil import Factor, Pencil
 from ringtrue.errors import InputError, SingularModel
-from ringtrue.reduction.basis import CHUNK, orthonormal_part, project
+from ringtrue.reduction.basis import CHUNK, inner_product, orthonormal_part, project
 from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.projected import ProjectedModel
 
 NEW = 1e-10  # squared share of a vector outside the basis that is kept
 
@@ -69,16 +70,16 @@ def with_responses(
     error = float(np.abs(found - true).max(initial=0.0) / largest)
     new = np.hstack(fresh)
     new = new[:, np.abs(new).max(axis=0) > 0]
-    energy = sparse.csr_array(model.system.stiffness - model.shift * model.system.mass)
-    vectors = np.hstack([model.basis.vectors, orthonormal_part(energy, model.basis.vectors, new)])
+    inner = inner_product(model.system.stiffness, model.system.mass, model.shift)
+    vectors = np.hstack([model.basis.vectors, orthonormal_part(inner, model.basis.vectors, new)])
     return model.with_basis(project(model.system, vectors, model.basis)), error
 
 
-def flexibility(model: ReducedModel, x: Float, outputs: Int, inputs: Int) -> Float:
+def flexibility(model: ProjectedModel, x: Float, outputs: Int, inputs: Int) -> Float:
     """Deflections of outputs (o,) under unit loads at inputs (i,), positions of channels, in the
     basis at x (p,): those of K − σM with the shift of the model, (o, i).
     """
-    k, m = model.projected(model.system.parameters.factors(model.full_vector(x)))
+    k, m = model.projected(model.basis.parameters.factors(model.full_vector(x)))
     seen = model.basis.observe
     moved = linalg.solve(k - model.shift * m, seen[inputs].T, assume_a="pos")
     return np.asarray(seen[outputs] @ moved)

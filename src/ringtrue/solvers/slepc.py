@@ -22,7 +22,7 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet, Norm
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.eigenpairs import eigenvalue, frequencies
 from ringtrue.errors import ConfigError, SolverMissing, UnsupportedError
 from ringtrue.fem.element_cards import mesh
@@ -32,9 +32,22 @@ from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.model.superelements import condenses
+from ringtrue.reduction.basis import ProjectedSystem
+from ringtrue.reduction.projected import HeldModel
 from ringtrue.solvers import slepc_share
 from ringtrue.solvers.runner import Running
-from ringtrue.solvers.slepc_share import ANSWERS, QUESTION, Asked, failed, place, put
+from ringtrue.solvers.slepc_basis import BASIS, CHANGES, PROJECTED, AskedBasis, AskedChanges
+from ringtrue.solvers.slepc_share import (
+    ANSWER,
+    LOWEST,
+    QUESTION,
+    SHAPES,
+    Asked,
+    ShareQuestion,
+    failed,
+    place,
+    put_object,
+)
 
 PYTHON = "RINGTRUE_SLEPC_PYTHON"
 WORKER = Path(__file__).with_name("slepc_worker.py")
@@ -130,7 +143,8 @@ class SlepcAnalysis:
         return self._done[request]
 
     def _modes(self, request: ModesRequest) -> ModesResult:
-        answer, shapes, _ = self._answer(Asked(request))
+        answer = self._answer(Asked(request))
+        shapes = self._written(SHAPES)
         f = frequencies(np.array(answer["values"]))
         modes = ModeSet(
             frequencies=f,
@@ -182,10 +196,9 @@ class SlepcAnalysis:
             )
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
         top = float(lam.max(initial=0.0)) * (1 + 1e-9)
-        answer, found, lowest = self._answer(
-            Asked(ModesRequest(len(modes)), parameters, top, readings)
-        )
-        d_shapes = np.asarray(found).reshape(len(parameters), len(lowest), -1)
+        answer = self._answer(Asked(ModesRequest(len(modes)), parameters, top, readings))
+        lowest = self._written(LOWEST)
+        d_shapes = np.asarray(self._written(SHAPES)).reshape(len(parameters), len(lowest), -1)
         # signs and rotations of the given modes
         turn = np.linalg.lstsq(lowest.T, modes.shapes)[0]
         d_stiffness, d_mass = (np.array(answer[k]) for k in ("stiffness", "mass"))
@@ -193,26 +206,59 @@ class SlepcAnalysis:
         change -= lam[:, None] * np.einsum("jm,pjk,km->mp", turn, d_mass, turn, optimize=True)
         return change, np.einsum("pjf,jm->fmp", d_shapes, turn, optimize=True)
 
-    def _answer(self, asked: Asked) -> tuple[dict[str, Any], Float, Float]:
-        """What the ranks say, and the files that they have written: shapes or their derivatives,
-        and the modes that these are of.
+    def reduced(
+        self, parameters: ParameterSet, readings: sparse.csr_array, count: int, fmax: float
+    ) -> HeldModel:
+        """See `ringtrue.reduction.projected.ReducingAnalysis`.
+
+        Raises
+        ------
+        UnsupportedError
+            As `ringtrue.fem.parametrisation.derivatives.affine_terms`.
         """
+        answer = self._answer(AskedBasis(parameters, readings, count, fmax))
+        basis: ProjectedSystem = pickle.loads(self._file(PROJECTED).read_bytes())
+        vectors = self._file(BASIS)
+
+        def along(some: Sequence[Parameter], combinations: Float) -> tuple[Float, Float]:
+            self._answer(AskedChanges(ParameterSet(tuple(some)), vectors, combinations))
+            stiffness, mass = np.array(self._written(CHANGES))
+            return stiffness, mass
+
+        return HeldModel(
+            basis=basis,
+            shift=float(answer["shift"]),
+            count=int(answer["count"]),
+            active=tuple(range(len(parameters))),
+            base=np.zeros(len(parameters)),
+            along=along,
+        )
+
+    def _answer(self, asked: ShareQuestion) -> dict[str, Any]:
+        """What the ranks say; arrays are in files that they have written."""
         if self._ranks is None:
             (self._folder / "model.pickle").write_bytes(pickle.dumps(self._model))
             command = (*self._command, WORKER, self._folder, sys.executable, "-c", SHARE)
             self._ranks = Running(command, self._folder, name="slepc")
         self._put(asked)
-        target, *files = (place(self._folder, self._questions, what) for what in ANSWERS)
+        target = self._file(ANSWER)
         errors = self._ranks.wait(target, self._timeout, but="error-*.pickle")
         if errors is not None:
             raise failed(errors.read_bytes())
         answer: dict[str, Any] = read_json(target)
-        shapes, modes = (read_npy(f) if f.is_file() else np.empty((0, 0)) for f in files)
-        return answer, shapes, modes
+        return answer
 
-    def _put(self, asked: Asked | None) -> None:
+    def _file(self, what: str) -> Path:
+        """A part of the last answer."""
+        return place(self._folder, self._questions, what)
+
+    def _written(self, what: str) -> Any_:
+        """An array of the last answer, in a file."""
+        return read_npy(self._file(what))
+
+    def _put(self, asked: ShareQuestion | None) -> None:
         self._questions += 1
-        put(place(self._folder, self._questions, QUESTION), pickle.dumps(asked))
+        put_object(self._file(QUESTION), asked)
 
     def __enter__(self) -> Self:
         return self

@@ -13,11 +13,12 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -37,12 +38,15 @@ from ringtrue.io.files import atomic_write
 from ringtrue.io.foreign.arrays import read_npy
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.basis import CHUNK
 from ringtrue.solvers.wire import make_file, receive, send, write_columns
 
 POLL = 0.02  # s
 BUFFER = 4  # modes above the requested ones that derivatives converge on
 QUESTION = "asked.pickle"
-ANSWERS = ("answer.json", "shapes.npy", "modes.npy")
+ANSWER = "answer.json"
+SHAPES = "shapes.npy"
+LOWEST = "modes.npy"
 TOLERANCE = 1e-9  # of the residual of a derivative, relative to its load
 
 
@@ -65,6 +69,21 @@ class Asked:
     top: float = 0.0
     readings: sparse.csr_array | None = None
 
+    def answer(self, own: ShareOfModel, at: Callable[[str], Path]) -> dict[str, Any]:
+        """See `ShareQuestion`."""
+        if self.parameters is None:
+            return own.modes(self.request, at(SHAPES))
+        return own.derivatives(self, at(SHAPES), at(LOWEST))
+
+
+class ShareQuestion(Protocol):
+    """What all shares are asked."""
+
+    def answer(self, own: ShareOfModel, at: Callable[[str], Path]) -> dict[str, Any]:
+        """Write the arrays of the answer, each share its part, to files by their name; the rest of
+        it.
+        """
+
 
 def place(folder: Path, number: int, what: str) -> Path:
     """Where a part of the answer to a question stands."""
@@ -75,6 +94,11 @@ def put(path: Path, content: bytes) -> None:
     """Write a file of which others wait to see the whole."""
     with atomic_write(path) as part:
         part.write_bytes(content)
+
+
+def put_object(path: Path, value: object) -> None:
+    """The same of an object for the other process."""
+    put(path, pickle.dumps(value))
 
 
 def failure(e: RingtrueError) -> bytes:
@@ -132,6 +156,8 @@ class ShareOfModel:
         The full DOFs that these move.
     moved : (t, c) csr float64
         Their motions by those of the free DOFs.
+    where : (full + 1,) int64
+        The position of each full DOF, and of none, among the touched ones; -1 for the others.
     """
 
     def __init__(self, model: Model, share: Share, rank: Rank, folder: Path) -> None:
@@ -142,15 +168,17 @@ class ShareOfModel:
         system, _ = without_massless_rotations(model, assemble(model, share), share)
         refuse_held(system)
         self.transform = system.transform
+        self.where = np.full(self.transform.shape[0] + 1, -1)
         self.autospc = system.autospc
         self.size = len(system.free)
         k, m = (share.summed(A.diagonal()) for A in (system.stiffness, system.mass))
-        self.shift = start_shift(k, m)
+        self.shift = self.first_shift = start_shift(k, m)
         both = (system.stiffness.indices, system.mass.indices)
         self.cols: Int = np.unique(np.concatenate(both)).astype(np.int64)
         moved = sparse.csr_array(system.transform[:, self.cols])
         self.touched: Int = np.flatnonzero(np.diff(moved.indptr))
         self.moved = sparse.csr_array(moved[self.touched])
+        self.where[self.touched] = np.arange(self.touched.size)
         self.values: Float = np.empty(0)
         self._from_lowest = False
         rank("matrices", *_entries(system.stiffness), *_entries(system.mass), size=self.size)
@@ -201,7 +229,7 @@ class ShareOfModel:
         readings = asked.readings
         direct = readings is None or p <= readings.shape[0]
         seen = None if readings is None else sparse.csr_array(readings @ self.transform)
-        phi = read_npy(self._vectors)
+        phi = self.modes_found
         left = None
         if not direct and seen is not None:
             left = self._adjoint(seen, m)
@@ -235,12 +263,46 @@ class ShareOfModel:
             more = max(self.values.size, 1) if not self._from_lowest else self.values.size + BUFFER
             self._solved(ModesRequest(more))
 
-    def _full(self, path: Path) -> Float:
-        """Motions (touched + 1, k) of the columns of a file (k, free); the last row is that of no
-        DOF.
+    def find_lowest(self, count: int, shift: float) -> None:
+        """Find so many of the lowest modes from a shift, if they are not there."""
+        enough = self.values.size >= min(count, self.size)
+        if not (self._from_lowest and enough and self.shift == shift):
+            self.shift = shift
+            self._solved(ModesRequest(count))
+
+    @property
+    def modes_found(self) -> Any_:
+        """The modes (m, free) that were found last, in a file."""
+        return read_npy(self._vectors)
+
+    def full(self, path: Path, along: Float | None = None) -> Float:
+        """Motions (touched + 1, k) of the columns of a file (k, free), or of combinations of these;
+        the last row is that of no DOF.
         """
-        x = self.moved @ read_npy(path)[:, self.cols].T
+        own = read_npy(path)[:, self.cols].T
+        x = self.moved @ (own if along is None else own @ along)
         return np.vstack([x, np.zeros((1, x.shape[1]))])
+
+    def inner(self, a: Float, b: Float, stiffness: float, mass: float) -> Float:
+        """aᵀ(k K + m M)b of columns of which this share has its rows, and two factors k and m."""
+        out = np.empty((a.shape[1], b.shape[1]))
+        for first in range(0, b.shape[1], CHUNK):
+            some = slice(first, first + CHUNK)
+            made = self.rank("times", b[:, some], stiffness=stiffness, mass=mass)[1][0]
+            out[:, some] = a.T @ made
+        return self.share.summed(out)
+
+    def write_rows(self, path: Path, rows: Float) -> None:
+        """Write its rows (own, k) of columns to a file (k, free) of all shares."""
+        self._make(path, (rows.shape[1], self.size))
+        write_columns(str(path), self.share.span(self.size)[0], rows.T)
+        self.share.summed(np.zeros(1))  # all have written
+
+    def _make(self, path: Path, shape: tuple[int, ...]) -> None:
+        """A file that all shares write to."""
+        if self.share.number == 0:
+            make_file(str(path), shape)
+        self.share.summed(np.zeros(1))
 
     def _adjoint(self, seen: sparse.csr_array, m: int) -> Path:
         """(K − λM) w = c in the complement of the modes, for each mode and channel: (m·channel,
@@ -270,18 +332,16 @@ class ShareOfModel:
         their negative work on the adjoint motions (p, m, channel).
         """
         lam = self.values[:m]
-        x = self._full(self._vectors)
+        x = self.full(self._vectors)
         p = len(parameters)
         w = None
         if left is not None:
-            w = self._full(left).reshape(len(x), m, -1)
+            w = self.full(left).reshape(len(x), m, -1)
         K, M = (np.zeros((p, self.values.size, m)) for _ in range(2))
         more = np.zeros((len(x), p, m) if w is None else (p, m, w.shape[2]))
-        where = np.full(self.transform.shape[0] + 1, self.touched.size)
-        where[self.touched] = np.arange(self.touched.size)
         for piece in element_derivatives(self.model, parameters.parameters, self.share):
             for i, at in by_owner(piece):
-                rows = where[piece.dofs[at]]
+                rows = self.where[piece.dofs[at]]
                 there = x[rows]
                 changed = [applied(a[at], there[:, :, :m]) for a in (piece.stiffness, piece.mass)]
                 for total, c in zip((K, M), changed, strict=True):
@@ -298,13 +358,11 @@ class ShareOfModel:
         motions (k, free).
         """
         total = self.transform.shape[0]
-        if self.share.number == 0:
-            make_file(str(path), (len(along), total))
-        self.share.summed(np.zeros(1))
+        self._make(path, (len(along), total))
         first, last = self.share.span(total)
         rows = sparse.csr_array(self.transform[first:last])
         cols = np.unique(rows.indices)
-        motions = along @ read_npy(self._vectors)[:, cols]
+        motions = along @ self.modes_found[:, cols]
         if rest is not None:
             motions += rest[:, cols]
         write_columns(str(path), first, (rows[:, cols] @ motions.T).T)
@@ -315,7 +373,7 @@ def _entries(A: sparse.csr_array) -> tuple[Float, Int, Int]:
     return coo.data, coo.row.astype(np.int64), coo.col.astype(np.int64)
 
 
-def questions(folder: Path) -> Iterator[tuple[int, Asked]]:
+def questions(folder: Path) -> Iterator[tuple[int, ShareQuestion]]:
     """What is asked, one after the other, until there is no more or the rank is gone."""
     rank = os.getppid()
     for number in count(1):
@@ -344,14 +402,11 @@ def main() -> None:
         model = pickle.loads((folder / "model.pickle").read_bytes())
         own = ShareOfModel(model, share, rank, folder)
         for k, asked in questions(folder):
-            target, shapes, lowest = (place(folder, k, what) for what in ANSWERS)
-            if asked.parameters is None:
-                answer = own.modes(asked.request, shapes)
-            else:
-                answer = own.derivatives(asked, shapes, lowest)
+            at = partial(place, folder, k)
+            answer = asked.answer(own, at)
             share.summed(np.zeros(1))  # all have written
             if number == 0:
-                put(target, json.dumps(answer).encode())
+                put(at(ANSWER), json.dumps(answer).encode())
     except RingtrueError as e:
         put(folder / f"error-{number}.pickle", failure(e))
         raise

@@ -259,6 +259,28 @@ class OwnedRows:
         self.factor.getPC().getFactorMatrix().matSolve(given, made)
         return taken(made, given)
 
+    def combined(self, x: Any, stiffness: float, mass: float) -> Any:
+        """(k K + m M) times columns (rows, n), for two factors k and m."""
+        pairs = [(f, A) for f, A in ((stiffness, self.K), (mass, self.M)) if f]
+        return sum(f * self.times(A, x) for f, A in pairs)
+
+    def responses(self, row: Any, loads: Any, modes: int) -> Any:
+        """Static responses (rows, k) of K − σM to loads of all ranks on some rows (l, k), both free
+        of the lowest modes.
+        """
+        row, loads = sent(owner_of(row, self.size), row, loads)
+        first, last = owned(self.size, COMM.rank)
+        phi = self.vectors[:, :modes]
+        mass = self.times(self.M, phi)
+        out = np.empty((last - first, loads.shape[1]))
+        for at in range(0, loads.shape[1], TOGETHER):
+            cut = slice(at, at + TOGETHER)
+            r = np.zeros((last - first, loads[:, cut].shape[1]))
+            np.add.at(r, row - first, loads[:, cut])
+            y = self.solved(r - mass @ summed(phi.T @ r))
+            out[:, cut] = y - phi @ summed(mass.T @ y)
+        return out
+
     def dense(self, x: Any) -> Any:
         """Columns (rows, k) as a matrix of all ranks."""
         size = ((len(x), self.size), (None, x.shape[1]))
@@ -383,6 +405,10 @@ def answered(
         answer["proof"] += f" (SLEPc, {COMM.size} ranks)"
         rank.write(asked["path"], rank.vectors)
         return answer, (rank.values, rank.residuals(count))
+    if what == "times":
+        return {}, (rank.combined(arrays[0], asked["stiffness"], asked["mass"]),)
+    if what == "responses":
+        return {}, (rank.responses(arrays[0], arrays[1], asked["modes"]),)
     lam, row, loads = arrays
     rank.write(asked["path"], rank.columns(lam, row, loads, asked["tolerance"]))
     return {}, ()

@@ -16,6 +16,8 @@ For a look at the data: `record_views` reads parts of records, `record_hits` hit
 
 Of the model: `opened` is a deck in its solver, `scene` its drawing, `loads` its static load cases.
 `planned_test` holds the parts of a test plan, `objective` what an updating minimises; `direct`
-updates and localises without stages. `form` says what the deviations of a test follow,
-`form_causes` what physical causes would do to an updated deck.
+updates and localises without stages. `candidate_screening` chooses the candidates that a
+localisation looks at closely, `held_decks` has decks reduced by the processes of the solver.
+`form` says what the deviations of a test follow, `form_causes` what physical causes would do to an
+updated deck.
 """

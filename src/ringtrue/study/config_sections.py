@@ -276,7 +276,7 @@ class ModelSection(StudySection):
     fmax: float | None = Field(default=None, gt=0)
     """Modes are computed up to here, Hz; as high as a pair may be if not given."""
     solver: str = EMBEDDED
-    """Of the modes of decks and of the updating: embedded, mystran, nastran, slepc, a plug-in."""
+    """Of modes and updating (slepc: localise too): embedded, mystran, nastran, slepc, a plug-in."""
     ranks: int | None = Field(default=None, ge=1)
     """MPI processes of `solver = "slepc"`."""
     launcher: str = ""

@@ -23,13 +23,8 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.expansion import ShapeReadings
-from ringtrue.reduction.parametric import (
-    KnownModes,
-    ReducedModel,
-    condensed,
-    modes_of,
-    reduced_model,
-)
+from ringtrue.reduction.parametric import KnownModes, ReducedModel, modes_of, reduced_model
+from ringtrue.reduction.projected import condensed
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig

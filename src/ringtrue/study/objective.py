@@ -18,7 +18,7 @@ from ringtrue.solvers.observed import PRINTED, UNTOLD, FullModel
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.measured_data import Data, MeasuredModel, check_moving
-from ringtrue.study.opened import AtChannels
+from ringtrue.study.opened import AtChannels, ProjectedAtChannels
 from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import CorrelateStage
 from ringtrue.study.session import Session, StudyConfiguration
@@ -79,7 +79,7 @@ def target(c: StudyConfiguration, u: UpdateSection | None = None) -> Target:
 
 def problem_of(
     session: Session,
-    models: Sequence[AtChannels | FullModel],
+    models: Sequence[ProjectedAtChannels | FullModel],
     u: UpdateSection | None = None,
 ) -> Problem:
     """The objective over all configurations, the parameters of the models free."""
@@ -104,12 +104,12 @@ def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, F
 
 
 def terms_of(
-    c: StudyConfiguration, model: AtChannels | FullModel, u: UpdateSection | None = None
+    c: StudyConfiguration, model: ProjectedAtChannels | FullModel, u: UpdateSection | None = None
 ) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then its [[residual]]s."""
     unit = c.session.unit.kilograms
     modal = modal_terms(u or c.session.config.update, c.reference.elastic.norm, unit)
-    if isinstance(model, FullModel):  # modes alone
+    if not isinstance(model, AtChannels):  # by another solver: modes alone
         return modal
     return (*modal, *(Weighted(d.term, d.weight) for d in data_of(c, model)))
 

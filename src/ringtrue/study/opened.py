@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -20,13 +21,16 @@ from ringtrue.core.testmodel import Observation, TestModel
 from ringtrue.correlation.sensor_mapping import Method, default_tolerance, observe
 from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import NotConverged
+from ringtrue.fem.assembly import moving
+from ringtrue.fem.element_cards import mesh
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Linearisation, ModalSolver, ModesRequest, ModesResult
+from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest, ModesResult
 from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.matrix_model import MatricesAtPoint, matrices_at
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
+from ringtrue.reduction.projected import ProjectedModel, ReducingAnalysis
 from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.updating.residuals.modal import Whole
@@ -46,8 +50,8 @@ class Opened:
     length : float
         Metres a model unit.
     engine : ModalSolver, optional
-        Finds the modes in place of the embedded solver; matrices are the embedded solver's in any
-        case.
+        Finds the modes in place of the embedded solver; matrices are the embedded solver's, unless
+        it reduces the model itself.
     """
 
     model: Model
@@ -58,6 +62,11 @@ class Opened:
     def analysis(self) -> EmbeddedAnalysis:
         """The embedded solver's view, of the whole mesh."""
         return EmbeddedSolver().open(whole_mesh(self.model))
+
+    @cached_property
+    def dofs(self) -> DofSet:
+        """Those of all nodes, as `analysis` has them; no matrix is made."""
+        return mesh(whole_mesh(self.model)).dofs
 
     @cached_property
     def _modes(self) -> dict[float, ModesResult]:
@@ -72,20 +81,25 @@ class Opened:
     def modes(self, fmax: float, progress: Progress = quiet) -> ModesResult:
         """All modes below `fmax`, Hz (`ModesResult`), solved once."""
         if fmax not in self._modes:
-            request = ModesRequest(band=(-1.0, fmax))
-            own = self.engine is None
-            self._modes[fmax] = (
-                self.analysis.modes(request, progress) if own else self._outside(request)
-            )
+            if self.engine is None:
+                request = ModesRequest(band=(-1.0, fmax))
+                self._modes[fmax] = self.analysis.modes(request, progress)
+            else:
+                with self.engine.open(whole_mesh(self.model)) as analysis:
+                    self.modes_by(analysis, fmax)
         return self._modes[fmax]
 
-    def _outside(self, request: ModesRequest) -> ModesResult:
+    def modes_by(self, analysis: Analysis, fmax: float) -> ModesResult:
+        """The same by an analysis of the engine that is open."""
+        if fmax not in self._modes:
+            self._modes[fmax] = self._outside(analysis, ModesRequest(band=(-1.0, fmax)))
+        return self._modes[fmax]
+
+    def _outside(self, analysis: Analysis, request: ModesRequest) -> ModesResult:
         """By another solver, at the degrees of freedom of the embedded one."""
-        assert self.engine is not None
-        with self.engine.open(whole_mesh(self.model)) as analysis:
-            found = analysis.modes(request)
+        found = analysis.modes(request)
         labels = found.modes.labels
-        dofs = self.analysis.dofs
+        dofs = self.dofs
         assert isinstance(labels, DofSet)
         at, sign = labels.align(dofs)
         shapes = found.modes.shapes[at] * sign[:, None]
@@ -118,11 +132,29 @@ class Opened:
     @property
     def moves(self) -> Bool:
         """Whether any translation of a node is neither held nor without stiffness, (node,)."""
-        system = self.analysis.system
         n = len(self.model["GRID"].ids)
-        return np.asarray(
-            (np.diff(system.transform.indptr)[: 6 * n].reshape(n, 6)[:, :3] > 0).any(axis=1)
-        )
+        if self.reduces:
+            every = moving(whole_mesh(self.model), self._autospc)
+        else:
+            every = np.diff(self.analysis.system.transform.indptr) > 0
+        return np.asarray(every[: 6 * n].reshape(n, 6)[:, :3].any(axis=1))
+
+    @cached_property
+    def _autospc(self) -> DofSet:
+        """What the engine holds because nothing stiffens it."""
+        for known in self._modes.values():
+            return known.autospc
+        assert self.engine is not None
+        with self.engine.open(whole_mesh(self.model)) as analysis:
+            return self._outside(analysis, ModesRequest(1)).autospc
+
+    @cached_property
+    def reduces(self) -> bool:
+        """Whether the engine reduces the model, with no matrix of it in this process."""
+        if self.engine is None:
+            return False
+        with self.engine.open(whole_mesh(self.model)) as analysis:
+            return isinstance(analysis, ReducingAnalysis)
 
     def observation(
         self,
@@ -146,7 +178,7 @@ class Opened:
         return observe(
             test,
             *self.seats,
-            self.analysis.dofs if dofs is None else dofs,
+            self.dofs if dofs is None else dofs,
             unit=self.length,
             tolerance=None if tolerance is None else tolerance / self.length,
             method=method,
@@ -180,33 +212,30 @@ class PairedShapes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AtChannels:
-    """A reduced model at some rows of its channels.
+class ProjectedAtChannels:
+    """A projected model at some rows of its channels.
 
     Attributes
     ----------
-    model : ReducedModel
+    model : ProjectedModel
     rows : (channel,) int64
         Those that test modes are compared at.
-    loaded : (l,) int64
-        Those whose static responses the basis holds at every point where the full model is solved.
     """
 
-    model: ReducedModel
+    model: ProjectedModel
     rows: Int
-    loaded: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def parameters(self) -> ParameterSet:
         """The active parameters."""
         return self.model.parameters
 
-    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> AtChannels:
+    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> Self:
         """The same with other active parameters, by position among all; a short `base` is filled up
         with zeros.
         """
         if base is not None:
-            base = np.concatenate([base, np.zeros(len(self.model.system.parameters) - base.size)])
+            base = np.concatenate([base, np.zeros(len(self.model.basis.parameters) - base.size)])
         return replace(self, model=self.model.with_parameters(active, base))
 
     def whole(self) -> Whole:
@@ -220,15 +249,6 @@ class AtChannels:
         """Small matrices at x, at all channels."""
         return matrices_at(self.model, x)
 
-    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
-        """The model with its full modes at x, and these; static responses of the loaded channels,
-        too.
-        """
-        better, truth = self.model.enrich(x, sensitivities=sensitivities)
-        if self.loaded.size:
-            better, _ = with_responses(better, self.loaded, x)
-        return replace(self, model=better), self._pick(truth)
-
     def _pick(self, point: Linearisation) -> Linearisation:
         return replace(point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows])
 
@@ -239,6 +259,29 @@ class AtChannels:
     def modes(self, x: Float) -> Linearisation:
         """Modes at x."""
         return self._pick(self.model.modes(x))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtChannels(ProjectedAtChannels):
+    """A reduced model at some rows of its channels.
+
+    Attributes
+    ----------
+    loaded : (l,) int64
+        Those whose static responses the basis holds at every point where the full model is solved.
+    """
+
+    model: ReducedModel
+    loaded: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
+        """The model with its full modes at x, and these; static responses of the loaded channels,
+        too.
+        """
+        better, truth = self.model.enrich(x, sensitivities=sensitivities)
+        if self.loaded.size:
+            better, _ = with_responses(better, self.loaded, x)
+        return replace(self, model=better), self._pick(truth)
 
 
 def build(

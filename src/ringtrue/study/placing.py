@@ -197,7 +197,7 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
             points.tolist(), tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)), strict=True
         )
         if point not in (some := sorted(ids[at].tolist()))
-        and _apart(opened.analysis.dofs, some, modes.shapes)
+        and _apart(opened.dofs, some, modes.shapes)
     ]
     if not shared:
         return ()
@@ -273,9 +273,7 @@ def placed(
     """
     if sheet is None:
         try:
-            return at_dofs(
-                tuple(channels), opened.analysis.dofs if dofs is None else dofs, opened.length
-            )
+            return at_dofs(tuple(channels), opened.dofs if dofs is None else dofs, opened.length)
         except DataError as e:
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of "

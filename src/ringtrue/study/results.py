@@ -789,6 +789,8 @@ class LocaliseStage:
     # ranked; each is judged by itself, the first first
     members: tuple[MissingMember, ...] = ()
     form: FormFindings = field(default_factory=FormFindings)  # what the deviations follow
+    # the solver that has reduced the deck, if another: then no indicators, members and form
+    reduced_by: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -487,17 +487,23 @@ class StudyConfiguration:
         model = build(self.deck, parameters, self.seen, fmax, progress)
         return AtChannels(model, self.rows(test.channels))
 
+    def parameters(self) -> tuple[ParameterSet, int]:
+        """The candidates and suspensions that its deck has, and how many are candidates: the first
+        ones.
+        """
+        every = self.session.everything
+        candidates = self.session.parameters
+        if self.section is not None:
+            every = carried(self.deck.model, every)
+            candidates = carried(self.deck.model, candidates)
+        return every, len(candidates)
+
     def model(self, progress: Progress) -> AtChannels:
         """The reduced model over the candidates that its deck has, its suspension held as in the
         deck.
         """
         if self._model is None:
-            session = self.session
-            every = session.everything
-            count = len(session.parameters)
-            if self.section is not None:
-                every = carried(self.deck.model, every)
-                count = len(carried(self.deck.model, session.parameters))
+            every, count = self.parameters()
             base = self.reduced(every, progress)
             model = flexible(base.model, self.measured, self.loaded)
             whole = AtChannels(model, base.rows, self.loaded)

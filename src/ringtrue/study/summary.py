@@ -293,6 +293,8 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
         for m in found.proposal.members
     ]
     rests = {"proposed_by": found.proposal_basis} if found.proposal_basis else {}
+    if found.reduced_by:  # then there are no local errors and no missing members
+        rests["reduced_by"] = found.reduced_by
     return {
         "error_concentration": {n: _number(x) for n, x in gathered},
         "proposed": proposed,

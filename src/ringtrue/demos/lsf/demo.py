@@ -31,7 +31,7 @@ from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.errors import NumericalError
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.parametric import condensed
+from ringtrue.reduction.projected import condensed
 from ringtrue.report.build import deliver
 from ringtrue.shapes import mac
 from ringtrue.study.acceptance import AcceptanceCheck, improvement

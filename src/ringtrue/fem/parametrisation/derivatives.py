@@ -19,7 +19,7 @@ from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.errors import UnsupportedError
-from ringtrue.fem.assembly import Sum, System, full_matrices, reduced, turn
+from ringtrue.fem.assembly import WHOLE, Share, Sum, System, full_matrices, reduced, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.elements import given_matrices
@@ -64,6 +64,26 @@ def affine_terms(
     InputError
         If a target or element is not in the model.
     """
+    return share_terms(model, parameters, system.transform, progress=progress)
+
+
+def share_terms(
+    model: Model,
+    parameters: ParameterSet,
+    transform: sparse.csr_array,
+    *,
+    share: Share = WHOLE,
+    progress: Progress = quiet,
+) -> tuple[AffineTerm, ...]:
+    """The part of the elements of a share in the terms of `affine_terms`, which are the same in all
+    shares.
+
+    Parameters
+    ----------
+    transform : (full, c) csr float64
+        Motion of every node by that of the free degrees of freedom, or of those that the elements
+        of the share move: the matrices are over these.
+    """
     m = mesh(model)
     groups = [g for i, p in enumerate(parameters.parameters) for g in groups_of(model, i, p)]
     say = part(progress, 0.0, 0.5)
@@ -74,25 +94,36 @@ def affine_terms(
         if own is not None:
             powers[g] = own or (1,)  # elements outside of the sample may change
     every = regions(groups, union(g.rows for g in groups))
-    polynomials = PolynomialTerms(m, powers)
+    polynomials = PolynomialTerms(m, powers, share)
     others = []
     for k, region in enumerate(every):
         say(0.5 + 0.5 * k / len(every), "derivatives: parameters on the same elements")
         smooth = all(g in powers for g in region.groups)
         others.append(polynomials.add(region) if smooth else region.rows)
-    rest = interpolated(m, groups, union(others), system=system, progress=part(progress, 0.5, 1.0))
-    return (*polynomials.terms(system), *rest, *_matrix_terms(m, parameters, system))
+    rest = interpolated(
+        m,
+        groups,
+        union(others),
+        transform=transform,
+        share=share,
+        progress=part(progress, 0.5, 1.0),
+    )
+    given = _matrix_terms(m, parameters, transform, share)
+    return (*polynomials.terms(transform), *rest, *given)
 
 
-def _matrix_terms(m: Mesh, parameters: ParameterSet, system: System) -> Iterator[AffineTerm]:
-    """Matrices of DMIG, which are proportional to their factors."""
+def _matrix_terms(
+    m: Mesh, parameters: ParameterSet, transform: sparse.csr_array, share: Share
+) -> Iterator[AffineTerm]:
+    """Matrices of DMIG, which are proportional to their factors; the first share has them."""
     for i, p in enumerate(parameters.parameters):
         for found in given_matrix_derivatives(m, i, p):
             sums = []
             for matrix in (found.stiffness, found.mass):
                 total = Sum(m.size)
-                total.add(found.dofs, matrix)
-                sums.append(reduced(system.transform, total.total()))
+                if share.number == 0:
+                    total.add(found.dofs, matrix)
+                sums.append(reduced(transform, total.total()))
             yield AffineTerm(power(i), *sums)
 
 

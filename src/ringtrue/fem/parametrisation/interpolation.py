@@ -31,7 +31,7 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.parameters import Parameter
 from ringtrue.errors import NumericalError, UnsupportedError
-from ringtrue.fem.assembly import System, full_matrices, reduced
+from ringtrue.fem.assembly import Share, full_matrices, reduced
 from ringtrue.fem.mesh import Mesh, Rows, union
 from ringtrue.fem.parametrisation.element_derivatives import COMPLEX_STEP
 from ringtrue.fem.parametrisation.parameter_groups import (
@@ -534,9 +534,16 @@ class Coefficient:
 
 
 def interpolated(
-    m: Mesh, groups: Sequence[ParameterGroup], rows: Rows, system: System, progress: Progress
+    m: Mesh,
+    groups: Sequence[ParameterGroup],
+    rows: Rows,
+    *,
+    transform: sparse.csr_array,
+    share: Share,
+    progress: Progress,
 ) -> list[AffineTerm]:
-    """The terms of the rows, as all groups that act on them change these together.
+    """The terms of the rows, as all groups that act on them change these together; of a share, its
+    part of them.
 
     Raises
     ------
@@ -546,12 +553,17 @@ def interpolated(
     batches = independent_batches(regions(groups, rows))
     out = list[AffineTerm]()
     for k, batch in enumerate(batches):
-        out += _terms(m, batch, system, part(progress, k / len(batches), (k + 1) / len(batches)))
+        here = part(progress, k / len(batches), (k + 1) / len(batches))
+        out += _terms(m, batch, transform, share, here)
     return out
 
 
 def _terms(
-    m: Mesh, batch: Sequence[Region], system: System, progress: Progress
+    m: Mesh,
+    batch: Sequence[Region],
+    transform: sparse.csr_array,
+    share: Share,
+    progress: Progress,
 ) -> list[AffineTerm]:
     """Of regions whose kernels can be called at once; elements whose sums do not hold join those
     that these rest on.
@@ -564,9 +576,10 @@ def _terms(
         for k, nodes in zip(
             waiting, learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]), strict=True
         ):
-            parts, worst = _whole(m, batch[k], nodes, system)
-            if worst.size:
-                sampled[k] = union([sampled[k], picked(m, batch[k].rows, worst)])
+            own = replace(batch[k], rows=share.own(m.model, batch[k].rows))
+            parts, worst = _whole(m, own, nodes, transform, share)
+            if worst := share.joined(worst, batch[k].rows):
+                sampled[k] = union([sampled[k], worst])
             else:
                 found[k] = nodes, parts
         if len(found) == len(batch):
@@ -621,8 +634,8 @@ def _series(
 
 
 def _whole(
-    m: Mesh, region: Region, nodes: InterpolationNodes, system: System
-) -> tuple[list[Pair], Int]:
+    m: Mesh, region: Region, nodes: InterpolationNodes, transform: sparse.csr_array, share: Share
+) -> tuple[list[Pair], Rows]:
     """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does
     not hold, if any.
     """
@@ -630,7 +643,7 @@ def _whole(
     def at(a: Float) -> tuple[Pair, Float]:
         made = built(m, region.groups, region.rows, [a[g.which] for g in region.groups])
         K, M = full_matrices(m, made)
-        both = reduced(system.transform, K), reduced(system.transform, M)
+        both = reduced(transform, K), reduced(transform, M)
         return both, ends([(p.stiffness, p.mass) for p in made])[0]
 
     (K, M), nominal = at(np.ones_like(nodes.check))
@@ -644,8 +657,10 @@ def _whole(
         parts.append((sparse.csr_array(stiffness - K), sparse.csr_array(mass - M)))
         miss -= c * (each - nominal)
     miss = np.abs(weights * miss)
-    bad = miss > SEARCH.holds * np.abs(weights * there).max(initial=0.0)
+    largest = np.abs(weights * there).max(initial=0.0)
+    bad = miss > SEARCH.holds * share.gathered(np.array([largest])).max()
     element = owners(m, region)
     order = np.argsort(-miss[bad], kind="stable")
     _, first = np.unique(element[bad][order], return_index=True)
-    return parts, np.sort(element[bad][order][np.sort(first)[: SAMPLES.worst]])
+    worst = np.sort(element[bad][order][np.sort(first)[: SAMPLES.worst]])
+    return parts, picked(m, region.rows, worst)

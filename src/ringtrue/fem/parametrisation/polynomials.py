@@ -9,7 +9,7 @@ there are products, and a further point proves them.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Protocol
@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Float
-from ringtrue.fem.assembly import Sum, System, reduced
+from ringtrue.fem.assembly import WHOLE, Share, Sum, reduced
 from ringtrue.fem.element_cards import batches
 from ringtrue.fem.mesh import Mesh, Rows
 from ringtrue.fem.parametrisation.element_derivatives import SPAN
@@ -148,26 +148,34 @@ class PolynomialTerms:
     m : Mesh
     powers : mapping of ParameterGroup to tuple of int
         Those of its factor by itself.
+    share : Share
+        Whose elements are summed.
     """
 
-    def __init__(self, m: Mesh, powers: Mapping[ParameterGroup, tuple[int, ...]]) -> None:
+    def __init__(
+        self, m: Mesh, powers: Mapping[ParameterGroup, tuple[int, ...]], share: Share = WHOLE
+    ) -> None:
         self._mesh = m
         self._powers = powers
+        self._share = share
         self._sums: dict[Product, tuple[Sum, Sum]] = {}
 
     def add(self, region: Region) -> Rows:
-        """Add the elements of a region; those that are no polynomials are left and returned."""
+        """Add the elements of a region; those of all shares that are no polynomials are left and
+        returned.
+        """
         powers = [self._powers[g] for g in region.groups]
         if prod(1 + len(p) for p in powers) > MOST_PRODUCTS:
             return region.rows
         products = self._products(region, powers)
         left: Rows = {}
-        for card, every in batches(self._mesh.model, region.rows):
+        own = self._share.own(self._mesh.model, region.rows)
+        for card, every in batches(self._mesh.model, own):
             for first in range(0, every.size, SPAN):
                 at = every[first : first + SPAN]
                 if not self._added(region, {card: at}, products):
                     left[card] = np.union1d(left.get(card, at[:0]), at)
-        return left
+        return self._share.joined(left, region.rows)
 
     def _products(self, region: Region, powers: Sequence[tuple[int, ...]]) -> list[Exponents]:
         """The products that the matrices of a sample hold, and all that these are multiples of."""
@@ -230,17 +238,29 @@ class PolynomialTerms:
                 mass.add(made[0].dofs, M)
         return True
 
-    def terms(self, system: System) -> list[AffineTerm]:
-        """The sums in the free degrees of freedom, fewer parameters first."""
+    def terms(self, transform: sparse.csr_array) -> list[AffineTerm]:
+        """The sums in the free degrees of freedom, fewer parameters first; the same ones in all
+        shares.
+        """
         wtmass = self._mesh.model.param("WTMASS", 1.0)
-        ordered = sorted(self._sums, key=lambda p: (len(p.which), p.which, p.exponents))
+        every = {*self._sums, *self._of_all_shares()}
+        size = self._mesh.size
         out = []
-        for product in ordered:
-            K, M = self._sums[product]
+        for product in sorted(every, key=lambda p: (len(p.which), p.which, p.exponents)):
+            K, M = self._sums.get(product) or (Sum(size), Sum(size))
             mass = sparse.csr_array(M.total() * wtmass)
-            stiffness = reduced(system.transform, K.total())
-            out.append(AffineTerm(product, stiffness, reduced(system.transform, mass)))
+            stiffness = reduced(transform, K.total())
+            out.append(AffineTerm(product, stiffness, reduced(transform, mass)))
         return out
+
+    def _of_all_shares(self) -> Iterator[Product]:
+        """The products that any share has sums of."""
+        own = [np.array([len(p.which), *p.which, *p.exponents]) for p in self._sums]
+        every = self._share.gathered(np.concatenate([np.empty(0, dtype=np.int64), *own])).tolist()
+        while every:
+            n = every[0]
+            yield Product(tuple(every[1 : 1 + n]), tuple(every[1 + n : 1 + 2 * n]))
+            every = every[1 + 2 * n :]
 
 
 def _basis(products: Sequence[Exponents], points: Float) -> Float:

@@ -38,6 +38,10 @@ NO_SHAPES = (
     "of the structure, and "
     "fewer parameters than there are modes."
 )
+REDUCED_THERE = (
+    "The solver {0} has reduced the deck and keeps its matrices. Local errors, missing members "
+    'and causes of form need these and are left out; [model] solver = "embedded" has them.'
+)
 EXPANSIONS = {
     "hybrid": "a balance of readings and equation of motion",
     "serep": "SEREP",
@@ -61,10 +65,11 @@ def section(data: Stages) -> Section | None:
     title = "Where the model is wrong"
     found = s.indicators
     if not found.modes.size:
+        why = REDUCED_THERE.format(s.reduced_by) if s.reduced_by else NO_SHAPES
         return Section(
             "localisation",
             title,
-            [Text(NO_SHAPES, "lead"), *_form(s), *_proposal(s), *_members(s, data.model)],
+            [Text(why, "lead"), *_form(s), *_proposal(s), *_members(s, data.model)],
         )
     count = len(found.regions)
     which = f", the {plots.BARS} largest of {count}" if count > plots.BARS else ""

@@ -111,7 +111,9 @@ class _WhereScreen:
                 FIELDS, value=self.field, on_change=lambda e: self.show_field(str(e.value))
             ).props(SELECT).classes("min-w-64").mark("field").set_enabled(known)
             if not known:
-                ui.label("No shapes were measured: no local errors.").classes("text-sm opacity-70")
+                by = self.stage.reduced_by
+                why = f"{by} has reduced the deck" if by else "No shapes were measured"
+                ui.label(f"{why}: no local errors.").classes("text-sm opacity-70")
             ui.space()
             run_button(self.session, "localise", "Localise anew")
 

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from scipy import sparse
 
-from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import Progress, part, quiet
-from ringtrue.core.parameters import ParameterSet
+from ringtrue.core.iterate import Progress, part
 from ringtrue.decks.nastran.editor import refuse_unwritable, unwritable
 from ringtrue.errors import DataError
-from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.changed_model import affected_cards
-from ringtrue.fem.parametrisation.derivatives import congruent
-from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.edit import has_fields
 from ringtrue.model.model import Model
-from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.expansion import ShapeReadings
-from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.reduction.parametric import ReducedModel, condensed
-from ringtrue.reduction.response import responding, with_responses
-from ringtrue.study.evidence import at_channels, expanded
+from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.study.candidate_screening import (
+    screened_here,
+    screened_there,
+    search_model,
+    search_points,
+    search_settings,
+    updates_candidates,
+)
+from ringtrue.study.evidence import expanded
 from ringtrue.study.form import form_of
-from ringtrue.study.measured_data import flexible
-from ringtrue.study.objective import data_of, on_parameters, problem_of, target, terms_of
-from ringtrue.study.opened import AtChannels, lump_places
+from ringtrue.study.held_decks import HeldDecks, held_decks
+from ringtrue.study.objective import problem_of, target
+from ringtrue.study.opened import AtChannels, ProjectedAtChannels, lump_places
 from ringtrue.study.results import (
     CandidateEffects,
     CandidatePool,
@@ -38,11 +38,9 @@ from ringtrue.study.results import (
     ErrorIndicators,
     LocaliseStage,
 )
-from ringtrue.study.session import Session, StudyConfiguration
+from ringtrue.study.session import Session
 from ringtrue.updating.identifiability import identifiability
-from ringtrue.updating.problem import Configuration, Problem, residual_at, single
-from ringtrue.updating.residuals.modal import Point, Weighted
-from ringtrue.updating.residuals.static import RigidMass
+from ringtrue.updating.problem import Problem, residual_at, single
 from ringtrue.updating.selection.candidates import (
     Candidate,
     CandidateSettings,
@@ -58,19 +56,17 @@ from ringtrue.updating.selection.localisation import (
     reduced_errors,
     variation,
 )
-from ringtrue.updating.selection.missing_members import FittedModel, missing_members
-from ringtrue.updating.selection.proposal import propose
+from ringtrue.updating.selection.missing_members import (
+    FittedModel,
+    MissingMember,
+    missing_members,
+)
+from ringtrue.updating.selection.proposal import Proposal, propose
 from ringtrue.updating.selection.screening import (
-    SIZES,
-    ScreenedDeck,
     conflicts,
-    drawn,
-    effective,
     of_parameter,
     passed_over,
-    screened,
 )
-from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.target import Target, match
 
 NO_CANDIDATE = (
@@ -85,6 +81,19 @@ NO_PAIR = (
 )
 
 
+NO_INDICATORS = ErrorIndicators(
+    regions=(),
+    strain=np.zeros(0),
+    force=np.zeros(0),
+    constitutive=np.zeros(0),
+    energy=np.zeros(0),
+    modes=np.zeros(0, dtype=np.int64),
+    relative=np.zeros(0),
+    expansion="",
+    misfit=np.zeros(0),
+)
+
+
 def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """Indicators and proposal; None where there is neither a candidate nor a paired mode.
 
@@ -95,38 +104,42 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     """
     found: CorrelateStage = session.get("correlate")
     paired = bool(found.remodelled.used.any())
-    chosen = _candidates(session, part(progress, 0.0, 0.4)) if paired else None
-    if chosen is None or not chosen.kept:
-        if session.config.propose:
-            raise DataError(NO_CANDIDATE if paired else NO_PAIR)
-        return None
+    with held_decks(session) as held:
+        chosen = _candidates(session, held, part(progress, 0.0, 0.4)) if paired else None
+        if chosen is None or not chosen.kept:
+            if session.config.propose:
+                raise DataError(NO_CANDIDATE if paired else NO_PAIR)
+            return None
+        return _localised(session, chosen, held, progress)
+
+
+def _localised(
+    session: Session, chosen: _Chosen, held: HeldDecks | None, progress: Progress
+) -> LocaliseStage:
+    """What the data say of the candidates that are looked at closely."""
     candidates = chosen.kept
     aim = target(session.own)
-    model = _candidate_model(session, candidates, part(progress, 0.4, 0.6))
-    start = model.linearise(np.zeros(len(model.parameters)))
-    pairs, _, _ = match(aim, start)
-    pairs = pairs[
-        aim.used[pairs[:, 0]] & (not aim.frequency_only)
-    ]  # without measured shapes no local errors
+    model = _candidate_model(session, candidates, held, part(progress, 0.4, 0.6))
     progress(0.6, "error indicators")
-    errors, misfit = _error_indicators(session, model, aim, pairs)
-    others: tuple[AtChannels, ...] = ()
-    if _updated(session):
-        others = tuple(c.model(progress) for c in session.others)
+    indicators, gathered = _local_errors(session, model, candidates, aim)
+    others: tuple[ProjectedAtChannels, ...] = ()
+    if updates_candidates(session):
+        others = tuple(
+            c.model(progress) if held is None else held.model(c, progress) for c in session.others
+        )
     problem = _problem(session, (model, *others))
-    with_others = _updated(session) and (session.others or session.config.residual)
-    points = _points(session, model, candidates)
-    search = [_small(session.own, model, points)]
+    with_others = updates_candidates(session) and (session.others or session.config.residual)
+    points = search_points(session, model, candidates)
+    search = [search_model(session.own, model, points)]
     names = model.parameters.names
     for c, other in zip(session.others, others, strict=False):
         at = model.parameters.at(other.parameters.names)
-        search.append(_small(c, other, [x[at] for x in points]))
-    asked = session.config.localise
+        search.append(search_model(c, other, [x[at] for x in points]))
     proposal = propose(
         _problem(session, search),
-        SearchSettings(asked.most, asked.alike, passed_over=chosen.passed_over),
+        replace(search_settings(session), passed_over=chosen.passed_over),
         conflicts=conflicts(session.remodelled.model, candidates),
-        errors=errors.concentration(membership(session.steps[-1].model, candidates)),
+        errors=gathered,
         words=[c.what for c in candidates],
         progress=part(progress, 0.7, 1.0),
     )
@@ -138,12 +151,9 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         data = [m.name for c in session.configurations for m in c.measured]
         basis = ", ".join([*tests, *data])
     p = model.parameters
-    deck = session.remodelled
-    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
-    members = missing_members(deck.model, fitted)
     known = identifiability(end_data.slope * p.std())
     return LocaliseStage(
-        indicators=_region_indicators(session, errors, misfit, pairs[:, 0]),
+        indicators=indicators,
         candidates=CandidateEffects(
             parameters=p,
             what=tuple(c.what for c in candidates),
@@ -157,9 +167,21 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
         proposal=proposal,
         proposal_basis=basis,
         places=session.places,
-        members=members,
-        form=_form(session, aim),
+        members=_members(session, proposal, model, aim),
+        form=FormFindings() if held else _form(session, aim),
+        reduced_by="" if held is None else held.solver,
     )
+
+
+def _members(
+    session: Session, proposal: Proposal, model: ProjectedAtChannels, aim: Target
+) -> tuple[MissingMember, ...]:
+    """Members that the deck may lack, where its matrices are here."""
+    if not isinstance(model, AtChannels):
+        return ()
+    deck = session.remodelled
+    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
+    return missing_members(deck.model, fitted)
 
 
 def _form(session: Session, aim: Target) -> FormFindings:
@@ -174,16 +196,9 @@ def _form(session: Session, aim: Target) -> FormFindings:
     return form_of(deck, modes, test, std=reference.elastic_std, target=aim, observe=observe)
 
 
-def _updated(session: Session) -> bool:
-    """Whether the candidates are those of the updating: only then do other tests and data know
-    them.
-    """
-    return bool(len(session.config.candidates())) or session.config.propose
-
-
-def _problem(session: Session, models: Sequence[AtChannels]) -> Problem:
+def _problem(session: Session, models: Sequence[ProjectedAtChannels]) -> Problem:
     """All tests and what was measured besides modes."""
-    if not (_updated(session) and (session.others or session.config.residual)):
+    if not (updates_candidates(session) and (session.others or session.config.residual)):
         return single(models[0], target(session.own))
     return problem_of(session, models)
 
@@ -200,7 +215,7 @@ class _Chosen:
     passed_over: int = 0
 
 
-def _candidates(session: Session, progress: Progress) -> _Chosen:
+def _candidates(session: Session, held: HeldDecks | None, progress: Progress) -> _Chosen:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     given = session.config.candidates()
     asked = session.config.localise
@@ -222,69 +237,52 @@ def _candidates(session: Session, progress: Progress) -> _Chosen:
     springs = tuple(of_parameter(model, p) for p in session.config.suspensions().parameters)
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
-    held = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
-    every = tuple(c for c in every if c.name not in held and not never.keys() & c.parameter.targets)
-    every += masses
-    system = session.remodelled.analysis.system
-    modes = session.remodelled.modes(session.fmax).modes
-    lam = (2 * np.pi * modes.frequencies) ** 2
-    vectors = np.asarray(system.local @ modes.shapes)
-    data = None
-    strained = lam, vectors
-    if session.own.measured and _updated(session):
-        data = DataScreening.of(session.own, every)
-        strained = data.strained()
-    some, lost = effective(model, system, every, *strained)
-    if data is not None:
-        data = replace(data, candidates=some)
-
-    def look(few: tuple[Candidate, ...]) -> tuple[AtChannels, ReducedModel]:
-        reduced = session.own.reduced(parameters(few), quiet)
-        reduced = reduced if data is None else data.loaded(reduced)
-        return _small(session.own, reduced, _points(session, reduced, few)), reduced.model
-
-    deck = session.remodelled
-    channels = session.own.reference.elastic.channels
-    readings = at_channels(deck, session.own.observed(deck), channels)
-    near = screened(
-        ScreenedDeck(model, system, some, observe=readings, values=lam, vectors=vectors, data=data),
-        target(session.own),
-        look,
-        asked.pool,
-        settings=SearchSettings(asked.most, asked.alike),
-        progress=progress,
+    held_fields = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
+    every = tuple(
+        c for c in every if c.name not in held_fields and not never.keys() & c.parameter.targets
     )
+    every += masses
+    screen = screened_here if held is None else partial(screened_there, held)
+    near, some, lost = screen(session, every, progress)
     far = tuple(c.name for c in some if c not in near)
-    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held))
+    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held_fields))
     return _Chosen(near, pool, passed_over(some, near))
 
 
-def _points(session: Session, model: AtChannels, candidates: Sequence[Candidate]) -> list[Float]:
-    """Where a search will look."""
-    together = conflicts(session.remodelled.model, candidates)
-    return drawn(model.parameters, together, np.random.default_rng([session.config.study.seed, 5]))
-
-
 def _candidate_model(
-    session: Session, candidates: tuple[Candidate, ...], progress: Progress
-) -> AtChannels:
+    session: Session,
+    candidates: tuple[Candidate, ...],
+    held: HeldDecks | None,
+    progress: Progress,
+) -> ProjectedAtChannels:
     """The reduced model over the candidates: that of the updating where it has the same."""
-    if len(session.config.candidates()):
-        return session.own.model(progress)
-    if session.config.propose:
+    own = session.own
+    if not updates_candidates(session):
+        only = parameters(candidates)
+        if held is None:
+            return own.reduced(only, progress)
+        rows = own.rows(own.reference.elastic.channels)
+        return ProjectedAtChannels(held.reduced(own, only, progress), rows)
+    if not len(session.config.candidates()):
         session.generated = parameters(candidates)
-        return session.own.model(progress)
-    return session.own.reduced(parameters(candidates), progress)
+    return own.model(progress) if held is None else held.model(own, progress)
 
 
-def _small(c: StudyConfiguration, model: AtChannels, points: Sequence[Float]) -> AtChannels:
-    """The model on its modes around the points, and on the static responses to what was excited or
-    pulled.
+def _local_errors(
+    session: Session, model: ProjectedAtChannels, candidates: Sequence[Candidate], aim: Target
+) -> tuple[ErrorIndicators, Mapping[str, Float]]:
+    """Error indicators of the regions, and their concentration on each candidate; none where the
+    matrices of the deck are not here.
     """
-    small = condensed(model.model, points, max(SIZES.vectors, 2 * model.model.count))
-    if c.session.config.residual and _updated(c.session):
-        small = flexible(small, c.measured, model.loaded)
-    return replace(model, model=small)
+    if not isinstance(model, AtChannels):
+        return NO_INDICATORS, {}
+    pairs, _, _ = match(aim, model.linearise(np.zeros(len(model.parameters))))
+    pairs = pairs[
+        aim.used[pairs[:, 0]] & (not aim.frequency_only)
+    ]  # without measured shapes no local errors
+    errors, misfit = _error_indicators(session, model, aim, pairs)
+    gathered = errors.concentration(membership(session.steps[-1].model, candidates))
+    return _region_indicators(session, errors, misfit, pairs[:, 0]), gathered
 
 
 def _error_indicators(
@@ -368,153 +366,3 @@ def element_regions(model: Model, regions: Mapping[str, Sequence[int]]) -> list[
             continue
         out += [named.get(p, f"property {p}") for p in table["PID"].tolist()]
     return out
-
-
-@dataclass(frozen=True, eq=False)
-class DataScreening:
-    """The [[residual]]s of the study's own deck, as a screening of candidates sees them.
-
-    Attributes
-    ----------
-    configuration : StudyConfiguration
-        The study's own.
-    candidates : tuple of Candidate
-        All that are screened.
-    start : ReducedModel
-        The deck without a parameter, with the responses to unit loads at the touched channels.
-    """
-
-    configuration: StudyConfiguration
-    candidates: tuple[Candidate, ...]
-    start: ReducedModel
-
-    @classmethod
-    def of(
-        cls, configuration: StudyConfiguration, candidates: tuple[Candidate, ...]
-    ) -> DataScreening:
-        """On the deck as it is.
-
-        Raises
-        ------
-        DataError
-            As `objective.data_of`.
-        """
-        deck = configuration.reduced(ParameterSet(()), quiet)
-        data_of(configuration, deck)
-        bare = cls(configuration, candidates, deck.model)
-        return replace(bare, start=bare.loaded(deck).model)
-
-    @cached_property
-    def chosen(self) -> ParameterSet:
-        """All candidates."""
-        return parameters(self.candidates)
-
-    @cached_property
-    def touched(self) -> Int:
-        """Channels that were struck or pulled, and those whose deflections were read."""
-        c = self.configuration
-        read = [name for m in c.measured if m.static for name in m.outputs]
-        return np.unique([*c.loaded, *c.rows(read)]).astype(np.int64)
-
-    @cached_property
-    def mass(self) -> tuple[Float, Float]:
-        """The rigid-body mass (6, 6) of the deck about the origin, and its slopes (p, 6, 6) to the
-        factors.
-        """
-        free = unconstrained(self.configuration.deck.model)
-        system = assemble(free)
-        r = system.rigid_body()
-        return np.asarray(r.T @ (system.mass @ r)), _projected(free, self.chosen, system, r)[1]
-
-    def strained(self) -> tuple[Float, Float]:
-        """λ and vectors of the deck in which a candidate must have a part to be seen: modes and
-        responses.
-        """
-        return responding(self.start, self.touched, np.zeros(0))
-
-    def loaded(self, model: AtChannels) -> AtChannels:
-        """With the responses to unit loads at the touched channels in its basis."""
-        loads = self.configuration.loaded
-        more = flexible(model.model, self.configuration.measured, loads)
-        read = np.setdiff1d(self.touched, loads)
-        if read.size:
-            more, _ = with_responses(more, read, np.zeros(len(more.parameters)))
-        return replace(model, model=more, loaded=loads)
-
-    def problem(self, search: AtChannels, aim: Target) -> Problem:
-        """Modes and data, over some of the candidates."""
-        terms = terms_of(self.configuration, search)
-        return Problem((Configuration(search, aim, terms),))
-
-    def misfit(
-        self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
-    ) -> tuple[Float, Float]:
-        """Weighted deviations (n,) at a point, and what each candidate does to them in units of its
-        prior, (n, p).
-
-        Along the modes there and the responses to unit loads at the touched channels (Fox and
-        Kapoor 1968).
-
-        Parameters
-        ----------
-        at : ReducedModel, optional
-            Over some of the candidates; the deck as it is if not given.
-        x : (k,) float64
-            Of those.
-        which : sequence of int
-            Their positions among all.
-        """
-        model = at or self.start
-        deck = self.configuration.deck
-        p = len(self.chosen)
-        lam, vectors = responding(model, self.touched, x)
-        dk, dm = _projected(deck.model, self.chosen, deck.analysis.system, vectors)
-        dense = DenseModel(
-            stiffness=np.diag(lam),
-            mass=np.eye(lam.size),
-            d_stiffness=dk,
-            d_mass=dm,
-            observation=model.system.observe @ vectors,
-            parameters=self.chosen,
-            count=lam.size,
-        )
-        now = dense.linearise(np.zeros(p))
-        none = np.zeros((0, 2), dtype=np.int64)
-        here = Point(
-            model=dense,
-            now=now,
-            target=aim,
-            pairs=none,
-            spans=(),
-            every=none,
-            mac=np.zeros(0),
-            whole=now,
-        )
-        everything = np.zeros(p)
-        everything[list(which)] = x
-        data = on_parameters(self.configuration, lambda: self._rigid(everything), tuple(range(p)))
-        blocks = [Weighted(d.term, d.weight)(here) for d in data]
-        slopes = np.concatenate([b.slope for b in blocks]) * self.chosen.std()
-        return np.concatenate([b.value for b in blocks]), slopes
-
-    def _rigid(self, x: Float) -> RigidMass:
-        """About x (p,), linear in the factors."""
-        mass, slopes = self.mass
-        none = sparse.csr_array((6, 6))
-        here = mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1)
-        terms = tuple(AffineTerm(power(i), none, sparse.csr_array(s)) for i, s in enumerate(slopes))
-        whole = AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none)
-        return RigidMass(whole, np.eye(6))
-
-
-def _projected(
-    model: Model, chosen: ParameterSet, system: System, vectors: Float
-) -> tuple[Float, Float]:
-    """∂K/∂a and ∂M/∂a of each parameter along vectors (f, r), (p, r, r) each."""
-    r = vectors.shape[1]
-    out = np.zeros((2, len(chosen), r, r))
-    for i, *both in congruent(model, chosen.parameters, system, vectors):
-        for total, change in zip(out, both, strict=True):
-            if change.size:
-                total[i] += change
-    return out[0], out[1]

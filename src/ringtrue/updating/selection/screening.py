@@ -12,11 +12,11 @@ is left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import zip_longest
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -32,6 +32,7 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.expansion import ShapeReadings, expand_reduced
 from ringtrue.reduction.parametric import ReducedModel
+from ringtrue.reduction.projected import HeldModel
 from ringtrue.updating.problem import Configuration, KnownPoint, Problem, residual_at, single
 from ringtrue.updating.selection.candidates import Candidate, Kind, counted, membership, parameters
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT
@@ -76,7 +77,13 @@ def effective(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    strain, kinetic = effects(model, system, candidates, values, vectors)
+    return effective_by(candidates, *effects(model, system, candidates, values, vectors))
+
+
+def effective_by(
+    candidates: Sequence[Candidate], strain: Float, kinetic: Float
+) -> tuple[tuple[Candidate, ...], tuple[Dropped, ...]]:
+    """`effective` where the `effects` (m, p) are known."""
     most = (np.abs(strain) + np.abs(kinetic)).max(axis=0, initial=0.0)
     keep = []
     lost = []
@@ -100,9 +107,14 @@ def effects(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
     dk, dm = quadratic_forms(model, [c.parameter for c in candidates], system, vectors)
-    return dk / lam[:, None], dm
+    return relative_effects(values, dk), dm
+
+
+def relative_effects(values: Float, d_stiffness: Float) -> Float:
+    """φᵀ(∂K/∂x)φ/λ from φᵀ(∂K/∂x)φ, (m, p); no λ is next to 0."""
+    lam = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(initial=1e-300))
+    return np.asarray(d_stiffness / lam[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +152,22 @@ def misfits(
     Stavrinidis and Ibrahim (1988).
     """
     chosen = parameters(candidates)
+    changes = congruent(model, chosen.parameters, system, modes.vectors)
+    return misfits_by(chosen, changes, modes, aim)
+
+
+def misfits_by(
+    chosen: ParameterSet,
+    changes: Iterable[tuple[int, Float, Float]],
+    modes: SeenModes,
+    aim: Target,
+) -> tuple[Misfit, Misfit]:
+    """`misfits` where the changes of K and M along the modes are known, as `congruent` gives
+    them.
+    """
     kinds = _paired(chosen, modes, aim), _force(chosen, modes, aim)
     found = [np.zeros((2, *kind.near.shape, len(chosen))) for kind in kinds]
-    for i, *both in congruent(model, chosen.parameters, system, modes.vectors):
+    for i, *both in changes:
         for kind, out in zip(kinds, found, strict=True):
             for total, change in zip(out, both, strict=True):
                 if change.size:
@@ -259,7 +284,6 @@ class ScreeningSizes:
 
 SIZES = ScreeningSizes()
 
-Look = Callable[[tuple[Candidate, ...]], tuple[Candidates, ReducedModel]]
 Kept = Callable[..., int | None]
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
@@ -317,11 +341,94 @@ class ScreenedDeck:
         seen = SeenModes(*modes, self.observe @ modes[1])
         return misfits(self.model, self.system, self.candidates, seen, aim)
 
+    def left(
+        self, at: ReducedModel | None, x: Float, which: Sequence[int], aim: Target
+    ) -> tuple[Misfit, ...]:
+        """See `Screening`; what else was measured is a part of each misfit."""
+        modes = (self.values, self.vectors) if at is None else at.vectors(x)
+        found = self.misfits(modes, aim)
+        if self.data is None:
+            return found
+        more, slopes = self.data.misfit(at, x, which, aim)
+        return tuple((np.append(r, more), np.concatenate([g, slopes])) for r, g in found)
+
+    def problem(self, search: Candidates, aim: Target) -> Problem:
+        """See `Screening`."""
+        return single(search, aim) if self.data is None else self.data.problem(search, aim)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldDeck:
+    """The same where other processes hold the matrices.
+
+    Attributes
+    ----------
+    model : Model
+    candidates : tuple of Candidate
+    start : HeldModel
+        The deck without a parameter.
+    rows : (channel,) int64
+        Of the test, among the channels of the held models.
+    """
+
+    model: Model
+    candidates: tuple[Candidate, ...]
+    start: HeldModel
+    rows: Int
+
+    def effective(self) -> tuple[HeldDeck, tuple[Dropped, ...]]:
+        """With those candidates that change one of the modes; those that do not."""
+        values, y = self.start.vectors(np.zeros(0))
+        changes = self.start.along([c.parameter for c in self.candidates], y)
+        dk, dm = (np.einsum("pmm->mp", a) for a in changes)
+        some, lost = effective_by(self.candidates, relative_effects(values, dk), dm)
+        return replace(self, candidates=some), lost
+
+    def left(
+        self, at: HeldModel | None, x: Float, which: Sequence[int], aim: Target
+    ) -> tuple[Misfit, ...]:
+        """See `Screening`."""
+        model = self.start if at is None else at
+        values, y = model.coordinates(x)
+        chosen = parameters(self.candidates)
+        seen = SeenModes(values, model.basis.vectors @ y, model.basis.observe[self.rows] @ y)
+        changes = model.along(chosen.parameters, seen.vectors)
+        return misfits_by(chosen, zip(range(len(chosen)), *changes, strict=True), seen, aim)
+
+    def problem(self, search: Candidates, aim: Target) -> Problem:
+        """See `Screening`."""
+        return single(search, aim)
+
+
+Looked = TypeVar("Looked", contravariant=True)
+
+
+class Screening(Protocol[Looked]):
+    """A deck whose candidates are screened."""
+
+    @property
+    def model(self) -> Model: ...
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]: ...
+
+    def left(
+        self, at: Looked | None, x: Float, which: Sequence[int], aim: Target
+    ) -> tuple[Misfit, ...]:
+        """`misfits` of all candidates at the deck, or at x of a model over some of them, by
+        position.
+        """
+        ...
+
+    def problem(self, search: Candidates, aim: Target) -> Problem:
+        """The objective over some of the candidates."""
+        ...
+
 
 def screened(
-    deck: ScreenedDeck,
+    deck: Screening[Looked],
     aim: Target,
-    look: Look,
+    look: Callable[[tuple[Candidate, ...]], tuple[Candidates, Looked]],
     pool: int,
     *,
     settings: SearchSettings,
@@ -331,10 +438,9 @@ def screened(
 
     Parameters
     ----------
-    deck : ScreenedDeck
+    deck : ScreenedDeck or HeldDeck
     aim : Target
-    look : callable (candidates) -> (model to search with, model whose modes are in the free degrees
-    of freedom)
+    look : callable (candidates) -> (model to search with, model whose modes the deck looks at)
         The first needs modes for the `SIZES.modes` lowest of the test only.
     pool : int
         Candidates that are kept.
@@ -342,26 +448,15 @@ def screened(
         Of the first choice.
     """
     candidates = deck.candidates
-    data = deck.data
-
-    def seen(at: ReducedModel | None, x: Float, which: Sequence[int]) -> tuple[Misfit, ...]:
-        modes = (deck.values, deck.vectors) if at is None else at.vectors(x)
-        found = deck.misfits(modes, aim)
-        if data is None:
-            return found
-        more, slopes = data.misfit(at, x, which, aim)
-        return tuple((np.append(r, more), np.concatenate([g, slopes])) for r, g in found)
-
     kept = counted_once(deck.model)
-    at = close(deck.model, candidates, seen(None, np.zeros(0), ()), pool, kept=kept)
+    start = deck.left(None, np.zeros(0), (), aim)
+    at = close(deck.model, candidates, start, pool, kept=kept)
     some = tuple(candidates[i] for i in at)
     if len(some) == len(candidates):
         return some
     search, whole = look(some)
     low = aim.lowest(SIZES.modes)
-    problem = single(search, low)
-    if data is not None:
-        problem = data.problem(search, low)
+    problem = deck.problem(search, low)
     far = replace(settings, passed_over=passed_over(candidates, some))
     found = subsets(Search.of(problem, far, conflicts=conflicts(deck.model, some)), progress)
     best = found.path[-1]
@@ -369,9 +464,9 @@ def screened(
     if not best.members.size:
         return some
     x = np.zeros(len(candidates))
-    x[at] = best.x / whole.parameters.std()
+    x[at] = best.x / search.parameters.std()
     stay = at[np.isin(groups, groups[best.members])].tolist()
-    near = [(r + g @ x, g) for r, g in seen(whole, best.x, at.tolist())]
+    near = [(r + g @ x, g) for r, g in deck.left(whole, best.x, at.tolist(), aim)]
     last = close(deck.model, candidates, near, pool, stay=stay, kept=kept)
     return tuple(candidates[i] for i in last)
 
