@@ -405,9 +405,12 @@ def run_up(
         return np.array([o.amplitude(h[:, at]) for o, at in zip(outputs, every, strict=True)])
 
     found = []
-    for i, x in enumerate(known.draws):  # an eigensolution each
-        scatter: Float = np.asarray(known.discrepancy * rng.standard_normal(r))
-        found.append(one(x, scatter, known.damping.drawn(rng)))
+    # an eigensolution each; streams of their own, so that no draw depends on how many modes others
+    # have
+    for i, (x, own) in enumerate(zip(known.draws, rng.spawn(len(known.draws)), strict=True)):
+        of_modes, of_damping = own.spawn(2)
+        scatter: Float = np.asarray(known.discrepancy * of_modes.standard_normal(r))
+        found.append(one(x, scatter, known.damping.drawn(of_damping)))
         progress((i + 1) / len(known.draws), "run-up")
     drawn = np.array(found)
     return RunUp(
