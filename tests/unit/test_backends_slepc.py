@@ -17,30 +17,40 @@ import constrained_plate
 from eigen_shell import parameters as shell_parameters
 from eigen_shell import shell
 
+import ringtrue as rt
+from ringtrue.api.models import open_model
 from ringtrue.core.iterate import quiet
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.correlation.sensor_mapping import at_dofs
+from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import ConfigError, DeckError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.assembly import Sum
 from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.parametrisation.derivatives import quadratic_forms
+from ringtrue.io.modes import write_modes
 from ringtrue.model.model import Model
-from ringtrue.model.ports import ModesRequest
+from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.parametric import KnownModes, reduced_model
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.observed import FullModel
 from ringtrue.solvers.registry import solver
 from ringtrue.solvers.slepc import PYTHON, SlepcSolver, find_slepc
+from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import ModelSection
+from ringtrue.study.direct import direct_problem, read_target
+from ringtrue.study.opened import Opened
 from ringtrue.study.run import run_study
 from ringtrue.study.session import Session
 from ringtrue.study.stages import localise
 from ringtrue.testing import check_modal_solver
 
 DEBIAN = "/usr/bin/python3"
+CANDIDATES = "".join(
+    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
+)
 
 
 @pytest.fixture
@@ -205,6 +215,30 @@ def test_localise_on_ranks_is_that_of_the_embedded_solver(
         assert a.factor == pytest.approx(b.factor, rel=1e-5)
     assert theirs.reduced_by == "slepc"
     assert not theirs.indicators.modes.size
+
+
+@pytest.mark.solver
+@pytest.mark.usefixtures("installed")
+def test_an_updating_makes_no_matrix_in_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deck, study, test = (tmp_path / name for name in ("frame.bdf", "study.toml", "test.json"))
+    deck.write_text(small_study.deck())
+    study.write_text(f'[model]\ndeck = "frame.bdf"\n{CANDIDATES}')
+    ours = open_model(read_deck(deck))
+    seen = rt.solve_modes(ours.model, count=9).at([f"{i}+X" for i in ours.model["GRID"].ids[::3]])
+    write_modes(test, replace(seen, damping=np.full(9, 0.01)))
+
+    def linearised(opened: Opened) -> Linearisation:
+        config, aim, modes, _ = read_target(read_config(study), opened, test)
+        problem, _, _ = direct_problem(opened, config, aim, modes, tmp_path, None)
+        return problem.evaluate(np.full(3, 0.1)).points[0].now
+
+    want = linearised(ours)
+    monkeypatch.setattr(Sum, "__init__", lambda *_: pytest.fail("a matrix of the model"))
+    found = linearised(replace(ours, engine=SlepcSolver(ranks=2)))
+    np.testing.assert_allclose(found.frequencies[:9], want.frequencies[:9], rtol=1e-6)
+    np.testing.assert_allclose(found.d_lambda[:9], want.d_lambda[:9], rtol=1e-4)
 
 
 @pytest.mark.solver

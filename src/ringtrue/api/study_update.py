@@ -171,6 +171,9 @@ def update_study(
     _refuse(config, asked, engine)
     runner = config.model.engine(engine, asked.time_limit)
     opened = open_model(model)
+    outside = replace(opened, engine=runner)
+    if outside.reduces:  # no matrix of the deck in this process
+        opened = outside
     config, target, modes, notes = read_target(config, opened, test)
     left_out = _left_out(asked.leave_out, len(modes))
     target = replace(target, used=~np.isin(np.arange(len(modes)), left_out))

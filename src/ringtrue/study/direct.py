@@ -21,10 +21,11 @@ from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.expansion import ShapeReadings
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, modes_of, reduced_model
-from ringtrue.reduction.projected import condensed
+from ringtrue.reduction.projected import ReducingAnalysis, condensed
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig
@@ -48,7 +49,13 @@ from ringtrue.study.objective import (
     further_starts,
     modal_terms,
 )
-from ringtrue.study.opened import AtChannels, Opened, lump_places, with_lumps
+from ringtrue.study.opened import (
+    AtChannels,
+    Opened,
+    ProjectedAtChannels,
+    lump_places,
+    with_lumps,
+)
 from ringtrue.study.placing import alignment, placed, seats
 from ringtrue.study.reference import highest, locks, measured_part, settings
 from ringtrue.study.results import Seat
@@ -144,8 +151,8 @@ def direct_problem(
 ) -> tuple[Problem, tuple[Data, ...], tuple[Seat, ...]]:
     """The objective on a deck, its [[residual]]s, and where the channels on a sheet are read.
 
-    On a reduced model, or on the modes that `engine` finds anew at each point; `base` is the folder
-    of the study.
+    On a reduced model (by the solver of `opened` where it has one), or on the modes that `engine`
+    finds anew at each point; `base` is the folder of the study.
     """
     assert config.model is not None
     parameters = config.candidates()
@@ -159,8 +166,21 @@ def direct_problem(
             return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, dofs=dofs)
 
     data: tuple[Data, ...] = ()
-    model: AtChannels | FullModel
-    if engine is None:
+    model: ProjectedAtChannels | FullModel
+    if engine is not None:
+        with engine.open(opened.model) as analysis:
+            look = observed(modes.channels, analysis.dofs)
+        request = ModesRequest(2 * len(modes))
+        full = FullModel(opened.model, parameters, look, request, engine)
+        model = full.reaching(top)
+    elif opened.engine is not None:
+        with opened.engine.open(whole_mesh(opened.model)) as analysis:
+            assert isinstance(analysis, ReducingAnalysis)
+            count = len(opened.modes_by(analysis, top).modes)
+            look = observed(modes.channels)
+            held = analysis.reduced(parameters, look.matrix, count, top)
+        model = ProjectedAtChannels(held, np.arange(len(modes.channels)))
+    else:
         measured = _measured(config, modes, base, sheet)
         top = max([top, *(m.highest for m in measured)])
         every = dict.fromkeys((*modes.channels, *channels_of(measured)))
@@ -181,12 +201,6 @@ def direct_problem(
             tuple(range(len(parameters))),
         )
         data = tuple(m.data(on) for m in measured)
-    else:
-        with engine.open(opened.model) as analysis:
-            look = observed(modes.channels, analysis.dofs)
-        request = ModesRequest(2 * len(modes))
-        full = FullModel(opened.model, parameters, look, request, engine)
-        model = full.reaching(top)
     kilograms = UNIT_SYSTEMS[config.model.units].kilograms
     modal = modal_terms(config.update, modes.norm, kilograms)
     terms = (*modal, *(Weighted(d.term, d.weight) for d in data))
