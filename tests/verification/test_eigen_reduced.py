@@ -14,6 +14,7 @@ from ringtrue.core.testmodel import Observation
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
+from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.observed import FullModel, reduced
 
 COUNT = 14
@@ -73,6 +74,20 @@ def test_enrichment_makes_it_exact_there(case):
     assert np.allclose(
         richer.modes(np.zeros(3)).frequencies, fast.modes(np.zeros(3)).frequencies, rtol=ROUNDING
     )
+
+
+def test_enrichment_without_parameters_adds_the_modes_alone(case):
+    fast = case[1].with_parameters([])
+    richer, truth = fast.enrich(np.zeros(0), sensitivities=True)
+    assert np.allclose(richer.modes(np.zeros(0)).frequencies, truth.frequencies, rtol=ROUNDING)
+
+
+def test_a_solver_reports_its_own_progress():
+    said = []
+    solver = EmbeddedSolver(progress=lambda _, text: said.append(text))
+    with solver.open(shell(18, 12, clamped=True)) as analysis:
+        analysis.modes(ModesRequest(COUNT))
+    assert any("factorising" in text for text in said)
 
 
 @pytest.mark.parametrize("which", ["fast", "full"])

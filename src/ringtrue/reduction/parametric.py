@@ -102,8 +102,8 @@ class ReducedModel(ProjectedModel):
         pencil = Pencil(k, m, method=self.pencil.method, labels=self.pencil.labels)
         modes = solve_modes(pencil, self.count, shift=self.shift, progress=progress)
         fresh = modes.vectors
-        if sensitivities:
-            terms = [t for i in self.active for t in self.system.terms_of(i)]
+        terms = [t for i in self.active for t in self.system.terms_of(i)]
+        if sensitivities and terms:
             there = StaticSensitivities.of(pencil, modes, self.count)
             s = there.of_each(terms, progress)
             fresh = np.hstack([fresh, compress(there.inner, s, 2 * self.count, 1e-4)])

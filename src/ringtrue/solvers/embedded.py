@@ -100,8 +100,8 @@ class EmbeddedAnalysis:
             self._lowest = (request.count, found)
         return self._lowest[1]
 
-    def modes(self, request: ModesRequest, progress: Progress = quiet) -> ModesResult:
-        """Natural modes; those asked for and no more."""
+    def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
+        """Natural modes; those asked for and no more. Without a `progress`, that of the solver."""
         found = self.eigen(request, progress)
         n = found.values.size
         highest = 0.0
@@ -417,7 +417,6 @@ class EmbeddedSolver:
     Parameters
     ----------
     progress : callable (fraction, text)
-        Called with (share done, what).
     """
 
     name = "embedded"
