@@ -214,7 +214,6 @@ def trial_model(study: str | Path, *, progress: Progress = quiet) -> TrialModel:
     study : str or Path
         `study.toml` of a study that has been run to its correlation.
     progress : callable (fraction, text)
-        Called with the fraction done and a text.
 
     Raises
     ------

@@ -244,7 +244,7 @@ def pairs_by_shape(
     rivals = np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged))
     good &= rivals < LIKE_SHAPES.contested
     if good.any():
-        patterns = independent_patterns(np.concatenate([unit(modes.a), unit(modes.b)], axis=1))
+        patterns = independent_patterns(np.concatenate([modes.a, modes.b], axis=1))
         chance = chance_of_mac(merged, patterns) * far.sum()
         good &= np.maximum(chance, _confused(modes.a, modes.b)) <= LIKE_SHAPES.chance
     i, j = linear_sum_assignment(-np.where(good, merged + WORTH.tie * score.mac, 0.0))

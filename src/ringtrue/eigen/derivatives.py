@@ -596,7 +596,6 @@ def eigenvector_derivatives(
     tolerance : float
         Relative residual ‖(K − λM)φ' + (K' − λM')φ − λ'Mφ‖ / ‖(K' − λM')φ‖.
     progress : callable (fraction, text)
-        Called with (share done, what).
 
     Raises
     ------

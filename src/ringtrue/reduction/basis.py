@@ -293,8 +293,10 @@ def compress(inner: Inner, x: Float, most: int, drop: float) -> Float:
 
 
 def _scaled(inner: Inner, x: Float) -> Float:
-    """Each column with unit energy."""
-    return np.asarray(x / np.sqrt(np.diag(inner(x, x))))
+    """Each column with unit energy; few at a time, of which no other products are needed."""
+    parts = [x[:, s : s + CHUNK] for s in range(0, x.shape[1], CHUNK)]
+    energy = np.concatenate([np.empty(0), *(np.diag(inner(part, part)) for part in parts)])
+    return np.asarray(x / np.sqrt(energy))
 
 
 def orthonormal_part(inner: Inner, old: Float, x: Float) -> Float:

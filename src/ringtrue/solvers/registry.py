@@ -58,7 +58,7 @@ def solver(
     timeout : float, s, optional
         Longest time that a run may take; only for a solver that takes one.
     progress : callable (fraction, text)
-        Called with (share done, what) by the embedded solver, not by the others.
+        Called by the embedded solver, not by the others.
 
     Raises
     ------

@@ -5,7 +5,7 @@ of the truth.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from zlib import crc32
@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from scipy import fft
 
-from ringtrue.core.iterate import quiet
+from ringtrue.core.iterate import Progress, quiet
 from ringtrue.demos.lsf.circumstances import DATE, Circumstances, Day, TwinView
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
@@ -53,8 +53,6 @@ from ringtrue.virtual.sensors import (
 )
 
 log = logging.getLogger(__name__)
-Progress = Callable[[float, str], None]
-
 # m/s rms, bounds of the site's ground motion
 QUIET = 0.3e-6
 LOUD = 3e-6
@@ -166,7 +164,6 @@ def run_campaign(
     fast : bool
         Short records.
     progress : callable (fraction, text)
-        Called with (fraction, text).
     """
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)

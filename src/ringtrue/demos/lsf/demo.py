@@ -8,7 +8,7 @@ study.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from ringtrue.core.arrays import Float, Int
-from ringtrue.core.iterate import part, quiet
+from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import deck, facility
@@ -226,9 +226,6 @@ def _unpaired_below(final: FinalStage, confidence: Float) -> AcceptanceCheck:
         str(count),
         count <= 4,
     )
-
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

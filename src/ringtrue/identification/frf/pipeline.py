@@ -110,7 +110,7 @@ class HammerModes:
     Attributes
     ----------
     fmin, fmax : float, Hz, optional
-        The modes to progress; by default all up to where the FRFs are noise. Lines just outside are
+        The modes to report; by default all up to where the FRFs are noise. Lines just outside are
         used where there are such.
     damping_max : float
         Largest damping ratio of a mode.
@@ -197,7 +197,6 @@ def identify_hammer(
     choice : Choice, optional
         What a person decided on the modes; the poles picked are refined together with the others.
     progress : callable (fraction, text)
-        Called with the share done and a word.
 
     Raises
     ------
@@ -481,7 +480,7 @@ def _by_hand(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reported:
-    """The modes to progress, and the model of all poles of the fit."""
+    """The modes to report, and the model of all poles of the fit."""
 
     model: ModalModel
     modes: ModeSet
