@@ -111,6 +111,21 @@ def by_region(loss: float, std: float) -> RegionDamping:
     )
 
 
+def test_bands_do_not_depend_on_stiff_vectors_of_the_basis() -> None:
+    freqs = np.linspace(10, 60, 60)
+
+    def found(size: int) -> Bands:
+        k = np.diag([K, 2 * K, 1e6 * K][:size])
+        model = DenseModel.springs(k, M * np.eye(size), k[None], NAMES)
+        known = KnownModel(model, np.zeros(1), np.zeros((30, 1)), Damping(*[np.ones(1)] * 2), 0.05)
+        load = unbalance_load(freqs, np.eye(size)[:, :2], UNBALANCE)
+        rotor = Output("rotor", "m", Rows(np.eye(size)[:2]), 2)
+        return run_up(known, load, [rotor], np.random.default_rng(0)).peak
+
+    np.testing.assert_allclose(found(3).high, found(2).high, rtol=1e-9)
+    np.testing.assert_allclose(found(3).low, found(2).low, rtol=1e-9)
+
+
 def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
     """At every stiffness of the spring: η K of the nominal spring is a ratio of η K/2λM."""
     lam, y = np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)

@@ -177,11 +177,15 @@ def harmonic(
 
 
 def _all_modes(k: Float, m: Float) -> tuple[Float, Float]:
-    """λ >= 0 and M-orthonormal y of small matrices; a motion without mass keeps its flexibility."""
+    """λ >= 0, the lowest first, and M-orthonormal y of small matrices; a motion without mass keeps
+    its flexibility.
+
+    What is drawn for the lowest modes does so not depend on how many vectors the basis has.
+    """
     shift = 1e-3 * float(np.trace(k) / np.trace(m))
     theta, y = linalg.eigh(m, k + shift * m)
-    theta = np.maximum(theta, MASSLESS * theta[-1])
-    return np.maximum(1 / theta - shift, 0.0), np.asarray(y / np.sqrt(theta))
+    theta = np.maximum(theta, MASSLESS * theta[-1])[::-1]
+    return np.maximum(1 / theta - shift, 0.0), np.asarray(y[:, ::-1] / np.sqrt(theta))
 
 
 def _every(model: ObservedModel, x: Float) -> Float:
