@@ -12,7 +12,7 @@ from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.members import end_springs
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.study.form_causes import CAUSES
+from ringtrue.study.form import CAUSES
 
 #   3 --4-- 5     feet 1 and 8 are held; the column on the left has two elements, the arm 5-6
 #   |       |---6 ends freely, the column on the right changes its section at 7

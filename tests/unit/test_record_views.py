@@ -23,8 +23,7 @@ from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.spectra import Welch, psd
 from ringtrue.study import record_views
 from ringtrue.study.log import Logged, read_log
-from ringtrue.study.record_hits import force_of, hit_signals, kept_frfs, place_of
-from ringtrue.study.record_views import open_view
+from ringtrue.study.record_views import force_of, hit_signals, kept_frfs, open_view, place_of
 
 
 def noise(samples: int, channels: int = 2) -> np.ndarray:

@@ -12,9 +12,9 @@ import ringtrue as rt
 from ringtrue.core.choice import Choice, Merge, Pick, Reject
 from ringtrue.errors import DataError
 from ringtrue.identification.common.manual_selection import current_poles
-from ringtrue.study.model_frfs import compared
 from ringtrue.study.synthesis import (
     FrfFit,
+    compared,
     fit_poles,
     fit_spectrum,
     fitted_spectra,

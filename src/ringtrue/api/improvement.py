@@ -39,8 +39,7 @@ from ringtrue.study.direct import (
     propose_parameters,
     solved,
 )
-from ringtrue.study.form import form_of
-from ringtrue.study.form_causes import UpdatedDeck
+from ringtrue.study.form import UpdatedDeck, form_of
 from ringtrue.study.objective import LOSSES, Minimisation, modal_terms
 from ringtrue.study.opened import Opened
 from ringtrue.study.placing import placed, seat_words, seats

@@ -32,12 +32,12 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study import run as runs
 from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import PlanSection, PredictSection
-from ringtrue.study.model_frfs import final_modes, initial_modes, measured_frfs, model_frfs
 from ringtrue.study.results import PlanStage, PredictStage, UpdateStage
 from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as predict_stage
 from ringtrue.study.store import STORE, Store
 from ringtrue.study.summary import finite, summarise
+from ringtrue.study.synthesis import final_modes, initial_modes, measured_frfs, model_frfs
 from ringtrue.virtual.sensors import ICP
 
 # a plan of its own, without ambient tests

@@ -30,7 +30,6 @@ from ringtrue.reduction.response import flexibility, with_responses
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.evidence import like_measured
-from ringtrue.study.model_frfs import damping_of, measured_frfs
 from ringtrue.study.objective import problem_of
 from ringtrue.study.opened import AtChannels
 from ringtrue.study.planned_test import PlanProblem
@@ -39,6 +38,7 @@ from ringtrue.study.results import CorrelateStage, ModelStage
 from ringtrue.study.scene import translations
 from ringtrue.study.session import Session
 from ringtrue.study.stages.plan import plan_problem
+from ringtrue.study.synthesis import damping_of, measured_frfs
 from ringtrue.updating.problem import Problem
 
 

@@ -23,7 +23,7 @@ from ringtrue.plots.style import (
     thinned_log,
 )
 from ringtrue.signal.overview import Extremes, Spectrogram
-from ringtrue.study.record_hits import HitSignals
+from ringtrue.study.record_views import HitSignals
 
 KEPT, LEFT_OUT = "#0b7a75", "#c0392b"  # hits
 MACHINE = "#8e4a9e"

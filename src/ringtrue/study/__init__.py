@@ -11,13 +11,12 @@ sentences that a run shows, `summary` its summary.json, `acceptance` the limits 
 Of the test: `hammer_records` makes FRFs of records with forces, `supplied` reads FRFs and modes of
 files, `placing` lays the sensors onto a deck, `reference` picks the modes that a deck is compared
 with, `evidence` is what a correlation rests on, `measured_data` what was measured besides modes.
-For a look at the data: `record_views` reads parts of records, `record_hits` hits one by one;
-`synthesis` is what chosen modes explain of the measured data, `model_frfs` the FRFs of the decks.
+For a look at the data: `record_views` reads parts of records and hits one by one; `synthesis` is
+what chosen modes explain of the measured data, and the FRFs of the decks.
 
 Of the model: `opened` is a deck in its solver, `scene` its drawing, `loads` its static load cases.
 `planned_test` holds the parts of a test plan, `objective` what an updating minimises; `direct`
 updates and localises without stages. `candidate_screening` chooses the candidates that a
-localisation looks at closely, `held_decks` has decks reduced by the processes of the solver.
-`form` says what the deviations of a test follow, `form_causes` what physical causes would do to an
-updated deck.
+localisation looks at closely. `form` says what the deviations of a test follow, and what physical
+causes would do to an updated deck.
 """

@@ -1,8 +1,13 @@
-"""Which candidates a localisation looks at closely, and the models that it searches with."""
+"""Which candidates a localisation looks at closely, and the models that it searches with.
+
+Where the solver of the study reduces decks in processes of its own, these hold them (`HeldDecks`):
+no matrix of a whole deck is in this process.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,13 +22,13 @@ from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.derivatives import congruent
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.model import Model
+from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.matrix_model import DenseModel
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import HeldModel, condensed
+from ringtrue.reduction.projected import HeldModel, ReducingAnalysis, condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels
-from ringtrue.study.held_decks import HeldDecks
 from ringtrue.study.measured_data import flexible
 from ringtrue.study.objective import data_of, on_parameters, target, terms_of
 from ringtrue.study.opened import AtChannels, ProjectedAtChannels
@@ -31,10 +36,7 @@ from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.updating.problem import Configuration, Problem
 from ringtrue.updating.residuals.modal import Point, Weighted
 from ringtrue.updating.residuals.static import RigidMass
-from ringtrue.updating.selection.candidates import (
-    Candidate,
-    parameters,
-)
+from ringtrue.updating.selection.candidates import Candidate, parameters
 from ringtrue.updating.selection.screening import (
     SIZES,
     Dropped,
@@ -47,6 +49,59 @@ from ringtrue.updating.selection.screening import (
 )
 from ringtrue.updating.selection.subset_search import SearchSettings
 from ringtrue.updating.target import Target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldDecks:
+    """The decks of all configurations, as long as they are open.
+
+    Attributes
+    ----------
+    solver : str
+        Its name.
+    analyses : tuple of ReducingAnalysis
+        In the order of the configurations.
+    """
+
+    solver: str
+    analyses: tuple[ReducingAnalysis, ...]
+
+    def reduced(
+        self, c: StudyConfiguration, parameters: ParameterSet, progress: Progress
+    ) -> HeldModel:
+        """The reduced model of a configuration at all its channels, as
+        `StudyConfiguration.reduced`.
+        """
+        progress(0.0, f"reduced model by {self.solver}")
+        fmax = c.session.up_to(c.reference.elastic)
+        analysis = self.analyses[c.session.configurations.index(c)]
+        count = len(c.deck.modes_by(analysis, fmax).modes)
+        return analysis.reduced(parameters, c.seen.matrix, count, fmax)
+
+    def model(self, c: StudyConfiguration, progress: Progress) -> ProjectedAtChannels:
+        """The reduced model over the candidates that its deck has, as
+        `StudyConfiguration.model`.
+        """
+        every, count = c.parameters()
+        model = self.reduced(c, every, progress)
+        seen = ProjectedAtChannels(model, c.rows(c.reference.elastic.channels))
+        return seen.with_parameters(range(count), np.zeros(len(every)))
+
+
+@contextmanager
+def held_decks(session: Session) -> Iterator[HeldDecks | None]:
+    """The decks of a study in its solver; None where that does not reduce them."""
+    engine = session.engine
+    if engine is None or not session.remodelled.reduces:
+        yield None
+        return
+    with ExitStack() as open_ones:
+        analyses = [
+            open_ones.enter_context(engine.open(whole_mesh(c.deck.model)))
+            for c in session.configurations
+        ]
+        reducing = tuple(a for a in analyses if isinstance(a, ReducingAnalysis))
+        yield HeldDecks(engine.name, reducing)
 
 
 def updates_candidates(session: Session) -> bool:

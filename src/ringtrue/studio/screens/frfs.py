@@ -26,9 +26,8 @@ from ringtrue.studio.shell import (
     output_select,
 )
 from ringtrue.study.evidence import frf_band
-from ringtrue.study.model_frfs import compared
 from ringtrue.study.results import IdentifyStage
-from ringtrue.study.synthesis import FrfFit
+from ringtrue.study.synthesis import FrfFit, compared
 
 STATES: dict[Stage, str] = {"initial": "initial model", "final": "final model"}
 PHASE, PARTS = "magnitude and phase", "real and imaginary"

@@ -28,8 +28,7 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
-from ringtrue.study.record_hits import hit_signals, kept_frfs
-from ringtrue.study.record_views import RecordView
+from ringtrue.study.record_views import RecordView, hit_signals, kept_frfs
 from ringtrue.study.results import IdentifyStage, ImpactReport
 
 MOST = 4  # responses that are shown

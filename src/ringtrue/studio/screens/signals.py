@@ -19,8 +19,7 @@ from ringtrue.studio.records import records_of
 from ringtrue.studio.screens.impacts import ImpactPanel
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import SELECT, channels_select, fact, frame, heading, inspector
-from ringtrue.study.record_hits import place_of
-from ringtrue.study.record_views import RecordView
+from ringtrue.study.record_views import RecordView, place_of
 from ringtrue.study.results import IdentifyStage
 
 AT_FIRST = 3  # channels that are shown

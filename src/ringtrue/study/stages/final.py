@@ -14,7 +14,6 @@ from ringtrue.decks.nastran.editor import edit_fields, is_new
 from ringtrue.model.edit import FieldChange, carried, field_changes, field_value
 from ringtrue.model.model import Model
 from ringtrue.study.evidence import ModelModes, followed, frf_evidence
-from ringtrue.study.model_frfs import damping_of, initial_modes, measured_frfs, model_frfs
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import elastic_table, rigid_table
 from ringtrue.study.results import (
@@ -27,6 +26,7 @@ from ringtrue.study.results import (
 from ringtrue.study.scene import scene_modes
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
+from ringtrue.study.synthesis import damping_of, initial_modes, measured_frfs, model_frfs
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,8 @@ from ringtrue.model.model import Model
 from ringtrue.reduction.expansion import ShapeReadings
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.study.candidate_screening import (
+    HeldDecks,
+    held_decks,
     screened_here,
     screened_there,
     search_model,
@@ -28,7 +30,6 @@ from ringtrue.study.candidate_screening import (
 )
 from ringtrue.study.evidence import expanded
 from ringtrue.study.form import form_of
-from ringtrue.study.held_decks import HeldDecks, held_decks
 from ringtrue.study.objective import problem_of, target
 from ringtrue.study.opened import AtChannels, ProjectedAtChannels, lump_places
 from ringtrue.study.results import (
