@@ -34,10 +34,10 @@ from ringtrue.decks.nastran.results.op2 import read_tables
 from ringtrue.decks.nastran.results.op2_motions import read_op2
 from ringtrue.errors import RingtrueError, SolverMissing
 from ringtrue.fem.element_cards import mesh
+from ringtrue.model.case_control import condenses
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.model.superelements import condenses
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.mystran import MystranSolver, find_mystran
 from ringtrue.study.loads import load_vectors, support_motions

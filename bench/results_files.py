@@ -28,7 +28,7 @@ from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.op2 import read_tables
 from ringtrue.decks.nastran.results.op2_motions import described, read_op2_responses
 from ringtrue.errors import DataError
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.matrices import read_op4
 from ringtrue.model.model import Model
 
 DATA = ROOT.parent / "shared" / "data" / "fe"

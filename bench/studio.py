@@ -29,10 +29,10 @@ from outcome import ROOT, Check, Report, arguments, at_most
 import ringtrue as rt
 from ringtrue.api.trial import Trial
 from ringtrue.demos import frame
-from ringtrue.demos.lsf import deck, facility
+from ringtrue.demos.lsf import facility
 from ringtrue.demos.lsf.facility import Builder
 from ringtrue.demos.lsf.spec import Spec
-from ringtrue.demos.lsf.study import access, candidates
+from ringtrue.demos.lsf.study import access, candidates, write_facility
 
 sys.path.insert(0, str(ROOT / "tests" / "browser"))
 import chromium
@@ -83,7 +83,7 @@ def _mac_off(trial: Trial, full: Trial) -> float:
 def facility_study(folder: Path) -> Path:
     """The deck of the worked example; its test are its modes at drawn factors."""
     built = facility.build(Spec())
-    main = deck.write(built, folder / "deck", "Large spinning facility")
+    main = write_facility(built, folder / "deck", "Large spinning facility")
     channels = _write_sheet(folder / "sensors.csv", built)
     regions = candidates()
     parameters = rt.ParameterSet(tuple(rt.parameter(name, *targets) for name, targets in regions))

@@ -27,8 +27,7 @@ from outcome import ROOT, Check, Report, arguments, at_least, at_most, sized
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.study.scene import make_scene
-from ringtrue.viewer.encoding import asset, shape_arrays, to_json, viewer_module
-from ringtrue.viewer.scene import model_arrays
+from ringtrue.viewer.scene import asset, model_arrays, shape_arrays, to_json, viewer_module
 
 sys.path.insert(0, str(ROOT / "tests" / "browser"))
 import chromium

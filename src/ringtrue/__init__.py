@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from ringtrue.api.candidates import region_parameters
-    from ringtrue.api.checking import check_deck
+    from ringtrue.api.checking import check_deck, place_sensors, region_parameters
     from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
         TestedModel,
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
         write_deck,
     )
     from ringtrue.api.reduction import reduce_model
-    from ringtrue.api.sensors import place_sensors
     from ringtrue.api.studies import open_study, plan_test, predict, run_study
     from ringtrue.api.trial import trial_model, trial_plan
     from ringtrue.core.parameters import ParameterSet
@@ -71,8 +69,7 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
-    "api.candidates": "region_parameters",
-    "api.checking": "check_deck",
+    "api.checking": "check_deck place_sensors region_parameters",
     "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",
@@ -82,7 +79,6 @@ _PLACES = {  # module -> public names in it
     "api.reduction": "reduce_model",
     "reduction.components": "ReductionSettings",
     "api.studies": "open_study plan_test predict run_study",
-    "api.sensors": "place_sensors",
     "api.trial": "trial_model trial_plan",
     "core.parameters": "ParameterSet",
     "core.signals": "Channel FrfSet TimeHistory",

@@ -10,7 +10,7 @@ import chromium
 import pytest
 
 import ringtrue as rt
-from ringtrue.viewer.encoding import script_json
+from ringtrue.viewer.scene import script_json
 
 pytest.importorskip("anywidget", reason="the extra `notebook` is not installed")
 WIDGET = "application/vnd.jupyter.widget-view+json"

@@ -26,8 +26,8 @@ from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.identification.common.tracking import Stretch, track_modes
 from ringtrue.io.choices import read_choice
 from ringtrue.plots.correlation import tracking_page
-from ringtrue.plots.pages import frf_page
-from ringtrue.plots.picker import picker_page
+from ringtrue.plots.diagram import picker_page
+from ringtrue.plots.signals import frf_page
 from ringtrue.signal.tonal_lines import Harmonic
 
 needs_browser = pytest.mark.skipif(

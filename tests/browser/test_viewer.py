@@ -19,8 +19,14 @@ import pytest
 from ringtrue.core.testmodel import TestModel
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.study.scene import make_scene
-from ringtrue.viewer.encoding import asset, shape_arrays, to_json, viewer_module
-from ringtrue.viewer.scene import model_arrays, sensor_arrays
+from ringtrue.viewer.scene import (
+    asset,
+    model_arrays,
+    sensor_arrays,
+    shape_arrays,
+    to_json,
+    viewer_module,
+)
 
 pytestmark = pytest.mark.skipif(
     chromium.find() is None, reason="no Chromium on this machine: the 3D viewer is NOT tested"

@@ -18,13 +18,13 @@ from ringtrue.decks.nastran.results.geometry import read_recorded_model
 from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError
+from ringtrue.io.campaign_tables import read_statics
 from ringtrue.io.choices import read_choice
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.records import read_record, read_runs
 from ringtrue.io.sheets import read_sensor_sheet
-from ringtrue.io.statics import read_statics
 from ringtrue.study.config import read_config
 from ringtrue.study.log import read_log
 

@@ -10,7 +10,7 @@ from ringtrue.core.arrays import Any_, Float, freeze_fields
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)

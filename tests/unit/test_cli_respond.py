@@ -15,8 +15,8 @@ import pytest
 from scipy.linalg import eigh
 
 from ringtrue.cli.main import run
+from ringtrue.io.campaign_tables import read_statics
 from ringtrue.io.frfs import read_frfs, write_frfs
-from ringtrue.io.statics import read_statics
 
 Capture = pytest.CaptureFixture[str]
 MM_T_S = {"m": 1e-3, "k": 1e-3}  # tonnes and N/mm

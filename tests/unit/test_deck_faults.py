@@ -17,7 +17,7 @@ from ringtrue.decks.nastran.results.modes import read_recorded
 from ringtrue.decks.nastran.results.printed import fatal_messages
 from ringtrue.errors import DataError, DeckError, SolverFailed
 from ringtrue.fem.assembly import assemble
-from ringtrue.io.op4 import read_op4
+from ringtrue.io.matrices import read_op4
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.runner import run_program

@@ -11,11 +11,10 @@ from test_virtual_sensors import small_plan
 from test_virtual_system import MadeUp, made_up
 
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.demos.lsf import deck, facility, hard
+from ringtrue.demos.lsf import facility, hard
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.campaign import _paperwork
-from ringtrue.demos.lsf.circumstances import ChannelFaults, Circumstances, Day
-from ringtrue.demos.lsf.study import write_study
+from ringtrue.demos.lsf.campaign import ChannelFaults, Circumstances, Day, _paperwork
+from ringtrue.demos.lsf.study import write_facility, write_study
 from ringtrue.study.config import StudyConfig, read_config
 from ringtrue.virtual.sensors import at_outputs
 
@@ -27,7 +26,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         folder = tmp_path_factory.mktemp("hard")
         example = hard.hard(seed)
         analyst = facility.build(example.analyst)
-        deck.write(analyst, folder / "deck", "analyst's model")
+        write_facility(analyst, folder / "deck", "analyst's model")
         write_study(analyst, folder, seed, example.contents)
         folders.append(folder)
     return folders[0], folders[1]

@@ -25,8 +25,7 @@ from ringtrue.identification.common.diagram import (
 from ringtrue.identification.common.merging import join_candidates
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram
 from ringtrue.io import hdf5
-from ringtrue.plots.diagram import identification_figure
-from ringtrue.plots.picker import SHAPE_BYTES, picker_page
+from ringtrue.plots.diagram import SHAPE_BYTES, identification_figure, picker_page
 from ringtrue.signal.machines import Machine
 from ringtrue.signal.tonal_lines import Harmonic
 from ringtrue.study.results import IdentifiedModes

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.core.digits import number, plus_minus, standard_deviations, with_error
+from ringtrue.core.display import number, plus_minus, standard_deviations, with_error
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.correlation.table import CorrelationTable, repeatability, table_significance
 

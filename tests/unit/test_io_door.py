@@ -19,7 +19,6 @@ from scipy import sparse
 
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.io.foreign import door
-from ringtrue.io.foreign.arrays import read_npz
 from ringtrue.io.foreign.door import read_apart
 from ringtrue.io.foreign.parsers import (
     DEEPEST,
@@ -27,6 +26,7 @@ from ringtrue.io.foreign.parsers import (
     json_value,
     open_hdf5,
     read_json,
+    read_npz,
     read_sheet,
     toml_value,
 )

@@ -24,11 +24,11 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.data_checks import frf_notes
 from ringtrue.io.frfs import holds_frfs, read_frfs
-from ringtrue.io.labview import read_lvm_segments
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.record_arrays import mat_values
+from ringtrue.io.record_texts import read_lvm_segments
 from ringtrue.io.records import read_record
-from ringtrue.io.uff.shapes import read_shapes
+from ringtrue.io.uff.points import read_shapes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

@@ -19,7 +19,7 @@ from ringtrue.io.modes import read_modes
 from ringtrue.io.records import read_record
 from ringtrue.io.uff.datasets import scan
 from ringtrue.io.uff.functions import read_functions
-from ringtrue.io.uff.shapes import read_shapes
+from ringtrue.io.uff.points import read_shapes
 
 DATA = Path(__file__).parents[2].parent / "shared/data/uff"
 data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"no reference data at {DATA}")

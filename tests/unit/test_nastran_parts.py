@@ -16,10 +16,10 @@ from ringtrue.decks.nastran.editor import edit_fields
 from ringtrue.decks.nastran.reader import read_deck, read_loaded_deck, survey
 from ringtrue.errors import DeckError, UnsupportedCard, UnsupportedError
 from ringtrue.fem.element_cards import mesh
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.edit import FieldChange
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.loads import load_vectors
 

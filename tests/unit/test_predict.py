@@ -18,14 +18,14 @@ import pytest
 from small_study import FULL, write_study
 
 from ringtrue.cli.main import run
-from ringtrue.cli.predict import settings
+from ringtrue.cli.respond import settings
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError
 from ringtrue.io.modes import write_modes
 from ringtrue.model.edit import apply_factors
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_sections import PredictSection

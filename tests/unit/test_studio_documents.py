@@ -12,7 +12,7 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.choices import read_choice
 from ringtrue.studio import edits
 from ringtrue.studio.documents import HISTORY, Documents
-from ringtrue.studio.sheet_edits import sheet_table
+from ringtrue.studio.edits import sheet_table
 
 
 def test_an_edit_is_one_line_and_all_else_stays(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ringtrue.studio.guard import Guard
+from ringtrue.studio.launch import Guard
 
 TOKEN = "a-token"
 COOKIE = f"ringtrue-studio-8000={TOKEN}"

@@ -15,7 +15,7 @@ from simulated import STUDY, visit, written
 
 from ringtrue.core.iterate import IterationText
 from ringtrue.errors import ConfigError
-from ringtrue.studio import edits, theme, worker
+from ringtrue.studio import edits, theme, work
 from ringtrue.studio.session import opened
 from ringtrue.studio.work import Job, Work
 
@@ -118,9 +118,9 @@ def test_a_run_that_fails_says_why(
 ) -> None:
     written(tmp_path)
     (tmp_path / "tower.bdf").unlink()
-    monkeypatch.setattr(worker, "_watch_parent", lambda: None)
-    monkeypatch.setattr(worker, "signal", lambda *_: None)
-    assert worker.main(str(tmp_path / "study.toml")) == worker.FAILED
+    monkeypatch.setattr(work, "_watch_parent", lambda: None)
+    monkeypatch.setattr(work, "signal", lambda *_: None)
+    assert work.main(str(tmp_path / "study.toml")) == work.FAILED
     assert "tower.bdf" in capsys.readouterr().err
 
 
@@ -170,8 +170,8 @@ def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path)
 def test_a_run_says_its_iterations_with_their_values(capsys: pytest.CaptureFixture[str]) -> None:
     said = IterationText("set: iteration 2: 3.5")
     said.values = {"J": 3.5, "columns": 1.2}
-    worker._report(0.5, said)
-    worker._report(0.6, "modes at the updated point")
+    work._report(0.5, said)
+    work._report(0.6, "modes at the updated point")
     job = Job("update", "")
     for line in capsys.readouterr().out.splitlines(keepends=True):
         job.heard(line)

@@ -14,7 +14,7 @@ from nicegui.testing import User
 from simulated import DECK, on, opened, visit, written
 
 import ringtrue as rt
-from ringtrue.studio import edits, sheet_edits
+from ringtrue.studio import edits
 from ringtrue.studio.screens.sensors import gain
 
 PATIENCE = 300  # tenths of a second: something hangs, not that the machine is busy
@@ -242,7 +242,7 @@ point;x;y;z;direction;azimuth;elevation
 def test_rows_of_a_sheet_are_edited_where_they_stand(tmp_path: Path) -> None:
     path = tmp_path / "sensors.csv"
 
-    def after(change: sheet_edits.Change) -> str:
+    def after(change: edits.Change) -> str:
         text = change(SHEET)
         path.write_text(text)
         return text
@@ -251,20 +251,20 @@ def test_rows_of_a_sheet_are_edited_where_they_stand(tmp_path: Path) -> None:
     sheet = rt.read_sensors(path)
     names = sheet.model.channels
     assert names == ("1+Z", "2+Y", "2+Zs")
-    text = after(sheet_edits.flip(sheet, ["2+Y"]))
+    text = after(edits.flip(sheet, ["2+Y"]))
     assert [x for x in text.splitlines() if x not in SHEET.splitlines()] == [
         "point;x;y;z;direction;azimuth;elevation;channel",
         "2;1;0;0;-Y;;;2+Y",
     ]
-    after(sheet_edits.turn(sheet, 2, "Z"))
+    after(edits.turn(sheet, 2, "Z"))
     assert rt.read_sensors(path).model.axes[1:].round(9).tolist() == [[-1, 0, 0], [0, 0.6, 0.8]]
-    after(sheet_edits.remap(sheet, names, {"Y": "-Z", "Z": "Y"}))
+    after(edits.remap(sheet, names, {"Y": "-Z", "Z": "Y"}))
     model = rt.read_sensors(path).model
     assert model.channels == names
     assert model.axes[:2].tolist() == [[0, 1, 0], [0, 0, -1]]
-    after(sheet_edits.swap(sheet, "1+Z", "2+Y"))
+    after(edits.swap(sheet, "1+Z", "2+Y"))
     assert rt.read_sensors(path).model.channels == ("2+Y", "1+Z", "2+Zs")
-    text = after(sheet_edits.relocate(sheet, 2, np.array([1.5, 0.25, 0.0])))
+    text = after(edits.relocate(sheet, 2, np.array([1.5, 0.25, 0.0])))
     assert "2;1.5;0.25;0;;90;0\n2;;;;0.6 0 0.8;;\n" in text
 
 

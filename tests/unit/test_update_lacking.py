@@ -13,7 +13,7 @@ import pytest
 
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.problem import residual_at, single
 from ringtrue.updating.selection.proposal import with_masses
 from ringtrue.updating.selection.selection_rules import FittedSet

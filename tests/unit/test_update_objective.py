@@ -14,7 +14,7 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import Followed, PairingSettings, peak_shares
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.shapes import mac, unit
 from ringtrue.study.stages.update import left_out_deviation
 from ringtrue.updating.problem import Configuration, Problem, residual_at, single

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import InputError
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.identifiability import form_flags, kept, plausibility
 from ringtrue.updating.problem import Configuration, Problem, held_to
 from ringtrue.updating.solver import solve

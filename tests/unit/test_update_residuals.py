@@ -17,7 +17,7 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import InputError, NumericalError
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.matrix_model import DenseModel, matrices_at
+from ringtrue.reduction.dense_models import DenseModel, matrices_at
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.updating.residuals.frf import AntiResonances, Frf, zeros
 from ringtrue.updating.residuals.modal import (

@@ -16,7 +16,7 @@ import pytest
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.correlation.assignment import WORTH, PairingSettings
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.shapes import FADE
 from ringtrue.updating.problem import Configuration, Problem, single
 from ringtrue.updating.residuals.modal import Eigenvalues, Mac, Shapes

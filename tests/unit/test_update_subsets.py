@@ -18,9 +18,8 @@ import localise_twin as twin
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet, Substructure
 from ringtrue.errors import ConfigError
 from ringtrue.model.ports import ModesRequest
+from ringtrue.reduction.dense_models import DenseModel, condensed
 from ringtrue.reduction.expansion import ShapeReadings, expand_hybrid, expand_reduced
-from ringtrue.reduction.matrix_model import DenseModel
-from ringtrue.reduction.projected import condensed
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.updating.identifiability import identifiability
 from ringtrue.updating.problem import Residual, residual_at, single

@@ -15,8 +15,7 @@ import pytest
 
 from ringtrue.core.arrays import Int
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
-from ringtrue.fem.assembly import Share, assemble, moving
-from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.assembly import Share, assemble, moving, without_massless_rotations
 from ringtrue.fem.parametrisation.derivatives import affine_terms, share_terms
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
 from ringtrue.fem.parametrisation.polynomials import AffineTerm

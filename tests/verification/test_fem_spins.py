@@ -14,8 +14,7 @@ from fem_cases import cards, grid, model, ragged, spc, steel
 from ringtrue.core.arrays import Float
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.errors import SingularModel
-from ringtrue.fem.assembly import assemble
-from ringtrue.fem.massless_rotations import massless_rotations
+from ringtrue.fem.assembly import assemble, massless_rotations
 from ringtrue.model.model import Model, Table
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver

@@ -19,10 +19,10 @@ from ringtrue.model.model import Model
 from ringtrue.solvers.observed import reduced
 from ringtrue.study.placing import placed
 from ringtrue.updating.problem import single
-from ringtrue.updating.selection.member_cards import member_cards
 from ringtrue.updating.selection.missing_members import (
     FittedModel,
     MissingMember,
+    member_cards,
     missing_members,
 )
 from ringtrue.updating.selection.selection_rules import short_update

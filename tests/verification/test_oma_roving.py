@@ -22,10 +22,10 @@ from ringtrue.identification.ambient.setups import SetupsResult
 from ringtrue.identification.ambient.shape_reading import with_joined_shapes
 from ringtrue.identification.common.manual_selection import chosen_of_setups
 from ringtrue.identification.common.merging import merge_modes
+from ringtrue.io.campaign_tables import read_setup_table
 from ringtrue.io.choices import read_choice, write_choice
-from ringtrue.io.setup_tables import read_setup_table
 from ringtrue.io.uff.datasets import scan
-from ringtrue.io.uff.shapes import read_mode_sets
+from ringtrue.io.uff.points import read_mode_sets
 from ringtrue.shapes import mac
 
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "oma" / "l_building"

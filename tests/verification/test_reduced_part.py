@@ -21,8 +21,8 @@ from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
+from ringtrue.io.matrices import read_op4, write_op4
 from ringtrue.io.modes import write_modes
-from ringtrue.io.op4 import read_op4, write_op4
 from ringtrue.model.ports import ModesRequest
 from ringtrue.report.build import deliver
 from ringtrue.solvers.embedded import EmbeddedSolver

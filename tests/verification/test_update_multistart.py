@@ -17,7 +17,7 @@ from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.objective import Minimisation

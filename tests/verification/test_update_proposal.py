@@ -23,7 +23,7 @@ from ringtrue.errors import InputError
 from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.basis import observed_system
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.reduction.parametric import reduced_model
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config import parse_config

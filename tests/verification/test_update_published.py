@@ -26,7 +26,7 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.correlation.assignment import PairingSettings, peak_shares
 from ringtrue.model.ports import ModesRequest
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.updating.problem import Configuration, Problem, residual_at, single
 from ringtrue.updating.residuals.modal import Frequencies, Mac, Shapes

@@ -16,7 +16,7 @@ import pytest
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.demos.lsf.demo import descend
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.problem import residual_at, single
 from ringtrue.updating.selection.selection_rules import (
     best_subset,

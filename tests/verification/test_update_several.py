@@ -18,7 +18,7 @@ from ringtrue.core.iterate import Outcome
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, DataError, InputError, NumericalError
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.problem import (
     Configuration,
     Huber,

@@ -14,7 +14,7 @@ import pytest
 
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.problem import Configuration, Problem
 from ringtrue.updating.regularisation import (
     RULES,

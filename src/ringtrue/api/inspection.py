@@ -25,9 +25,9 @@ from ringtrue.decks.nastran.results.modes import (
 from ringtrue.decks.nastran.results.op2 import read_grid_point_weight
 from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError, InputError, UnsupportedError
+from ringtrue.io.campaign_tables import STATICS
 from ringtrue.io.files import FUNCTIONS
-from ringtrue.io.foreign.arrays import read_npy, read_npz
-from ringtrue.io.foreign.parsers import open_hdf5, read_json, read_toml
+from ringtrue.io.foreign.parsers import open_hdf5, read_json, read_npy, read_npz, read_toml
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes import read_modes
@@ -35,12 +35,11 @@ from ringtrue.io.recognition import SOLVER_RESULTS, Format, format_of
 from ringtrue.io.record_table import RecordChannel, find_record
 from ringtrue.io.records import raw_record, record_info
 from ringtrue.io.sheets import REQUIRED, cells, read_sensor_sheet
-from ringtrue.io.statics import COLUMNS as STATICS
 from ringtrue.io.times import LONG, to_si
 from ringtrue.io.uff.datasets import scan
 from ringtrue.io.uff.function58 import FRF_TYPES, FunctionType
 from ringtrue.io.uff.functions import read_functions
-from ringtrue.io.uff.geometry import NODES
+from ringtrue.io.uff.points import NODES
 from ringtrue.signal.impacts import HammerSettings, force_channel
 from ringtrue.study.store import Store, is_store
 

@@ -43,9 +43,9 @@ from ringtrue.identification.methods import SecondOpinion, identify_ambient_by
 from ringtrue.io import frfs as frf_files
 from ringtrue.io import modes as mode_files
 from ringtrue.io import records
-from ringtrue.io.setup_tables import WiredFile, read_setup_table
+from ringtrue.io.campaign_tables import WiredFile, read_setup_table
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
-from ringtrue.io.uff.shapes import write_mode_sets
+from ringtrue.io.uff.points import write_mode_sets
 from ringtrue.model.model import Model
 from ringtrue.signal.channel_checks import explain_clipping, find_spikes, remove_overlap
 from ringtrue.signal.frf_sets import SetupGain, join_frfs, of_one_kind, with_equal_gains

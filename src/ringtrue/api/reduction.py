@@ -17,9 +17,9 @@ from ringtrue.decks.nastran import reader
 from ringtrue.decks.nastran.external import ExternalPart, write_part
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.fem.assembly import assemble, refuse_held
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, table
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.components import (
     ReductionSettings,
     kept_rows,

@@ -23,11 +23,19 @@ from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.case import empty_choices
 from ringtrue.decks.nastran.loads import STATIC_LOADS
 from ringtrue.model.cards import PRELOADS, TABLES, columns, is_unsupported
-from ringtrue.model.case_control import CONSTRAINTS, idle, left_out, untaken_matrices
+from ringtrue.model.case_control import (
+    CONSTRAINTS,
+    KEPT,
+    MODAL,
+    OMITTED,
+    condenses,
+    idle,
+    left_out,
+    untaken_matrices,
+)
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.references import FRAMES, NODES, REFERENCES, known_ids, missing, unused
-from ringtrue.model.superelements import KEPT, MODAL, OMITTED, condenses
 
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
 

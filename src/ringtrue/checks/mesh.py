@@ -13,11 +13,11 @@ from ringtrue.core.dofs import DofSet
 from ringtrue.core.modes import ModeSet
 from ringtrue.correlation.pairing import pair_modes
 from ringtrue.fem.mesh import arm
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.frames import positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.model.refine import refined
-from ringtrue.model.superelements import whole_mesh
 
 NOTED = 0.02  # of a frequency: mesh errors that are named
 NAMED = 8  # modes named

@@ -31,7 +31,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "demo": ("study", "demo"),
         "run": ("study", "run"),
         "report": ("study", "report"),
-        "inspect": ("inspect", "inspect"),
+        "inspect": ("files", "inspect"),
         "studio": ("study", "studio"),
     },
     "Models": {
@@ -40,19 +40,19 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "frf": ("respond", "frf"),
         "static": ("respond", "static"),
         "reduce": ("model", "reduce"),
-        "convert": ("convert", "convert"),
+        "convert": ("files", "convert"),
     },
     "Tests": {
         "plan": ("plan", "plan"),
         "oma": ("identify", "oma"),
-        "ema": ("ema", "ema"),
+        "ema": ("identify", "ema"),
         "track": ("correlate", "track"),
     },
     "Models and tests": {
         "correlate": ("correlate", "correlate"),
         "localise": ("update", "localise"),
         "update": ("update", "update"),
-        "predict": ("predict", "run"),
+        "predict": ("respond", "run"),
     },
 }
 

@@ -20,8 +20,8 @@ from ringtrue.core.iterate import part
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
 from ringtrue.io.modes import WRITTEN, dump_modes
+from ringtrue.model.case_control import condenses
 from ringtrue.model.ports import ModesResult
-from ringtrue.model.superelements import condenses
 from ringtrue.reduction.components import ReductionSettings
 from ringtrue.solvers.registry import EMBEDDED, solver, time_limits
 

@@ -27,7 +27,7 @@ from ringtrue.cli.show import (
     warn_of_units,
     write_json,
 )
-from ringtrue.core.digits import number, with_error
+from ringtrue.core.display import number, with_error
 from ringtrue.core.notes import sentence
 from ringtrue.io.files import atomic_write
 from ringtrue.solvers.registry import EMBEDDED
@@ -37,7 +37,7 @@ from ringtrue.study.messages import discrepancy_sentence, misfit_sentence, worse
 from ringtrue.study.placing import seats_json
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.form import FormFindings
-from ringtrue.updating.selection.member_cards import member_cards
+from ringtrue.updating.selection.missing_members import member_cards
 
 POOL: int = LocaliseSection.model_fields["pool"].default
 

@@ -4,7 +4,7 @@ Matrices: `mesh` resolves what elements need, `elements` holds their kernels, `e
 card has which, `assembly` sums them; `nonstructural_mass` of lists, `negative_stiffness` refused.
 
 Constraints: `rigid_elements` and other equations, which `constraints` makes one elimination; it
-holds what nothing stiffens, `massless_rotations` what has no mass.
+holds what nothing stiffens, `assembly` what has no mass either.
 
 Parameters: `parametrisation` changes a model and gives the derivatives of its matrices, and K and M
 as functions of all parameters.

@@ -14,7 +14,6 @@ from ringtrue.fem.elements import (
     bend,
     curved_shell,
     fasteners,
-    given_matrices,
     lumped,
     rod,
     shear,
@@ -53,7 +52,7 @@ ELEMENTS: Mapping[str, Build] = {
     "CGAP": lumped.build_gap,
     "CWELD": fasteners.build_weld,
     "CFAST": fasteners.build_fastener,
-    "GENEL": given_matrices.build_general,
+    "GENEL": lumped.build_general,
     "CELAS1": lumped.build_spring,
     "CELAS2": lumped.build_spring,
     "CELAS3": lumped.build_spring,
@@ -74,7 +73,7 @@ SOLIDS = {s.card: s for s in (solid.HEXA, solid.PENTA, solid.PYRAMID, solid.TETR
 # what separates elements that one call cannot build together, (e, k)
 KINDS: Mapping[str, Callable[[Model, Int], Int]] = {
     **{card: s.kinds for card, s in SOLIDS.items()},
-    "GENEL": given_matrices.sizes,
+    "GENEL": lumped.sizes,
 }
 SHELLS = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR", "CQUAD8", "CTRIA6")
 PROPERTY = {

@@ -23,7 +23,7 @@ from ringtrue.io.delimited import (
     unbracketed,
     with_unit,
 )
-from ringtrue.io.labview import lvm_spectra
+from ringtrue.io.record_texts import lvm_spectra
 
 FREQUENCY = re.compile(
     r"^\W*((linear|angular)\s+)?(fr[eé]q\w*|f|k?hz|omega|x)(?![A-Za-z])", re.IGNORECASE

@@ -23,8 +23,7 @@ from ringtrue.io.files import (
     refuse_large,
     refuse_twice,
 )
-from ringtrue.io.foreign.arrays import read_npz
-from ringtrue.io.foreign.parsers import open_hdf5
+from ringtrue.io.foreign.parsers import open_hdf5, read_npz
 from ringtrue.io.frf_tables import (
     frf_set,
     is_frf_table,

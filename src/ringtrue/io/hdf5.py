@@ -22,8 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.errors import DataError
-from ringtrue.io.foreign.arrays import check_compressed
-from ringtrue.io.foreign.parsers import json_value
+from ringtrue.io.foreign.parsers import check_compressed, json_value
 
 PLAIN = "_plain"
 SCALAR = "scalar"  # marks an array without axes

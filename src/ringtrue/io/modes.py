@@ -24,7 +24,7 @@ from ringtrue.io.foreign.parsers import open_hdf5, read_json
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.sheets import cells
 from ringtrue.io.times import hertz
-from ringtrue.io.uff.shapes import read_mode_sets, write_mode_sets
+from ringtrue.io.uff.points import read_mode_sets, write_mode_sets
 
 GROUP = "modes"
 _UFF = (".uff", ".unv", ".55")

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.foreign.arrays import read_npy as read_array
 from ringtrue.io.foreign.door import PACKED, read_apart
 from ringtrue.io.foreign.parsers import is_hdf5, open_hdf5, read_wave
+from ringtrue.io.foreign.parsers import read_npy as read_array
 from ringtrue.io.record_table import (
     SAME_RATE,
     RawTable,

@@ -17,14 +17,6 @@ from ringtrue.errors import DataError
 from ringtrue.io.files import atomic_write, existing, refuse_twice
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frfs import holds_frfs
-from ringtrue.io.labview import (
-    read_lvm,
-    read_lvm_pieces,
-    read_lvm_segments,
-    read_tdms,
-    read_tdms_pieces,
-    read_tdms_runs,
-)
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored, read_h5_table, read_mat, read_npy, read_wav
 from ringtrue.io.record_table import (
@@ -40,7 +32,15 @@ from ringtrue.io.record_table import (
     stored_info,
     stored_samples,
 )
-from ringtrue.io.record_texts import read_csv
+from ringtrue.io.record_texts import (
+    read_csv,
+    read_lvm,
+    read_lvm_pieces,
+    read_lvm_segments,
+    read_tdms,
+    read_tdms_pieces,
+    read_tdms_runs,
+)
 from ringtrue.io.times import to_si
 from ringtrue.io.uff.functions import read_time, read_time_runs
 

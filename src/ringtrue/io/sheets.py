@@ -26,7 +26,7 @@ from ringtrue.io.foreign.parsers import read_sheet, sheet_names
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_table import RecordChannel
 from ringtrue.io.times import to_si
-from ringtrue.io.uff.geometry import read_geometry
+from ringtrue.io.uff.points import read_geometry
 
 REQUIRED = ("point", "x", "y", "z")
 COLUMNS = (

@@ -1,5 +1,8 @@
 """What case control takes of a deck: sets of constraints, matrices, the eigenvalue method and modal
-damping; and what of the deck takes no part.
+damping; what of the deck takes no part; and what is condensed.
+
+Condensed are points that are omitted and interior points of superelements; modal coordinates stand
+for them (MSC Nastran Superelements User's Guide).
 """
 
 from __future__ import annotations
@@ -10,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Float, FrozenArrays, Int
+from ringtrue.core.dofs import DofSet
 from ringtrue.errors import UnsupportedError
-from ringtrue.model.model import Model, stacked
+from ringtrue.model.model import ComponentModes, Model, stacked
 from ringtrue.model.ports import ModesRequest, ModesResult
 from ringtrue.model.references import unused
 
@@ -225,3 +229,54 @@ class ModalDamping(FrozenArrays):
                 slope = (z[b] - z[a]) / (f[b] - f[a]) if f[b] > f[a] else 0.0
                 out = np.where(beyond, z[b] + slope * (frequencies - f[b]), out)
         return out
+
+
+KEPT = ("ASET", "ASET1")
+OMITTED = ("OMIT", "OMIT1")
+MODAL = ("QSET", "QSET1")
+
+
+def listed_dofs(model: Model, cards: tuple[str, ...]) -> DofSet:
+    """The DOFs that cards such as ASET and ASET1 list, each once; 0 is a scalar point.
+
+    >>> from ringtrue.model.model import table
+    >>> listed_dofs(Model({"ASET": table("ASET", ID=[6, 7], C=["26", "0"])}), KEPT).labels()
+    ('6+Y', '6+RZ', '7')
+    """
+    pairs: dict[tuple[int, int], None] = {}
+    for card in (c for c in cards if c in model):
+        nodes, row = model[card].entries("ID")
+        components = model[card]["C"][row]
+        for node, text in zip(nodes.tolist(), components.tolist(), strict=True):
+            pairs |= {(node, int(c)): None for c in text or "0"}
+    node, direction = np.array(list(pairs), dtype=np.int64).reshape(-1, 2).T
+    return DofSet(node, direction)
+
+
+def condenses(model: Model) -> bool:
+    """Whether Nastran's modes of the deck are those of a condensed model."""
+    listed = any(card in model for card in (*KEPT, *OMITTED, *MODAL))
+    return listed or bool("GRID" in model and (model["GRID"]["SEID"] > 0).any())
+
+
+def whole_mesh(model: Model) -> Model:
+    """The model without what condenses it: its modes are those of the whole mesh.
+
+    Studies take it: a condensation is an approximation, and its error would go into the parameters.
+    """
+    if not condenses(model):
+        return model
+    tables = {n: t for n, t in model.tables.items() if n not in (*KEPT, *OMITTED, *MODAL)}
+    if "GRID" in tables:
+        grid = tables["GRID"]
+        tables["GRID"] = grid.with_column("SEID", np.zeros_like(grid["SEID"]))
+    return replace(model, tables=tables)
+
+
+def component_modes(model: Model) -> ComponentModes:
+    """Those that METHOD of a component asks for, on the coordinates of its QSET."""
+    modal = listed_dofs(model, MODAL)
+    asked = asked_modes(model)
+    if asked is None:
+        return ComponentModes(modal, len(modal))
+    return ComponentModes(modal, min(len(modal), asked.count or len(modal)), asked.high)

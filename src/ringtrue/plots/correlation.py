@@ -18,7 +18,6 @@ from ringtrue.correlation.orthogonality import OrthogonalityCheck
 from ringtrue.correlation.pairing import Tracks
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.identification.common.tracking import ModeTrack, Tracked
-from ringtrue.plots.pages import figure_page
 from ringtrue.plots.style import (
     DIVERGING,
     FE,
@@ -33,6 +32,7 @@ from ringtrue.plots.style import (
     axis,
     f32,
     figure,
+    figure_page,
 )
 from ringtrue.study.results import FrfEvidence
 

@@ -13,7 +13,7 @@ from ringtrue.identification.ambient.decay_backbone import Backbone
 from ringtrue.identification.common.diagram import IdentificationDiagram
 from ringtrue.plots.correlation import table_matrix
 from ringtrue.plots.diagram import backbone, identification_figure
-from ringtrue.plots.pages import responses
+from ringtrue.plots.signals import responses
 from ringtrue.plots.style import figure
 
 MOST_CHANNELS = 12  # of a record in one figure

@@ -18,9 +18,7 @@ from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.opened import PairedShapes
 from ringtrue.study.results import Scene
 from ringtrue.study.scene import make_scene, scene_modes
-from ringtrue.viewer.encoding import shape_arrays
-from ringtrue.viewer.scene import model_arrays, sensor_arrays, test_arrays
-from ringtrue.viewer.view import View
+from ringtrue.viewer.scene import View, model_arrays, sensor_arrays, shape_arrays, test_arrays
 
 PLAIN = "#c3ccd5"
 SENSORS = tuple(QUALITATIVE[k] for k in (1, 0, 2, 3))

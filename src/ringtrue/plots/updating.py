@@ -27,7 +27,7 @@ from ringtrue.study.results import (
     SetResult,
     UncertaintyStage,
 )
-from ringtrue.viewer.view import View
+from ringtrue.viewer.scene import View
 
 
 def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:

@@ -20,16 +20,15 @@ from ringtrue.eigen.eigenpairs import eigenvalue, frequencies
 from ringtrue.eigen.modes import solve_modes
 from ringtrue.eigen.pencil import Pencil, spectrum
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.fem.assembly import System, assemble, reduced
-from ringtrue.fem.massless_rotations import without_massless_rotations
-from ringtrue.model.model import ComponentModes, Model
-from ringtrue.model.superelements import (
+from ringtrue.fem.assembly import System, assemble, reduced, without_massless_rotations
+from ringtrue.model.case_control import (
     KEPT,
     OMITTED,
     component_modes,
     condenses,
     listed_dofs,
 )
+from ringtrue.model.model import ComponentModes, Model
 from ringtrue.reduction.static import Condensed, craig_bampton
 
 log = logging.getLogger(__name__)

@@ -31,7 +31,7 @@ from ringtrue.reduction.basis import (
     principal,
     project,
 )
-from ringtrue.reduction.projected import ProjectedModel
+from ringtrue.reduction.dense_models import ProjectedModel
 
 MANY = 2400  # static sensitivities from which on random mixtures of them stand for all
 

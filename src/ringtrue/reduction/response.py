@@ -17,8 +17,8 @@ from ringtrue.eigen.eigenpairs import frequencies
 from ringtrue.eigen.pencil import Factor, Pencil
 from ringtrue.errors import InputError, SingularModel
 from ringtrue.reduction.basis import CHUNK, inner_product, orthonormal_part, project
+from ringtrue.reduction.dense_models import ProjectedModel
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import ProjectedModel
 
 NEW = 1e-10  # squared share of a vector outside the basis that is kept
 

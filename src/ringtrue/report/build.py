@@ -39,7 +39,7 @@ from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import StudyInfo
 from ringtrue.study.run import StudyRun
 from ringtrue.study.summary import finite, summarise
-from ringtrue.viewer.encoding import asset, script_json, to_json, viewer_script
+from ringtrue.viewer.scene import asset, script_json, to_json, viewer_script
 
 __all__ = ["Acceptance", "Photo", "assemble"]
 

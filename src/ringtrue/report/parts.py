@@ -17,8 +17,8 @@ import plotly.graph_objects as go
 
 from ringtrue import __version__
 from ringtrue.core.arrays import Float
-from ringtrue.core.digits import MISSING as MISSING
-from ringtrue.core.digits import number as number
+from ringtrue.core.display import MISSING as MISSING
+from ringtrue.core.display import number as number
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import ConfigError, InputError
@@ -45,7 +45,7 @@ from ringtrue.study.results import (
     UncertaintyStage,
     UpdateStage,
 )
-from ringtrue.viewer.view import View
+from ringtrue.viewer.scene import View
 
 IMAGES = {
     ".png": "image/png",

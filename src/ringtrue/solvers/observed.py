@@ -15,6 +15,7 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.errors import UnsupportedError
 from ringtrue.fem.parametrisation.changed_model import scaled
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import (
     Analysis,
@@ -23,7 +24,6 @@ from ringtrue.model.ports import (
     ModesRequest,
     ObservedDerivatives,
 )
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.components import free_system
 from ringtrue.reduction.parametric import ReducedModel, reduced_model

@@ -30,9 +30,9 @@ from ringtrue.decks.nastran.results.printed import fatal_messages
 from ringtrue.decks.nastran.writer import NOT_MODEL, format_card, large_card, write_bulk
 from ringtrue.errors import DataError, SolverFailed, SolverMissing, UnsupportedError
 from ringtrue.fem.element_cards import mesh
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.solvers import guard
 
 POLL = 0.02  # s

@@ -29,13 +29,12 @@ from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.eigenpairs import eigenvalue
 from ringtrue.eigen.shift import start_shift, suitable_shift
 from ringtrue.errors import RingtrueError
-from ringtrue.fem.assembly import Share, assemble, refuse_held
-from ringtrue.fem.massless_rotations import without_massless_rotations
+from ringtrue.fem.assembly import Share, assemble, refuse_held, without_massless_rotations
 from ringtrue.fem.mesh import applied
 from ringtrue.fem.parametrisation.derivatives import by_owner
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
 from ringtrue.io.files import atomic_write
-from ringtrue.io.foreign.arrays import read_npy
+from ringtrue.io.foreign.parsers import read_npy
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.basis import CHUNK

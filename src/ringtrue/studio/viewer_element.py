@@ -18,8 +18,7 @@ from starlette.responses import Response
 import ringtrue.viewer
 from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import InputError
-from ringtrue.viewer.encoding import f4, shape_arrays, to_block, u4
-from ringtrue.viewer.view import View
+from ringtrue.viewer.scene import View, f4, shape_arrays, to_block, u4
 
 ROUTE = "/ringtrue/viewer/"
 EVENTS = ("pick", "menu", "hover", "box", "drag", "camera")

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ringtrue.core.arrays import Bool
-from ringtrue.core.digits import number
+from ringtrue.core.display import number
 from ringtrue.core.iterate import Outcome
 from ringtrue.correlation.table import CorrelationRow, CorrelationTable
 from ringtrue.study.config import StudyConfig

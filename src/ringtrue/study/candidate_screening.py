@@ -21,12 +21,11 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.fem.assembly import System, assemble
 from ringtrue.fem.parametrisation.derivatives import congruent
 from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.matrix_model import DenseModel
+from ringtrue.reduction.dense_models import DenseModel, HeldModel, ReducingAnalysis, condensed
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import HeldModel, ReducingAnalysis, condensed
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels
 from ringtrue.study.measured_data import flexible

@@ -19,13 +19,13 @@ from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import DataError, NumericalError, about
 from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModalSolver, ModesRequest
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
+from ringtrue.reduction.dense_models import ReducingAnalysis, condensed
 from ringtrue.reduction.expansion import ShapeReadings
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, modes_of, reduced_model
-from ringtrue.reduction.projected import ReducingAnalysis, condensed
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig

@@ -24,10 +24,10 @@ from ringtrue.errors import RingtrueError
 from ringtrue.fem.assembly import Sum, reduced
 from ringtrue.fem.element_cards import ELEMENTS, mesh, pieces
 from ringtrue.fem.members import end_springs, on_springs
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model, stacked
 from ringtrue.model.ports import Linearisation, ModesRequest
 from ringtrue.model.refine import LINES, NODES, refined
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.shapes import unit
 from ringtrue.solvers.embedded import EmbeddedAnalysis
 from ringtrue.study.opened import Opened

@@ -13,9 +13,9 @@ from ringtrue.core.channels import FORCES, MOTIONS, SI_UNIT, UNIT, Motion
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import ConfigError, DataError
+from ringtrue.io.campaign_tables import WiredFile
 from ringtrue.io.recognition import Format, format_of
 from ringtrue.io.records import read_runs, record_info, refuse_bad_samples
-from ringtrue.io.setup_tables import WiredFile
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import clipping, explain_clipping
 from ringtrue.signal.frf import estimate_columns, shaker_frfs

@@ -22,8 +22,8 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.fem.parametrisation.polynomials import AffineTerm
+from ringtrue.io.campaign_tables import StaticTests, read_statics
 from ringtrue.io.frfs import read_frfs
-from ringtrue.io.statics import StaticTests, read_statics
 from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.parametric import ReducedModel

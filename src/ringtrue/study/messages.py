@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.digits import plus_minus, with_error
+from ringtrue.core.display import plus_minus, with_error
 from ringtrue.core.notes import sentence
 from ringtrue.correlation.channel_faults import Suspect
 from ringtrue.correlation.table import CorrelationTable

@@ -23,14 +23,18 @@ from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import NotConverged
 from ringtrue.fem.assembly import moving
 from ringtrue.fem.element_cards import mesh
+from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest, ModesResult
-from ringtrue.model.superelements import whole_mesh
 from ringtrue.reduction.basis import observed_system
-from ringtrue.reduction.matrix_model import MatricesAtPoint, matrices_at
+from ringtrue.reduction.dense_models import (
+    MatricesAtPoint,
+    ProjectedModel,
+    ReducingAnalysis,
+    matrices_at,
+)
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
-from ringtrue.reduction.projected import ProjectedModel, ReducingAnalysis
 from ringtrue.reduction.response import with_responses
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
 from ringtrue.updating.residuals.modal import Whole

@@ -13,7 +13,7 @@ from ringtrue.core.arrays import Any_, Bool, Complex, Float, FrozenArrays, freez
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.errors import ConfigError, InputError, did_you_mean
 from ringtrue.model.ports import ObservedModel
-from ringtrue.reduction.matrix_model import matrices_at
+from ringtrue.reduction.dense_models import matrices_at
 from ringtrue.updating.uncertainty import covariance_root
 
 Ratios = Callable[[Float, Float], Float]  # λ (m,), M-orthonormal y (r, m) -> ζ (m,)

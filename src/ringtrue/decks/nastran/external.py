@@ -19,9 +19,9 @@ from ringtrue.decks.nastran.deck import any_case
 from ringtrue.decks.nastran.writer import format_card, write_bulk
 from ringtrue.errors import DeckError
 from ringtrue.io.files import atomic_write, existing, reads, writes
-from ringtrue.io.op4 import read_op4, write_op4
+from ringtrue.io.matrices import read_op4, write_op4
+from ringtrue.model.case_control import listed_dofs
 from ringtrue.model.model import Model, Ragged, Table, table
-from ringtrue.model.superelements import listed_dofs
 
 _ASSIGN = re.compile(r"\s*ASSIGN\s+INPUTT4\s*=\s*['\"]([^'\"]+)['\"].*?\bUNIT\s*=\s*(\d+)", re.I)
 # as in punch files, or in the OUTPUT4 files of programs and versions

@@ -10,9 +10,9 @@ import numpy as np
 
 from ringtrue.decks.nastran.cards import Cards
 from ringtrue.decks.nastran.case import load_sets
-from ringtrue.decks.nastran.defaults import written_out
 from ringtrue.decks.nastran.lexer import Reader
 from ringtrue.decks.nastran.parts import Numbers
+from ringtrue.decks.nastran.tables import written_out
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import PRELOADS
 

@@ -22,7 +22,15 @@ from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.decks.nastran.external import matrices_of_op4
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import NONSTRUCTURAL
-from ringtrue.model.case_control import CONSTRAINTS, METHODS, taken_sets
+from ringtrue.model.case_control import (
+    CONSTRAINTS,
+    KEPT,
+    METHODS,
+    MODAL,
+    OMITTED,
+    component_modes,
+    taken_sets,
+)
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import (
     Model,
@@ -34,7 +42,6 @@ from ringtrue.model.model import (
     stacked,
 )
 from ringtrue.model.references import FRAMES, NODES, REFERENCES
-from ringtrue.model.superelements import KEPT, MODAL, OMITTED, component_modes
 
 log = logging.getLogger(__name__)
 # PARAM that make matrices, and what they are where they are not given: all sections must agree

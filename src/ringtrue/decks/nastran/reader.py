@@ -23,24 +23,22 @@ from ringtrue.decks.nastran.case import (
     value,
 )
 from ringtrue.decks.nastran.deck import Deck, load
-from ringtrue.decks.nastran.defaults import (
-    DEFAULTS,
-    fill,
-    implied_points,
-    modal_damping,
-    open_bushes,
-    written_out,
-)
 from ringtrue.decks.nastran.external import op4_units
 from ringtrue.decks.nastran.loads import LoadCase, PartCards, load_cases
 from ringtrue.decks.nastran.parts import BulkSection, Numbers, joined
 from ringtrue.decks.nastran.special import SPECIAL, special_table
 from ringtrue.decks.nastran.tables import (
+    DEFAULTS,
     empty,
     fault,
+    fill,
+    implied_points,
     make_table,
+    modal_damping,
+    open_bushes,
     refuse_magnitudes,
     refuse_parameter,
+    written_out,
 )
 from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import CARDS, MADE, NONSTRUCTURAL, columns, is_unsupported, reason

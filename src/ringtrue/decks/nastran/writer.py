@@ -19,7 +19,7 @@ from ringtrue.decks.nastran.beams import (
     bend_places,
 )
 from ringtrue.decks.nastran.lexer import real
-from ringtrue.decks.nastran.lists import BUSH, LISTS, PAIRS, PLY
+from ringtrue.decks.nastran.special import BUSH, NSM_LISTS, NSM_PAIRS, PLY
 from ringtrue.errors import InputError, UnsupportedError
 from ringtrue.model.cards import CARDS, END_A, END_B, MADE, FieldSpec, columns
 from ringtrue.model.case_control import METHODS
@@ -330,8 +330,8 @@ _LARGE: dict[str, Callable[[Row], list[Value]]] = {
     "PBUSH": _pbush,
     "PBEAM": _pbeam,
     "PBEND": _pbend,
-    **dict.fromkeys(PAIRS, _nsm_pair),
-    **dict.fromkeys(LISTS, _nsm_list),
+    **dict.fromkeys(NSM_PAIRS, _nsm_pair),
+    **dict.fromkeys(NSM_LISTS, _nsm_list),
     "GENEL": _genel,
     **dict.fromkeys(PLY, _laminate),
 }

@@ -20,18 +20,17 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.table import CorrelationTable
-from ringtrue.demos.lsf import deck, facility
-from ringtrue.demos.lsf.campaign import CampaignSummary, run_campaign
-from ringtrue.demos.lsf.circumstances import ChannelFaults, Circumstances
+from ringtrue.demos.lsf import facility
+from ringtrue.demos.lsf.campaign import CampaignSummary, ChannelFaults, Circumstances, run_campaign
 from ringtrue.demos.lsf.example import campaign_plan, first, twins_of
 from ringtrue.demos.lsf.hard import hard as harder
 from ringtrue.demos.lsf.hard import named, plant
-from ringtrue.demos.lsf.study import write_study
+from ringtrue.demos.lsf.study import write_facility, write_study
 from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.errors import NumericalError
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.model.ports import Linearisation
-from ringtrue.reduction.projected import condensed
+from ringtrue.reduction.dense_models import condensed
 from ringtrue.report.build import deliver
 from ringtrue.shapes import mac
 from ringtrue.study.acceptance import AcceptanceCheck, improvement
@@ -262,7 +261,7 @@ def run_demo(
     folder.mkdir(parents=True, exist_ok=True)
     example = harder(seed) if hard else first(seed)
     analyst = facility.build(example.analyst)
-    deck.write(analyst, folder / "deck", "Large spinning facility, analyst's model")
+    write_facility(analyst, folder / "deck", "Large spinning facility, analyst's model")
     study = write_study(analyst, folder, seed, example.contents)
     planned = run_study(study, until="plan", progress=part(progress, 0.0, 0.1))
     plan: PlanStage = planned.results["plan"]

@@ -9,8 +9,7 @@ import numpy as np
 
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.testmodel import TestModel
-from ringtrue.demos.lsf.campaign import CampaignPlan
-from ringtrue.demos.lsf.circumstances import DATE, Day
+from ringtrue.demos.lsf.campaign import DATE, CampaignPlan, Day
 from ringtrue.demos.lsf.spec import Spec
 from ringtrue.demos.lsf.study import StudyContents, contents
 from ringtrue.demos.lsf.twin import SofteningRegion, Twin, as_built, make_twin

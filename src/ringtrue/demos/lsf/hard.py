@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.campaign import CampaignPlan
-from ringtrue.demos.lsf.circumstances import ChannelFaults, Day
+from ringtrue.demos.lsf.campaign import CampaignPlan, ChannelFaults, Day
 from ringtrue.demos.lsf.example import WorkedExample
 from ringtrue.demos.lsf.facility import ZONE
 from ringtrue.demos.lsf.spec import Cut, Spec, ZonedSpec

@@ -25,9 +25,10 @@ from ringtrue.core.signals import Channel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.correlation.sensor_mapping import observe
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.demos.lsf import deck, facility
+from ringtrue.demos.lsf import facility
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.spec import FOUNDATION, FRAME, Mesh3, Spec
+from ringtrue.demos.lsf.study import write_facility
 from ringtrue.eigen import damped
 from ringtrue.fem.assembly import System
 from ringtrue.model.frames import positions
@@ -393,7 +394,7 @@ def make_twin(
     """
     progress(0.0, "as-built model")
     with tempfile.TemporaryDirectory() as folder:
-        model = read_deck(deck.write(facility.build(built), Path(folder), "LSF as built"))
+        model = read_deck(write_facility(facility.build(built), Path(folder), "LSF as built"))
     # it was made with these shells, and stays as it is
     model = replace(model, params={**model.params, "RESBEND": "NO"})
     extra, kinds = _extra_points()

@@ -22,7 +22,7 @@ from ringtrue.errors import UnsupportedError
 from ringtrue.fem.assembly import WHOLE, Share, Sum, System, full_matrices, reduced, turn
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.element_cards import mesh, pieces
-from ringtrue.fem.elements import given_matrices
+from ringtrue.fem.elements import lumped
 from ringtrue.fem.mesh import Mesh, applied, union
 from ringtrue.fem.parametrisation.element_derivatives import (
     ElementDerivatives,
@@ -240,7 +240,7 @@ def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_a
     m = mesh(model)
     K, M = full_matrices(m, (part for _, _, part in pieces(m)))
     stiffness, mass = (_both(dT, A, system.transform) for A in (K, M))
-    given = given_matrices.given_matrices(m)
+    given = lumped.given_matrices(m)
     dL = None if given is None else _differences(model, p, system, _in_frames)
     if given is not None and dL is not None:
         L = _in_frames(model, system)

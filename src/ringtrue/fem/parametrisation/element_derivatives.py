@@ -21,7 +21,7 @@ from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure, 
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import WHOLE, Share, turn
 from ringtrue.fem.element_cards import MATERIAL, PROPERTY, mesh, pieces, with_listed_mass
-from ringtrue.fem.elements.given_matrices import named_matrix
+from ringtrue.fem.elements.lumped import named_matrix
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
 from ringtrue.fem.parametrisation.changed_model import (
     changed,

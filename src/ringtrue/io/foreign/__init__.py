@@ -3,5 +3,5 @@ nptdms, pyuff.
 
 Nothing else in ringtrue imports or calls them to read (tests/architecture). `door`: limits, errors
 and the process for parsers that can end theirs; `child`: what runs in that process. `parsers`:
-JSON, TOML, HDF5, Excel, TDMS, WAVE. `arrays`: .npy, .npz, sparse matrices from their parts.
+JSON, TOML, HDF5, Excel, TDMS, WAVE, .npy, .npz, sparse matrices from their parts.
 """

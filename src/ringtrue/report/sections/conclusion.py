@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from ringtrue.core.digits import number, with_error
+from ringtrue.core.display import number, with_error
 from ringtrue.report.parts import (
     Block,
     Cell,

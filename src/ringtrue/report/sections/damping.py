@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ringtrue.core.digits import plus_minus, with_error
+from ringtrue.core.display import plus_minus, with_error
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.correlation.frf import InputSummary
 from ringtrue.plots import correlation, diagram, signals

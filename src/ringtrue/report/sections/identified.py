@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringtrue.core.digits import with_error
+from ringtrue.core.display import with_error
 from ringtrue.core.notes import sentence as note_sentence
 from ringtrue.identification.common.diagram import IdentificationDiagram, SpectrumAccount
 from ringtrue.plots import diagram as plots

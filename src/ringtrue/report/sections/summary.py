@@ -26,7 +26,7 @@ from ringtrue.report.parts import (
     number,
 )
 from ringtrue.report.sections import shapes, system
-from ringtrue.report.sections.evidence import verdict
+from ringtrue.report.sections.correlation import verdict
 from ringtrue.study.acceptance import in_both
 
 GOOD = Cell("passed", "good")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.digits import with_error
+from ringtrue.core.display import with_error
 from ringtrue.plots import scene
 from ringtrue.plots import updating as plots
 from ringtrue.report.parts import (

@@ -10,11 +10,10 @@ import plotly.graph_objects as go
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from ringtrue.core.digits import number
+from ringtrue.core.display import number
 from ringtrue.plots.correlation import labels, orthogonality, table_matrix
 from ringtrue.studio import edits, theme
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
     SELECT,
     ask_reason,
@@ -26,6 +25,7 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
+from ringtrue.studio.views import ShapeView
 from ringtrue.study.results import CompareStage, CorrelateStage, Evidence, FinalStage
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from nicegui.events import GenericEventArguments
 from ringtrue.api.studies import Stage
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import RingtrueError
-from ringtrue.plots import frfs as figures
+from ringtrue.plots import signals as figures
 from ringtrue.plots.signals import frf_unit
 from ringtrue.studio import theme
 from ringtrue.studio.session import StudioSession

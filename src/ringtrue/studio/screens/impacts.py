@@ -15,7 +15,6 @@ from ringtrue.core.signals import Channel
 from ringtrue.errors import RingtrueError
 from ringtrue.plots import records as figures
 from ringtrue.studio import edits, theme
-from ringtrue.studio.records import Records
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
     ask_reason,
@@ -28,6 +27,7 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
+from ringtrue.studio.shown import Records
 from ringtrue.study.record_views import RecordView, hit_signals, kept_frfs
 from ringtrue.study.results import IdentifyStage, ImpactReport
 

@@ -10,13 +10,14 @@ import numpy as np
 from nicegui import run, ui
 
 import ringtrue as rt
-from ringtrue.api.candidates import RegionParameter
-from ringtrue.api.checking import DeckCheck
-from ringtrue.core.digits import number
+from ringtrue.api.checking import DeckCheck, RegionParameter
+from ringtrue.core.display import number
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.studio import edits
-from ringtrue.studio.decks import (
+from ringtrue.studio.session import StudioSession
+from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button
+from ringtrue.studio.shown import (
     DrawnDeck,
     deck_check,
     deck_units,
@@ -25,17 +26,8 @@ from ringtrue.studio.decks import (
     solve_deck,
     stored_modes,
 )
-from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button
-from ringtrue.studio.space import (
-    deck_view,
-    highlighted,
-    length_unit,
-    mass_unit,
-    move,
-    no_deck,
-)
 from ringtrue.studio.viewer_element import Viewer
+from ringtrue.studio.views import deck_view, highlighted, length_unit, mass_unit, move, no_deck
 from ringtrue.study.results import CorrelateStage
 from ringtrue.study.scene import connected
 

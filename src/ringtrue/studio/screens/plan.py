@@ -15,11 +15,10 @@ from nicegui.events import GenericEventArguments
 import ringtrue as rt
 from ringtrue.api.studies import ALONE
 from ringtrue.api.trial import PlanTrial, TrialPlan
-from ringtrue.core.digits import number
+from ringtrue.core.display import number
 from ringtrue.errors import ConfigError
 from ringtrue.plots.scene import SENSORS
 from ringtrue.studio import edits
-from ringtrue.studio.decks import DrawnDeck, drawn_deck, stored_modes
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
     SELECT,
@@ -31,8 +30,9 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
-from ringtrue.studio.space import deck_view, move, no_deck
+from ringtrue.studio.shown import DrawnDeck, drawn_deck, stored_modes
 from ringtrue.studio.viewer_element import Viewer
+from ringtrue.studio.views import deck_view, move, no_deck
 from ringtrue.study.config_sections import PlanSection
 from ringtrue.study.results import ModelStage, PlanStage
 from ringtrue.viewer.scene import sensor_arrays

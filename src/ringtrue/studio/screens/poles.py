@@ -11,14 +11,12 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from ringtrue.core.choice import Choice
-from ringtrue.core.digits import plus_minus
+from ringtrue.core.display import plus_minus
 from ringtrue.io.choices import parse_choice
 from ringtrue.plots.diagram import POLES, identification_figure
 from ringtrue.studio import edits, theme
-from ringtrue.studio.identified import evidence, nearest_pole, pole_shape, sources
 from ringtrue.studio.screens.synthesis import Synthesis
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import (
     SELECT,
     ask_reason,
@@ -30,6 +28,8 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
+from ringtrue.studio.shown import evidence, nearest_pole, pole_shape, sources
+from ringtrue.studio.views import ShapeView
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
 SAME = 0.01  # relative: a frequency of a choice means a mode as near as that

@@ -13,18 +13,18 @@ from nicegui import run, ui
 from nicegui.events import GenericEventArguments
 
 import ringtrue as rt
-from ringtrue.api.sensors import PlacedSensors
-from ringtrue.core.digits import number
+from ringtrue.api.checking import PlacedSensors
+from ringtrue.core.display import number
 from ringtrue.errors import RingtrueError
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.plots.style import QUALITATIVE
-from ringtrue.studio import edits, sheet_edits
-from ringtrue.studio.decks import DrawnDeck, drawn_deck
+from ringtrue.studio import edits
 from ringtrue.studio.edits import Change
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button, table
-from ringtrue.studio.space import deck_view
+from ringtrue.studio.shown import DrawnDeck, drawn_deck
 from ringtrue.studio.viewer_element import Viewer
+from ringtrue.studio.views import deck_view
 from ringtrue.study.results import CorrelateStage
 from ringtrue.viewer.scene import sensor_arrays, test_arrays
 
@@ -322,20 +322,20 @@ class _SensorsScreen:
         point = self.point_of(str(found["id"]))
         xyz = self.placed.on_sheet(node)
         self.session.select(channel=str(found["id"]))
-        self.edit(f"point {point} at node {node}", sheet_edits.relocate(self.sheet, point, xyz))
+        self.edit(f"point {point} at node {node}", edits.relocate(self.sheet, point, xyz))
 
     def flip(self) -> None:
         """Reverse the selected channel."""
         assert self.sheet is not None
         name = self.session.selection.channel
-        self.edit(f"{name} reversed", sheet_edits.flip(self.sheet, [name]))
+        self.edit(f"{name} reversed", edits.flip(self.sheet, [name]))
 
     def turn(self, about: str) -> None:
         """Turn all channels of the point by 90°."""
         assert self.sheet is not None
         point = self.point_of(self.session.selection.channel)
         self.edit(
-            f"point {point} turned by 90° about {about}", sheet_edits.turn(self.sheet, point, about)
+            f"point {point} turned by 90° about {about}", edits.turn(self.sheet, point, about)
         )
 
     def swap(self) -> None:
@@ -343,7 +343,7 @@ class _SensorsScreen:
         assert self.sheet is not None
         name, other = self.session.selection.channel, self.partner
         if other:
-            self.edit(f"{name} and {other} exchanged", sheet_edits.swap(self.sheet, name, other))
+            self.edit(f"{name} and {other} exchanged", edits.swap(self.sheet, name, other))
 
     def mend(self, k: int) -> None:
         """Write what the correlation found of the sensors into the sheet."""
@@ -354,7 +354,7 @@ class _SensorsScreen:
         if found.kind == "axes":
             groups = dict(zip(sheet.model.channels, sheet.model.group_of_channels(), strict=True))
             mine = [c for c in self.names if not found.group or groups[c] == found.group]
-            change = sheet_edits.remap(sheet, mine, dict(found.axes))
+            change = edits.remap(sheet, mine, dict(found.axes))
         else:
             reads = {s.channel: s.partner for s in found.suspects if s.partner}
             turned = [s.partner or s.channel for s in found.suspects if s.factor < 0]
@@ -423,7 +423,7 @@ class _SensorsScreen:
         with ui.row().classes("gap-1 items-center"):
             _button("Flip", "swap_vert", self.flip)
             ui.label("turn about").classes("text-xs opacity-70")
-            for axis in sheet_edits.AXES:
+            for axis in edits.AXES:
                 _button(axis, "", partial(self.turn, axis)).tooltip(
                     f"All channels of point {point} by 90° about {axis}"
                 )
@@ -469,8 +469,8 @@ class _SensorsScreen:
 
 def mended(sheet: SensorSheet, turned: list[str], reads: Mapping[str, str]) -> Change:
     """Rows reversed, then named after the channel that reads each."""
-    first = sheet_edits.flip(sheet, turned)
-    second = sheet_edits.reread(sheet, reads)
+    first = edits.flip(sheet, turned)
+    second = edits.reread(sheet, reads)
     return lambda text: second(first(text))
 
 

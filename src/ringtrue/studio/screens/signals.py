@@ -15,10 +15,10 @@ from ringtrue.core.signals import Channel
 from ringtrue.errors import RingtrueError
 from ringtrue.plots import records as figures
 from ringtrue.studio import theme
-from ringtrue.studio.records import records_of
 from ringtrue.studio.screens.impacts import ImpactPanel
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import SELECT, channels_select, fact, frame, heading, inspector
+from ringtrue.studio.shown import records_of
 from ringtrue.study.record_views import RecordView, place_of
 from ringtrue.study.results import IdentifyStage
 

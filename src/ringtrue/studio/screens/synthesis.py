@@ -8,7 +8,7 @@ from nicegui import run, ui
 
 from ringtrue.core.choice import Choice
 from ringtrue.errors import RingtrueError
-from ringtrue.plots import frfs as figures
+from ringtrue.plots import signals as figures
 from ringtrue.studio import theme
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame

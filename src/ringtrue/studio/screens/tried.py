@@ -10,14 +10,14 @@ from nicegui.events import GenericEventArguments
 
 from ringtrue.api.trial import Trial, TrialModel
 from ringtrue.core.signals import FrfSet
-from ringtrue.plots import frfs as figures
+from ringtrue.plots import signals as figures
 from ringtrue.plots.correlation import table_matrix
 from ringtrue.plots.signals import frf_unit
 from ringtrue.studio import theme
 from ringtrue.studio.screens.frfs import one_frf
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shapes import ShapeView
 from ringtrue.studio.shell import SELECT, fact, frame, heading, output_select, table
+from ringtrue.studio.views import ShapeView
 from ringtrue.study.results import CorrelateStage, IdentifyStage
 
 MODES = {

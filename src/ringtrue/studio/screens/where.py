@@ -10,11 +10,10 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from ringtrue.core.arrays import Float
-from ringtrue.core.digits import number
+from ringtrue.core.display import number
 from ringtrue.core.notes import sentence
 from ringtrue.core.parameters import Parameter
 from ringtrue.studio import edits
-from ringtrue.studio.decks import DrawnDeck, drawn_deck
 from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import (
     SELECT,
@@ -26,8 +25,9 @@ from ringtrue.studio.shell import (
     run_button,
     table,
 )
-from ringtrue.studio.space import deck_view, highlighted, no_deck
+from ringtrue.studio.shown import DrawnDeck, drawn_deck
 from ringtrue.studio.viewer_element import Viewer
+from ringtrue.studio.views import deck_view, highlighted, no_deck
 from ringtrue.study.config_sections import target_words
 from ringtrue.study.results import LocaliseStage
 

@@ -13,7 +13,7 @@ from scipy.special import ndtri, stdtrit
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.iterate import Progress, part
 from ringtrue.core.parameters import ParameterSet
-from ringtrue.reduction.projected import condensed
+from ringtrue.reduction.dense_models import condensed
 from ringtrue.shapes import paired_mac
 from ringtrue.study.objective import target, terms_of
 from ringtrue.study.opened import AtChannels, frequency_error

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.matrix_model import matrices_at
+from ringtrue.reduction.dense_models import matrices_at
 from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
 
 

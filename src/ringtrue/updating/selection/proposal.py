@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringtrue.core.arrays import Bool, Float, FrozenArrays, Int
-from ringtrue.core.digits import number, with_error
+from ringtrue.core.display import number, with_error
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.errors import InputError
 from ringtrue.updating.identifiability import cosines

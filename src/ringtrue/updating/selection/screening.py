@@ -30,9 +30,9 @@ from ringtrue.fem.parametrisation.changed_model import rows_of, within
 from ringtrue.fem.parametrisation.derivatives import congruent, matrices_kept, quadratic_forms
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
+from ringtrue.reduction.dense_models import HeldModel
 from ringtrue.reduction.expansion import ShapeReadings, expand_reduced
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.reduction.projected import HeldModel
 from ringtrue.updating.problem import Configuration, KnownPoint, Problem, residual_at, single
 from ringtrue.updating.selection.candidates import Candidate, Kind, counted, membership, parameters
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT

@@ -1,23 +1,29 @@
-"""Wiring tables of tests in several setups: which channel of which file measures which point.
+"""Tables that come with a test: the wiring of tests in several setups, and static tests.
 
-A row a channel of each file: `file, channel, point, direction, reference`.
+A wiring table says which channel of which file measures which point, a row a channel of each file:
+`file, channel, point, direction, reference`. A table of static tests says what was pulled at, and
+how far points moved.
 """
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
+from ringtrue.core.arrays import Float, FrozenArrays
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError, did_you_mean
-from ringtrue.io.files import refuse_twice
+from ringtrue.io.files import existing, read_text, refuse_large, refuse_twice
+from ringtrue.io.foreign.door import door
 from ringtrue.io.sheets import cells
 
-COLUMNS = {  # each with the other words that stand for it
+WIRING = {  # each with the other words that stand for it
     "file": ("record", "filename", "file name", "setup file"),
     "channel": ("ch", "ch.", "column", "input", "channel name", "channel number"),
     "point": ("node", "location", "position", "measurement point", "measuring point"),
@@ -138,7 +144,7 @@ def read_setup_table(path: str | Path) -> tuple[WiredFile, ...]:
 
 def _columns(head: Sequence[str], path: Path) -> dict[str, int]:
     """Position of each column."""
-    known = {word: name for name, others in COLUMNS.items() for word in (name, *others)}
+    known = {word: name for name, others in WIRING.items() for word in (name, *others)}
     at = {}
     for k, text in enumerate(head):
         word = text.strip().lower()
@@ -146,10 +152,10 @@ def _columns(head: Sequence[str], path: Path) -> dict[str, int]:
             raise DataError(f"{path}: unknown column {text!r}{did_you_mean(word, tuple(known))}")
         if word:
             at[known[word]] = k
-    if lost := [name for name in COLUMNS if name not in at and name != "reference"]:
+    if lost := [name for name in WIRING if name not in at and name != "reference"]:
         raise DataError(
             f"{path}: columns {', '.join(lost)} are missing; the header must be "
-            f"{','.join(COLUMNS)}, such as `setup1.npy,3,101,+Z,yes` below it"
+            f"{','.join(WIRING)}, such as `setup1.npy,3,101,+Z,yes` below it"
         )
     return at
 
@@ -167,3 +173,94 @@ def _channel(row: dict[str, str], where: str) -> WiredChannel:
     return WiredChannel(
         row["channel"], f"{int(row['point'])}+{direction[2]}", sign, reference=mark in _YES
     )
+
+
+STATICS = ("case", "channel", "load", "deflection")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StaticTests(FrozenArrays):
+    """Static tests.
+
+    Attributes
+    ----------
+    cases : tuple of str
+    channels : tuple of str
+    loads : (channel, case) float64, N along the channel
+    deflections : (channel, case) float64, m along the channel
+        NaN where not measured.
+    """
+
+    cases: tuple[str, ...]
+    channels: tuple[str, ...]
+    loads: Float
+    deflections: Float
+
+
+def read_statics(path: str | Path) -> StaticTests:
+    """Read a table with the columns `case channel load deflection`, one row a channel and case.
+
+    Parameters
+    ----------
+    path : path
+        `.csv`. `load` in N, empty where none acts; `deflection` in m, empty where none was
+        measured.
+
+    Raises
+    ------
+    DataError
+        On a missing or unknown column, a value that is not a number, a channel given twice in a
+        case, a case without a load or without a deflection; file and line are named.
+    """
+    path = existing(path)
+    with door(path, "CSV table"):
+        table = csv.reader(StringIO(read_text(path), newline=""))
+        heads = [h.strip().lower() for h in next(table, [])]
+        for h in heads:
+            if h not in STATICS:
+                raise DataError(f"{path}: column {h!r}{did_you_mean(h, STATICS)}")
+        refuse_twice(heads, "column", path)
+        if lost := [c for c in STATICS if c not in heads]:
+            raise DataError(
+                f"{path}: no column {lost[0]!r}; a table of static tests has {', '.join(STATICS)}"
+            )
+        rows = []
+        for cells in table:
+            row = dict.fromkeys(heads, "") | dict(zip(heads, map(str.strip, cells), strict=False))
+            if any(row.values()):
+                rows.append((table.line_num, row))
+    return _tests(path, rows)
+
+
+def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:
+    cases = tuple(dict.fromkeys(r["case"] for _, r in rows))
+    channels = tuple(dict.fromkeys(r["channel"] for _, r in rows))
+    loads = np.zeros((len(channels), len(cases)))
+    moved = np.full((len(channels), len(cases)), np.nan)
+    seen: set[tuple[str, str]] = set()
+    for line, r in rows:
+        if (key := (r["channel"], r["case"])) in seen:
+            raise DataError(f"{path}:{line}: channel {key[0]} is given twice in case {key[1]!r}")
+        seen.add(key)
+        at = channels.index(r["channel"]), cases.index(r["case"])
+        loads[at] = _number(path, line, "load", r["load"], 0.0)
+        moved[at] = _number(path, line, "deflection", r["deflection"], np.nan)
+    for j, case in enumerate(cases):
+        if not loads[:, j].any() or not np.isfinite(moved[:, j]).any():
+            raise DataError(
+                f"{path}: case {case!r} needs at least one load that is not 0 and one deflection"
+            )
+    if not cases:
+        raise DataError(f"{path}: no static test in it")
+    return StaticTests(cases, channels, loads, moved)
+
+
+def _number(path: Path, line: int, name: str, text: str, empty: float) -> float:
+    try:
+        value = float(text) if text else empty
+    except ValueError:
+        value = np.inf
+    if np.isinf(value):
+        raise DataError(f"{path}:{line}: {name} {text!r} is not a number")
+    refuse_large(np.array(value), f"{path}:{line}: {name}")
+    return value
