@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from ringtrue.api.checking import check_deck, place_sensors, region_parameters
+    from ringtrue.api.checking import check_deck
     from ringtrue.api.comparison import correlate
     from ringtrue.api.improvement import (
         TestedModel,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         update,
     )
     from ringtrue.api.inspection import inspect_file
+    from ringtrue.api.lookup import place_sensors, region_parameters
     from ringtrue.api.measurements import (
         estimate_frfs,
         identify_ambient,
@@ -69,7 +70,8 @@ if TYPE_CHECKING:
     from ringtrue.study.config_update import UpdateSection as UpdateSettings
 
 _PLACES = {  # module -> public names in it
-    "api.checking": "check_deck place_sensors region_parameters",
+    "api.checking": "check_deck",
+    "api.lookup": "place_sensors region_parameters",
     "api.models": "frf read_deck read_deflections solve_modes static write_deck",
     "api.measurements": "estimate_frfs identify_ambient identify_ambient_setups identify_frfs "
     "modes_of_test read_frfs read_modes read_record read_sensors write_modes",

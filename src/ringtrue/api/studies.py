@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-import numpy as np
-
 from ringtrue.api.measurements import TestModes, merged_modes
 from ringtrue.api.models import read_deck
 from ringtrue.core.arrays import Float
@@ -502,4 +500,4 @@ def _reach(run: runs.StudyRun) -> Float:
     test = stage.sensors.test
     seen = run.session.initial.observation(test)(found.shapes)
     at = [test.channels.index(r) for r in stage.excitation.references]
-    return np.asarray(reach_of(seen, at))
+    return reach_of(seen, at)

@@ -279,7 +279,7 @@ class PlanTrial(Displayed):
     @property
     def missed(self) -> Bool:
         """Which target modes no excitation point excites well, (t,)."""
-        return np.asarray(self.reach < LEAST_REACH)
+        return self.reach < LEAST_REACH
 
     @property
     def worst_excited(self) -> int:

@@ -31,7 +31,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "demo": ("study", "demo"),
         "run": ("study", "run"),
         "report": ("study", "report"),
-        "inspect": ("files", "inspect"),
+        "inspect": ("inspect", "inspect"),
         "studio": ("study", "studio"),
     },
     "Models": {
@@ -40,7 +40,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "frf": ("respond", "frf"),
         "static": ("respond", "static"),
         "reduce": ("model", "reduce"),
-        "convert": ("files", "convert"),
+        "convert": ("convert", "convert"),
     },
     "Tests": {
         "plan": ("plan", "plan"),
@@ -52,7 +52,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "correlate": ("correlate", "correlate"),
         "localise": ("update", "localise"),
         "update": ("update", "update"),
-        "predict": ("respond", "run"),
+        "predict": ("predict", "run"),
     },
 }
 

@@ -215,7 +215,7 @@ def _rigid_json(rigid: RigidCheck | None) -> dict[str, Any]:
 def _clean(values: list[Any], scale: float = 0.0) -> Float:
     """With 0 for what is rounding against the largest, and against `scale`."""
     x = np.asarray(values, dtype=np.float64)
-    return np.asarray(np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=scale), x, 0.0))
+    return np.where(np.abs(x) > ROUNDING * np.abs(x).max(initial=scale), x, 0.0)
 
 
 def _print_check(deck: Path, summary: dict[str, Any]) -> None:

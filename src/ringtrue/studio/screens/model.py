@@ -10,7 +10,8 @@ import numpy as np
 from nicegui import run, ui
 
 import ringtrue as rt
-from ringtrue.api.checking import DeckCheck, RegionParameter
+from ringtrue.api.checking import DeckCheck
+from ringtrue.api.lookup import RegionParameter
 from ringtrue.core.display import number
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.units import UNIT_SYSTEMS

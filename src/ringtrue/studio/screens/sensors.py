@@ -13,7 +13,7 @@ from nicegui import run, ui
 from nicegui.events import GenericEventArguments
 
 import ringtrue as rt
-from ringtrue.api.checking import PlacedSensors
+from ringtrue.api.lookup import PlacedSensors
 from ringtrue.core.display import number
 from ringtrue.errors import RingtrueError
 from ringtrue.io.sheets import SensorSheet
