@@ -23,7 +23,7 @@ def _weighted(mass: Mass, shapes: Any_) -> Any_:
             f"mass {mass.shape} for shapes {shapes.shape}: it must be square over the rows of "
             "the shapes"
         )
-    return np.asarray(mass @ shapes)
+    return mass @ shapes
 
 
 def modal_mass(shapes: Any_, mass: Mass) -> Float:
@@ -42,7 +42,7 @@ def mass_normalised(shapes: Any_, mass: Mass) -> Any_:
     """Columns scaled to unit modal mass; columns without mass become zero."""
     shapes = np.asarray(shapes)
     m = modal_mass(shapes, mass)
-    return np.asarray(shapes * np.where(m > 0, 1 / np.sqrt(np.where(m > 0, m, 1.0)), 0.0))
+    return shapes * np.where(m > 0, 1 / np.sqrt(np.where(m > 0, m, 1.0)), 0.0)
 
 
 def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
@@ -244,7 +244,7 @@ def unit(shapes: Any_) -> Any_:
     shapes : (n, m) float64 or complex128
     """
     length = np.sqrt((shapes.conj() * shapes).real.sum(axis=0))
-    return np.asarray(shapes / np.where(length > 0, length, 1.0))
+    return shapes / np.where(length > 0, length, 1.0)
 
 
 def above_rounding(shapes: Any_) -> Any_:
@@ -256,7 +256,7 @@ def above_rounding(shapes: Any_) -> Any_:
     """
     peak = np.abs(shapes).max(axis=0, initial=0.0)
     visible = peak > np.sqrt(np.finfo(np.float64).eps) * peak.max(initial=0.0)
-    return np.asarray(np.where(visible, shapes, 0.0))
+    return np.where(visible, shapes, 0.0)
 
 
 def mac(a: Any_, b: Any_) -> Float:
@@ -314,7 +314,7 @@ FADE = 1.5  # times a limit, where what holds below the limit has faded away
 def basis(b: Any_) -> Any_:
     """Orthonormal basis (n, r) of the columns of `b` (n, k), r <= k."""
     u, s, _ = np.linalg.svd(unit(np.asarray(b)), full_matrices=False)
-    return np.asarray(u[:, s > DEPENDENT * max(s.max(initial=0.0), DEPENDENT)])
+    return u[:, s > DEPENDENT * max(s.max(initial=0.0), DEPENDENT)]
 
 
 def principal_angles(a: Any_, b: Any_) -> Float:
@@ -378,7 +378,7 @@ def gaps(ascending: Float) -> Float:
     """Relative distance of each of (m,) ascending frequencies, Hz, from the one before it, (m -
     1,).
     """
-    return np.asarray(np.diff(ascending) / np.maximum(np.abs(ascending[1:]), NIL))
+    return np.diff(ascending) / np.maximum(np.abs(ascending[1:]), NIL)
 
 
 def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:

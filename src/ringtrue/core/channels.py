@@ -81,7 +81,7 @@ def as_motion(h: Complex, freqs: Float, motion: str, wanted: str, decay: float =
         return h
     s = decay + 2j * np.pi * freqs.reshape(-1, *(1,) * (h.ndim - 1))
     factor = np.where(s == 0, 1, s) ** (DERIVATIVE[wanted] - DERIVATIVE[motion])
-    return np.asarray(h * np.where(s == 0, 0, factor))
+    return h * np.where(s == 0, 0, factor)
 
 
 SHOWN = 8  # channels that a message names

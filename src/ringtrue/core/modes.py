@@ -30,7 +30,7 @@ def rigid_below(frequencies: Float) -> float:
 
 def elastic(frequencies: Float) -> Bool:
     """Which natural frequencies (m,), Hz, are not those of rigid-body motions."""
-    return np.asarray(frequencies > rigid_below(frequencies))
+    return frequencies > rigid_below(frequencies)
 
 
 class Norm(StrEnum):
@@ -296,4 +296,4 @@ class ModalModel(FrozenArrays):
         right = self.shapes.conj()[None] / (s[:, None, None] - self.poles.conj())
         h = left @ self.participation + right @ self.participation.conj()
         h += self.lower / (s**2)[:, None, None] + self.upper
-        return np.asarray(h * (s ** POWER[self.kind])[:, None, None])
+        return h * (s ** POWER[self.kind])[:, None, None]

@@ -64,7 +64,7 @@ class Impacts(FrozenArrays):
         each = self.each(poles)
         mean = np.abs(np.tensordot(self.weight, each, (0, 0))) ** 2
         power = np.tensordot(self.weight, np.abs(each) ** 2, (0, 0))
-        return np.asarray(np.moveaxis(np.maximum(power - mean, 0) / mean, 2, 0))
+        return np.moveaxis(np.maximum(power - mean, 0) / mean, 2, 0)
 
     def noise_at(self, frequencies: Float) -> Float:
         """(impact, m) noise at the frequencies (m,), Hz."""
@@ -334,4 +334,4 @@ def shared_lines(axes: Sequence[Float]) -> list[Int] | None:
 def _nearest(axis: Float, lines: Float) -> Int:
     """(f,) position in an ascending axis of the line nearest to each of `lines`."""
     middle = 0.5 * (axis[1:] + axis[:-1])
-    return np.asarray(np.searchsorted(middle, lines))
+    return np.searchsorted(middle, lines)

@@ -87,7 +87,7 @@ class TestModel:
     def channel_xyz(self) -> Float:
         """(channel, 3) position of each channel, m."""
         order = np.argsort(self.points)
-        return np.asarray(self.xyz[order[np.searchsorted(self.points[order], self.at)]])
+        return self.xyz[order[np.searchsorted(self.points[order], self.at)]]
 
     def threefold(self) -> TestModel:
         """A channel along X, Y and Z of the sheet at the place of each: first all along X, (3 ·
@@ -227,7 +227,7 @@ class Observation:
         Mass-normalised shapes of a model in its own units stay so in SI through `unit` (length)
         elsewhere; here only direction and place change.
         """
-        return np.asarray(self.matrix @ shapes)
+        return self.matrix @ shapes
 
     def and_also(self, more: Observation) -> Observation:
         """The same model seen at further channels, too."""

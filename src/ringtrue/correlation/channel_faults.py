@@ -424,7 +424,7 @@ def rigid_body_motion(shapes: Float, xyz: Float, axes: Float) -> Float:
         off = np.linalg.norm(shapes - fitted, axis=1, keepdims=True)
         limit = max(RIGID_LIMITS.huber * float(np.median(off)), 1e-300)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(off, 1e-300)))
-    return np.asarray(fitted)
+    return fitted
 
 
 def rigid_suspects(modes: ModeSet, sheet: TestModel) -> tuple[Suspect, ...]:

@@ -74,7 +74,7 @@ class ConditionSlopes(FrozenArrays):
     def bent(self) -> Bool:
         """(m,) modes whose frequency depends on the level, each by itself, with `CHANCE`."""
         z = np.nan_to_num(np.abs(self.per_decade) / self.per_decade_std)
-        return np.asarray(z > stats.norm.isf(CHANCE / 2))
+        return z > stats.norm.isf(CHANCE / 2)
 
     @property
     def drift(self) -> CommonSlope | None:

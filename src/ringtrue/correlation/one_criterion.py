@@ -269,7 +269,7 @@ def chance_of_mac(mac: Float, patterns: int) -> Float:
     Beta(½, (patterns − 1)/2) distributed (Muirhead 1982, theorem 1.5.7).
     """
     rest = 1 - np.clip(mac, 0.0, 1.0)
-    return np.asarray(betainc((patterns - 1) / 2, 0.5, rest))
+    return betainc((patterns - 1) / 2, 0.5, rest)
 
 
 def scores_among(modes: ComparedModes, rows: Int, columns: Int, gates: PairingSettings) -> Scores:

@@ -100,7 +100,7 @@ class DynamicStiffness:
             raise SingularModel(
                 (), f"the dynamic stiffness at s = {s:.6g} rad/s leaves a residual of {rest:.1e}"
             )
-        return np.asarray(x)
+        return x
 
     def _factor(self, s: complex) -> Engine:
         if self._engine is not None and s == self._at:

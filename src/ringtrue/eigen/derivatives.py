@@ -72,7 +72,7 @@ class Fields:
 
     def dot(self, other: Fields) -> Float:
         """xMyᵀ (k, l)."""
-        return np.asarray(self.plain @ other.loaded.T)
+        return self.plain @ other.loaded.T
 
     def times(self, c: Float, out: Fields) -> None:
         """Write cᵀx (l, r) for c (k, l)."""
@@ -321,7 +321,7 @@ class _Space:
                 "a mode below one of those that are differentiated is not among those given; "
                 f"{_MORE}"
             )
-        return np.asarray(turn @ ((turn.T @ (b * delta)) / (1 - delta * theta[:, None])))
+        return turn @ ((turn.T @ (b * delta)) / (1 - delta * theta[:, None]))
 
 
 class Complement:

@@ -116,7 +116,7 @@ def rounding(
 
 def frequencies(values: Float) -> Float:
     """Hz of eigenvalues (rad/s)², sign kept."""
-    return np.asarray(np.sign(values) * np.sqrt(np.abs(values)) / (2 * np.pi))
+    return np.sign(values) * np.sqrt(np.abs(values)) / (2 * np.pi)
 
 
 def eigenvalue(frequency: float) -> float:
@@ -171,7 +171,7 @@ def _largest(a: sparse.csr_array, v: Float) -> Float:
             (np.abs(a.data[cut]), a.indices[cut], ends - ends[0]), shape=(ends.size - 1, a.shape[1])
         )
         total += ((part @ v) ** 2).sum(axis=0)
-    return np.asarray(np.sqrt(total))
+    return np.sqrt(total)
 
 
 def _judged(

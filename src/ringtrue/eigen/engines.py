@@ -67,7 +67,7 @@ class Pattern:
 
     def _keys(self, indices: Any_, indptr: Any_) -> Int:
         row = np.repeat(np.arange(self.size, dtype=np.int64), np.diff(indptr))
-        return np.asarray(row * self.size + indices)
+        return row * self.size + indices
 
     def entries(self, a: sparse.csr_array) -> tuple[Int | slice, Any_]:
         """Where the upper triangle of `a` stands in this pattern, and its values."""
@@ -258,7 +258,7 @@ class Dense:
         """A⁻¹ rhs."""
         d = self._scale if rhs.ndim == 1 else self._scale[:, None]
         assert self._lu is not None
-        return np.asarray(d * linalg.lu_solve(self._lu, d * rhs))
+        return d * linalg.lu_solve(self._lu, d * rhs)
 
     def close(self) -> None:
         """Free the memory."""
@@ -327,7 +327,7 @@ class SuperLu:
         """A⁻¹ rhs."""
         assert self._lu is not None
         d = self._scale if rhs.ndim == 1 else self._scale[:, None]
-        return np.asarray(d * self._lu.solve(np.ascontiguousarray(d * rhs, dtype=self._dtype)))
+        return d * self._lu.solve(np.ascontiguousarray(d * rhs, dtype=self._dtype))
 
     def close(self) -> None:
         """Free the memory."""

@@ -244,7 +244,7 @@ class Krylov:
         last = self.coupling.shape[1]
         n = self.held + self.coupling.shape[0]
         both = np.vstack([y, self.coupling @ y[self.held - last :] / theta])
-        return np.asarray(self.basis[:, :n] @ both)
+        return self.basis[:, :n] @ both
 
     def restart(self, keep: int) -> None:
         """Thick restart: V becomes its best `keep` Ritz vectors; Q stays."""

@@ -272,7 +272,7 @@ def _filled(
 
     def inside(theta: Float) -> Bool:
         values = sigma + 1 / theta
-        return np.asarray((values < top.shift) & (values > low))
+        return (values < top.shift) & (values > low)
 
     found = int(inside(pairs.theta).sum())
     before = -1

@@ -123,7 +123,7 @@ def _least(m: Float) -> Float:
     """The motion (f,) of least mass, each row in the scale of its own mass."""
     own = np.abs(np.diag(m))
     d = 1 / np.sqrt(np.where(own > 0, own, 1.0))
-    return np.asarray(d * linalg.eigh(m * d * d[:, None], subset_by_index=(0, 0))[1][:, 0])
+    return d * linalg.eigh(m * d * d[:, None], subset_by_index=(0, 0))[1][:, 0]
 
 
 def _loose(a: Float, d: Float) -> Int:
@@ -289,7 +289,7 @@ class Pencil:
         def values() -> Float:
             out = self._pattern.values(self.stiffness)
             out[self._m[0]] -= shift * self._m[1]
-            return np.asarray(out)
+            return out
 
         factor = self._make(values)
         self._factor = factor

@@ -322,7 +322,7 @@ def moving(model: Model, autospc: DofSet) -> Bool:
     held = m.dofs.find(autospc.node, autospc.direction)
     T = sparse.csr_array(turn(m) @ T[:, ~np.isin(free, held)])
     T.eliminate_zeros()
-    return np.asarray(np.diff(T.indptr) > 0)
+    return np.diff(T.indptr) > 0
 
 
 def refuse_held(system: System) -> None:

@@ -57,7 +57,7 @@ def on_springs(stiffness: Float, springs: Float) -> Float:
     rigid = 1e15 * np.abs(turning).max(initial=0.0)
     both = turning + np.where(np.isfinite(springs), springs, rigid)[:, :, None] * np.eye(6)
     each = np.linalg.solve(both, stiffness[:, TURNING])
-    return np.asarray(stiffness - stiffness[:, :, TURNING] @ each)
+    return stiffness - stiffness[:, :, TURNING] @ each
 
 
 def _pairs(m: Mesh, nodes: Int, kind: Int) -> tuple[Bool, Int]:

@@ -329,7 +329,7 @@ def _complex(
     columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path
 ) -> Complex:
     if {"re", "im"} <= set(columns):
-        return np.asarray(columns["re"] + 1j * columns["im"])
+        return columns["re"] + 1j * columns["im"]
     if {"size", "phase"} <= set(columns):
         size = columns["size"]
         if _LEVEL.search(title["size"]):

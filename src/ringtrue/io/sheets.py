@@ -339,7 +339,7 @@ def _axis(row: Row, where: str) -> Float:
             f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, a vector `0.5 0 "
             "0.87`, or azimuth and elevation in degrees"
         )
-    return np.asarray(vector / length)
+    return vector / length
 
 
 def _angles(degrees: ArrayLike) -> Float:

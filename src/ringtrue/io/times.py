@@ -230,7 +230,7 @@ def _days(parts: Sequence[re.Match[str]]) -> Float:
         f"{y:04d}-{m:02d}-{d:02d}"
         for y, m, d in zip(year.tolist(), month.tolist(), day.tolist(), strict=True)
     ]
-    return np.asarray(np.array(texts, dtype="datetime64[D]").astype(np.float64))
+    return np.array(texts, dtype="datetime64[D]").astype(np.float64)
 
 
 log = logging.getLogger(__name__)
@@ -287,7 +287,7 @@ def even_rate(t: Float, path: Path) -> float | None:
 def _line(t: Float) -> Float:
     """Even times through those of a column (row,), by least squares."""
     k = np.arange(t.size)
-    return np.asarray(np.polynomial.Polynomial.fit(k, t, 1)(k))
+    return np.polynomial.Polynomial.fit(k, t, 1)(k)
 
 
 def even_grid(t: Float, named: bool, path: Path) -> tuple[float | None, Int | None]:

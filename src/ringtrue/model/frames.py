@@ -74,7 +74,7 @@ class Frames:
             )
             local = np.where((kind[round_] == "C")[:, None, None], cylindrical, _spherical(d))
             out[round_] = local @ self.axes[at]
-        return np.asarray(out)
+        return out
 
 
 def _spherical(d: Float) -> Float:

@@ -126,7 +126,7 @@ def corner_shares(kind: str, between: Corners) -> Float:
     """Shares (c,) of the corners of an element in the place midway between some of its nodes."""
     if kind in CURVED:
         return np.asarray(_shares(kind)[list(between)].mean(axis=0))
-    return np.asarray(np.isin(np.arange(len(NODES[kind])), between) / len(between))
+    return np.isin(np.arange(len(NODES[kind])), between) / len(between)
 
 
 def weights(kind: str, between: Corners) -> Float:

@@ -57,7 +57,7 @@ class Targets(FrozenArrays):
 def in_band(frequencies: Float, low: float, high: float) -> Bool:
     """Modes (m,) with low < f < high, Hz."""
     f = np.asarray(frequencies, dtype=np.float64)
-    return np.asarray((f > low) & (f < high))
+    return (f > low) & (f < high)
 
 
 def readable(shapes: Float, mass: float) -> Bool:
@@ -411,7 +411,7 @@ def shares(shapes: Float, largest: Float | None = None) -> Float:
     """
     square = np.asarray(shapes, dtype=np.float64) ** 2
     over = square.max(axis=0) if largest is None else largest
-    return np.asarray(np.minimum(square / np.maximum(over, 1e-300), 1.0))
+    return np.minimum(square / np.maximum(over, 1e-300), 1.0)
 
 
 def select_references(shapes: Float, count: int, largest: Float | None = None) -> Int:

@@ -75,7 +75,7 @@ def select_candidates(
         raise InputError(
             f"none of {nodes.size} nodes is a candidate: widen the boxes or exclude less"
         )
-    return np.asarray(keep)
+    return keep
 
 
 def spacing_of_points(xyz: Float, count: int) -> float:
@@ -140,7 +140,7 @@ def mesh_edges(triangles: Int, lines: Int) -> Int:
         [t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]], np.asarray(lines, dtype=np.int64).reshape(-1, 2)]
     )
     every = np.sort(every[every[:, 0] != every[:, 1]], axis=1)
-    return np.asarray(np.unique(every, axis=0))
+    return np.unique(every, axis=0)
 
 
 # ratios of lengths: the way round to a line that is left out, the way along the mesh to the
@@ -236,7 +236,7 @@ def relative_neighbours(xyz: Float, groups: Sequence[str]) -> Int:
             keep[part] = ~nearer.any(axis=1)
         out.append(np.stack([at[i[keep]], at[j[keep]]], axis=1))
     every = np.concatenate(out)
-    return np.asarray(every[np.lexsort((every[:, 1], every[:, 0]))])
+    return every[np.lexsort((every[:, 1], every[:, 0]))]
 
 
 def _graph(pair: Int, weight: Float, n: int) -> sparse.csr_array:

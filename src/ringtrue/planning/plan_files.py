@@ -138,7 +138,7 @@ def _between(plan: Float, point: Float) -> Bool:
 
 
 def _cross(a: Float, b: Float) -> Float:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float) -> Float:
@@ -167,7 +167,7 @@ def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float) -> Float:
     lam = (2 * np.pi * np.asarray(frequencies, dtype=np.float64)) ** 2
     M = np.eye(lam.size) + np.einsum("ndi,n,ndj->ij", shapes, added, shapes)
     values = linalg.eigh(np.diag(lam), M, eigvals_only=True)
-    return np.asarray(np.sqrt(np.maximum(values, 0)) / (2 * np.pi))
+    return np.sqrt(np.maximum(values, 0)) / (2 * np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

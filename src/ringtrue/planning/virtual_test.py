@@ -116,7 +116,7 @@ class Planned:
     @property
     def targets(self) -> Bool:
         """(m,) bool, modes in the band."""
-        return np.asarray((self.frequencies >= self.fmin) & (self.frequencies <= self.fmax))
+        return (self.frequencies >= self.fmin) & (self.frequencies <= self.fmax)
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,7 +128,7 @@ def _phased(shown: Shown) -> Any_:
 def at_test_points(test: TestModel, shown: Shown) -> Complex:
     """(point, 3) displacements of the test shape of what is shown, on the model's shape."""
     assert shown.test is not None
-    return np.asarray(_at_points(test, shown.test[0], _phased(shown).astype(np.complex128)))
+    return _at_points(test, shown.test[0], _phased(shown).astype(np.complex128))
 
 
 def difference_at_points(

@@ -284,7 +284,7 @@ def principal(inner: Inner, x: Float, most: int, drop: float) -> Float:
     gram = inner(x, x)
     s, u = linalg.eigh((gram + gram.T) / 2)
     keep = np.flatnonzero(s > drop**2 * s[-1])[::-1][:most]
-    return np.asarray(x @ u[:, keep])
+    return x @ u[:, keep]
 
 
 def compress(inner: Inner, x: Float, most: int, drop: float) -> Float:
@@ -318,4 +318,4 @@ def orthonormal_part(inner: Inner, old: Float, x: Float) -> Float:
         q = q - old @ inner(old, q)
         s, u = linalg.eigh(inner(q, q))
         q = q @ (u / np.sqrt(s))
-    return np.asarray(q)
+    return q

@@ -208,7 +208,7 @@ def kept_rows(free: DofSet, points: DofSet) -> Int:
             raise InputError(f"keep {name}: it is not in the model, held, or moved by others")
         rows.append(here)
     found = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *rows]))
-    return np.asarray(found[np.argsort(free.key[found])])
+    return found[np.argsort(free.key[found])]
 
 
 def reduce_part(system: System, kept: Int, settings: ReductionSettings) -> Condensed:
@@ -295,4 +295,4 @@ def _firm(total: Float) -> Float:
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
     firm = values > 1e-12 * values.max(initial=0.0)  # below is rounding
-    return np.asarray(vectors[:, firm] / scale[:, None])
+    return vectors[:, firm] / scale[:, None]

@@ -82,7 +82,7 @@ def flexibility(model: ProjectedModel, x: Float, outputs: Int, inputs: Int) -> F
     k, m = model.projected(model.basis.parameters.factors(model.full_vector(x)))
     seen = model.basis.observe
     moved = linalg.solve(k - model.shift * m, seen[inputs].T, assume_a="pos")
-    return np.asarray(seen[outputs] @ moved)
+    return seen[outputs] @ moved
 
 
 def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Float]:
@@ -235,7 +235,7 @@ def _orthonormal(mass: sparse.csr_array, x: Float) -> Float:
         s, u = linalg.eigh(x.T @ (mass @ x))
         keep = s > NEW
         x = x @ (u[:, keep] / np.sqrt(s[keep]))
-    return np.asarray(x)
+    return x
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -159,7 +159,7 @@ class TestAnalysisModel(FrozenArrays):
         keep = s > 1e-9 * s[-1]
         u = u[:, keep] / np.sqrt(s[keep])
         lam = linalg.eigvalsh(u.T @ self.stiffness @ u)
-        return np.asarray(np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi))
+        return np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi)
 
 
 class StaticShapes:
@@ -222,7 +222,7 @@ class StaticShapes:
     def held(self, load: Float) -> Float:
         """The motion (f, k) under `load` with all readings held at zero."""
         free = self.solve(load)
-        return np.asarray(free - self.transform @ (self.observe @ free))
+        return free - self.transform @ (self.observe @ free)
 
     def close(self) -> None:
         """Free the factor."""

@@ -203,7 +203,7 @@ class EmbeddedAnalysis:
         if not (rest <= RESIDUAL_LIMIT * np.abs(loads).max(axis=0, initial=0.0)).all():
             most = np.argsort(-np.abs(moved).max(axis=1))[:6]
             raise SingularModel(self.whole.free.named(most), NOT_HELD)
-        return np.asarray(self.whole.transform @ moved)
+        return self.whole.transform @ moved
 
     @property
     def has_damping(self) -> bool:

@@ -211,7 +211,7 @@ def followed(here: ModeSet, near: ModeSet, groups: Sequence[Int]) -> tuple[Float
 
 def _lam(modes: ModeSet) -> Float:
     """λ (m,), (rad/s)²."""
-    return np.asarray((2 * np.pi * modes.frequencies) ** 2)
+    return (2 * np.pi * modes.frequencies) ** 2
 
 
 def reduced(

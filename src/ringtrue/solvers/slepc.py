@@ -403,7 +403,7 @@ def _vectors(own: ShareOfModel, part: AffineSystem, most: int, count: int) -> Fl
     def respond(load: Float, _progress: Progress) -> Float:
         at = np.flatnonzero(load.any(axis=1))
         loads = own.cols[at], load[at]
-        return np.asarray(own.rank("responses", *loads, modes=values.size)[1][0])
+        return own.rank("responses", *loads, modes=values.size)[1][0]
 
     sensitivities = StaticSensitivities(
         values=values[:count],

@@ -83,7 +83,7 @@ class Data(FrozenArrays):
             return np.asarray(
                 self.scale * np.sqrt(np.mean(block.value.reshape(-1, self.scale.size) ** 2, axis=0))
             )
-        return np.asarray(self.measured - self.scale * block.value)
+        return self.measured - self.scale * block.value
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,7 @@ class Arrangement:
     @property
     def node(self) -> Int:
         """Node of each sensor, (s,)."""
-        return np.asarray(self.nodes[self.at])
+        return self.nodes[self.at]
 
     @property
     def each(self) -> int:

@@ -623,12 +623,12 @@ class ExcitationPlan:
     @property
     def missed(self) -> Bool:
         """Which target modes no reference excites well."""
-        return np.asarray(self.reach < LEAST_REACH)
+        return self.reach < LEAST_REACH
 
     @property
     def unreachable(self) -> Bool:
         """Which target modes no point that can be excited excites well."""
-        return np.asarray(self.reachable < LEAST_REACH)
+        return self.reachable < LEAST_REACH
 
     @property
     def least_reach(self) -> Float:
@@ -1071,7 +1071,7 @@ class ParameterPosterior:
     def relative(self) -> Float:
         """Standard deviation of the factors, relative, (p,)."""
         x = self.parameters.vector(self.factor)
-        return np.asarray(self.parameters.derivative(x) * self.std / self.factor)
+        return self.parameters.derivative(x) * self.std / self.factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)

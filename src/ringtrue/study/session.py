@@ -223,7 +223,7 @@ class Session:
             return np.zeros(0, dtype=np.int64)
         before = self.steps[-1].model
         count = len(before["CONM2"]) if "CONM2" in before else 0
-        return np.asarray(self.lumped.model["CONM2"]["G"][count:])
+        return self.lumped.model["CONM2"]["G"][count:]
 
     @property
     def everything(self) -> ParameterSet:

@@ -204,7 +204,7 @@ def fitted_spectra(found: IdentifiedModes, choice: Choice | None) -> tuple[Fitte
 
 
 def _decibels(power: Float) -> Float:
-    return np.asarray(10 * np.log10(np.maximum(power, np.finfo(float).tiny)))
+    return 10 * np.log10(np.maximum(power, np.finfo(float).tiny))
 
 
 def weighted_lines(frfs: FrfSet) -> Lines:

@@ -109,7 +109,7 @@ class FormPosterior(FrozenArrays):
 
     def band(self, level: float = 0.9) -> Float:
         """Central intervals of f_test / f_model, (m, 2)."""
-        return np.asarray(np.exp(self._quantiles(self.mode_shift, self.mode_std, level) / 2))
+        return np.exp(self._quantiles(self.mode_shift, self.mode_std, level) / 2)
 
     def _quantiles(self, mean: Float, std: Float, level: float) -> Float:
         """Of the normal mixtures (c, n): (n, 2)."""

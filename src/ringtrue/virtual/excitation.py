@@ -59,30 +59,26 @@ def ground_psd(freqs: Float, rms: float) -> Float:
     A hump of ocean microseism at 0.28 Hz with 30 % of the variance and cultural noise between 2 and
     40 Hz with the rest (the shape of Peterson, 1993, new noise models, for a busy site).
     """
-    return np.asarray(
-        rms**2 * (0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs))
-    )
+    return rms**2 * (0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs))
 
 
 def _microseism(f: Float) -> Float:
-    return np.asarray(np.exp(-0.5 * (np.log(f / 0.28) / 0.3) ** 2))
+    return np.exp(-0.5 * (np.log(f / 0.28) / 0.3) ** 2)
 
 
 def _cultural(f: Float) -> Float:
-    return np.asarray((f / 2) ** 2 / (1 + (f / 2) ** 2) / (1 + (f / 40) ** 4) + 0.02 / (1 + f**2))
+    return (f / 2) ** 2 / (1 + (f / 2) ** 2) / (1 + (f / 40) ** 4) + 0.02 / (1 + f**2)
 
 
 def _normal(shape: Callable[[Float], Float], freqs: Float) -> Float:
     area = np.trapezoid(shape(_GRID), _GRID)
-    return np.asarray(np.where(freqs > 0, shape(np.maximum(freqs, 1e-6)), 0.0) / area)
+    return np.where(freqs > 0, shape(np.maximum(freqs, 1e-6)), 0.0) / area
 
 
 def force_psd(freqs: Float, ambient: Ambient) -> Float:
     """Small forces, one-sided, N²/Hz."""
     f = np.maximum(freqs, 0.3)
-    return np.asarray(
-        ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0)
-    )
+    return ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0)
 
 
 def input_psd(ids: Sequence[str], freqs: Float, ambient: Ambient) -> Float:
@@ -201,7 +197,7 @@ class Pulses:
     @property
     def peak(self) -> Float:
         """(p,) largest force, N."""
-        return np.asarray(np.where(self.flat, 1.0, 0.5 * np.pi) * self.impulse / self.duration)
+        return np.where(self.flat, 1.0, 0.5 * np.pi) * self.impulse / self.duration
 
     def pick(self, which: Bool | Int) -> Pulses:
         """Some of the pulses."""

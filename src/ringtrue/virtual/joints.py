@@ -81,7 +81,7 @@ class SofteningJoints(FrozenArrays):
     def pseudo_force(self, extension: Float) -> Float:
         """(j, sample) force that the linear springs have too much, N, at extensions (j, sample)."""
         slip = self.slip[:, None]
-        return np.asarray(self.loss[:, None] * (extension - slip * np.tanh(extension / slip)))
+        return self.loss[:, None] * (extension - slip * np.tanh(extension / slip))
 
     def tangent(self, extension: Float) -> Float:
         """(j, sample) derivative of the pseudo-force by the extension, N/m."""
@@ -109,7 +109,7 @@ class SofteningJoints(FrozenArrays):
 
         def extension_by(force: Float) -> Float:
             spectrum = np.einsum("ijf,jf->if", receptance, fft.rfft(force))
-            return np.asarray(fft.irfft(spectrum, samples))
+            return fft.irfft(spectrum, samples)
 
         start = fft.irfft(alone, samples)
         beyond = np.zeros_like(start)  # what the pseudo-forces have more than the mean loss
@@ -156,10 +156,10 @@ def _step(extension_by: Callable[[Float], Float], tangent: Float, left: Float) -
 
     def changed(step: Float) -> Float:
         force = step.reshape(left.shape)
-        return np.asarray((force - tangent * extension_by(force)).ravel())
+        return (force - tangent * extension_by(force)).ravel()
 
     operator = LinearOperator((left.size, left.size), matvec=changed, dtype=left.dtype)
     step, _ = gmres(
         operator, left.ravel(), rtol=ITERATION.step, restart=ITERATION.directions, maxiter=1
     )
-    return np.asarray(step.reshape(left.shape))
+    return step.reshape(left.shape)

@@ -261,7 +261,7 @@ def clean_energy(impacts: SimulatedImpacts) -> float:
 def block_samples(plan: HammerPlan, times: Float, rate: float) -> Int:
     """(attempt, sample) positions of the blocks in the continuous signal."""
     first = np.round((times - plan.pretrigger) * rate).astype(np.int64)
-    return np.asarray(first[:, None] + np.arange(round(plan.block * rate)))
+    return first[:, None] + np.arange(round(plan.block * rate))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

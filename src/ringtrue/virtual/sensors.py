@@ -28,7 +28,7 @@ _CHUNK = 1 << 11  # lines at a time: the modal coordinates of 130 modes take 4 M
 
 def lines(samples: int, rate: float) -> Float:
     """(line,) frequencies of the discrete spectrum, Hz."""
-    return np.asarray(fft.rfftfreq(samples, 1.0 / rate))
+    return fft.rfftfreq(samples, 1.0 / rate)
 
 
 def response_spectrum(
@@ -89,7 +89,7 @@ def _motion(model: ModalModel, f: Complex, s: Complex, power: int) -> Complex:
 def _real_times(a: Float, x: Complex) -> Complex:
     """Product of a real matrix with a complex one, in real arithmetic."""
     x = np.ascontiguousarray(x)
-    return np.asarray((np.ascontiguousarray(a) @ x.view(np.float64)).view(np.complex128))
+    return (np.ascontiguousarray(a) @ x.view(np.float64)).view(np.complex128)
 
 
 def simulate(
@@ -125,7 +125,7 @@ def simulate(
     spectrum = response_spectrum(
         model, np.asarray(fft.rfft(forces, full)), lines(full, rate), quantity=quantity
     )
-    return np.asarray(fft.irfft(spectrum, full, overwrite_x=True)[:, :n])
+    return fft.irfft(spectrum, full, overwrite_x=True)[:, :n]
 
 
 def at_outputs(model: ModalModel, ids: Sequence[str]) -> ModalModel:
@@ -170,7 +170,7 @@ class NoiseFloor:
         instead.
         """
         safe = np.where(freqs > 0, freqs, np.inf)
-        return np.asarray(np.where(freqs > 0, self.density**2 * (1 + self.corner / safe), 0.0))
+        return np.where(freqs > 0, self.density**2 * (1 + self.corner / safe), 0.0)
 
 
 def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
@@ -189,7 +189,7 @@ def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) ->
     """
     normal = rng.standard_normal((*psd.shape, 2)).view(np.complex128)[..., 0]
     normal *= np.sqrt(0.25 * rate * samples * psd)
-    return np.asarray(normal)
+    return normal
 
 
 def white(
@@ -205,7 +205,7 @@ def white(
 
 def power(spectrum: Complex, samples: int, rate: float) -> Float:
     """Periodogram (row, line) of a spectrum, one-sided, unit²/Hz."""
-    return np.asarray(2.0 / (rate * samples) * (spectrum.real**2 + spectrum.imag**2))
+    return 2.0 / (rate * samples) * (spectrum.real**2 + spectrum.imag**2)
 
 
 def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float) -> Complex:
@@ -237,7 +237,7 @@ def hum_lines(samples: int, rate: float) -> Int:
     rate.
     """
     at = np.round(np.array([50.0, 150.0]) * samples / rate).astype(np.int64)
-    return np.asarray(np.where(at < samples // 2, at, 0))
+    return np.where(at < samples // 2, at, 0)
 
 
 def anti_alias(freqs: Float, rate: float) -> Float:
@@ -245,7 +245,7 @@ def anti_alias(freqs: Float, rate: float) -> Float:
     it.
     """
     x = np.clip((freqs / rate - 0.4) / 0.1, 0.0, 1.0)
-    return np.asarray(0.5 * (1 + np.cos(np.pi * x)))
+    return 0.5 * (1 + np.cos(np.pi * x))
 
 
 @dataclass(frozen=True, slots=True)
@@ -508,13 +508,13 @@ def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float
 def in_band(poles: Complex, low: float, high: float) -> Complex:
     """The poles between two frequencies, Hz."""
     f = np.abs(poles) / (2 * np.pi)
-    return np.asarray(poles[(f >= low) & (f <= high)])
+    return poles[(f >= low) & (f <= high)]
 
 
 def ratio_db(signal: Float, noise: Float) -> Float:
     """10·lg(signal/noise), dB."""
     tiny = np.finfo(np.float64).tiny
-    return np.asarray(10 * np.log10(np.maximum(signal, tiny) / np.maximum(noise, tiny)))
+    return 10 * np.log10(np.maximum(signal, tiny) / np.maximum(noise, tiny))
 
 
 def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion) -> Float:

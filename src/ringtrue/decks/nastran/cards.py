@@ -105,7 +105,7 @@ class Cards:
 
     def _fixed(self, cards: Int, lines: int, width: int) -> NDArray[np.bytes_]:
         block = np.ascontiguousarray(self.text[self.head[cards][:, None] + np.arange(lines), 8:72])
-        return np.asarray(np.strings.strip(block.reshape(cards.size, -1).view(f"S{width}")))
+        return np.strings.strip(block.reshape(cards.size, -1).view(f"S{width}"))
 
     def _mixed(self, cards: Int, lines: int) -> NDArray[np.bytes_]:
         rows = [
@@ -426,7 +426,7 @@ def _chain(n: int, follows: Bool, after: dict[int, int]) -> Int:
 def _tags(columns: NDArray[np.uint8]) -> NDArray[np.bytes_]:
     """Continuation names (n,) of columns (n, 8): without the leading `+` or `*`."""
     cells = np.ascontiguousarray(columns).view("S8")[:, 0]
-    return np.asarray(np.strings.strip(np.strings.lstrip(np.strings.strip(cells), b"+*")))
+    return np.strings.strip(np.strings.lstrip(np.strings.strip(cells), b"+*"))
 
 
 MOST = 100_000  # cards that one repetition may make

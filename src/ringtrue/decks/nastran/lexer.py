@@ -364,14 +364,14 @@ class FreeLines:
         if not (end > begin).any():
             return np.zeros(rows.size, dtype="S1")
         cut = upper_slices(raw, begin, end, width, 0)
-        return np.asarray(np.strings.strip(cut.view(f"S{width}")[:, 0]))
+        return np.strings.strip(cut.view(f"S{width}")[:, 0])
 
     def regular(self, rows: Int) -> Bool:
         """Lines with at most ten fields, each of at most 80 characters; the others are read one by
         one.
         """
         length = self.deck.stop[rows] - self.deck.start[rows]
-        return np.asarray((self.count[rows] <= _LINE + 1) & (length <= WIDTH))
+        return (self.count[rows] <= _LINE + 1) & (length <= WIDTH)
 
     def cells(self, rows: Int) -> NDArray[np.bytes_]:
         """Data fields 1 to 8 of regular lines (n,): (n, 8)."""

@@ -322,7 +322,7 @@ def _blank(found: Cards, card: str, field: int) -> Bool:
     """Which cards leave a data field blank, in reading order, (n,)."""
     groups = [(rows, cells[:, field] == b"") for rows, cells in found.cells(card)]
     order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
-    return np.asarray(np.concatenate([blank for _, blank in groups])[order])
+    return np.concatenate([blank for _, blank in groups])[order]
 
 
 def implied_points(tables: Mapping[str, Table]) -> dict[str, Table]:

@@ -278,7 +278,7 @@ def in_series(stiffness: Any_, soft: Any_) -> Any_:
     """A stiffness, which may be singular, in series with the flexibility `soft`: (e, n, n)."""
     n = stiffness.shape[1]
     K = np.linalg.solve(np.eye(n) + stiffness @ soft, stiffness)
-    return np.asarray((K + K.swapaxes(1, 2)) / 2)
+    return (K + K.swapaxes(1, 2)) / 2
 
 
 def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:

@@ -213,7 +213,7 @@ class SolidShape:
         if self.quadratic.shares is None or not present[self.corners :].any():
             return None
         fold = folded(self.edges, present)
-        return np.asarray(self.quadratic.shares(fold @ x) @ fold)
+        return self.quadratic.shares(fold @ x) @ fold
 
     def _flat(self, x: Float) -> Bool:
         """Which elements (e,) with nodes x (e, n, 3) are collapsed to a plane, a line or a

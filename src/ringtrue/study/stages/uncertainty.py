@@ -190,7 +190,7 @@ def _may_be_off(session: Session, p: ParameterSet, chosen: Sequence[str]) -> Boo
     fields = [of_parameter(model, one) for one in p.parameters]
     same = conflicts(model, fields)[:, mine].any(axis=1)
     rare = np.array([one.lump > 0 for one in p.parameters], dtype=np.bool_)
-    return np.asarray(mine | ~(same | rare))
+    return mine | ~(same | rare)
 
 
 def _freedom(session: Session, every: AtChannels, x: Float, held: Held, likely: Target) -> float:

@@ -420,7 +420,7 @@ def mac_slope(psi: Float, point: Linearisation, fe: int) -> Float:
     a = unit(psi[:, None])[:, 0]
     size = phi @ phi
     cross = float(a @ phi)
-    return np.asarray(2 * cross * (a @ d) / size - 2 * cross**2 * (phi @ d) / size**2)
+    return 2 * cross * (a @ d) / size - 2 * cross**2 * (phi @ d) / size**2
 
 
 def _proposed(session: Session) -> dict[str, float]:

@@ -182,7 +182,7 @@ class _Network:
         i, j = sparse.coo_array(self.solid).coords
         length = np.linalg.norm(self.xyz[j] - self.xyz[i], axis=1)
         count = np.bincount(i, minlength=len(self.xyz))
-        return np.asarray(np.bincount(i, length, len(self.xyz)) / np.maximum(count, 1))
+        return np.bincount(i, length, len(self.xyz)) / np.maximum(count, 1)
 
 
 def _pairs(nodes: sparse.csr_array) -> sparse.csr_array:

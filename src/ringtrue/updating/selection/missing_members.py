@@ -270,7 +270,7 @@ class _Scores:
 
     def falls(self) -> Float:
         """Fall of the squared deviations at the best k ≥ 0 of each, (u,)."""
-        return np.asarray(np.maximum(self.along, 0.0) ** 2 / self.own)
+        return np.maximum(self.along, 0.0) ** 2 / self.own
 
 
 def missing_members(model: Model, fitted: FittedModel) -> tuple[MissingMember, ...]:
