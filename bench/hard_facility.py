@@ -20,8 +20,8 @@ import numpy as np
 from facility import LARGEST_MOST, MEAN_MOST, PAIRS_LEAST, Delivered, delivered, ran
 from outcome import Check, Report, arguments, at_least, at_most, sized
 
-from ringtrue.demos.lsf import hard
-from ringtrue.demos.lsf.example import campaign_plan
+from ringtrue.demos.lsf import examples
+from ringtrue.demos.lsf.examples import campaign_plan
 from ringtrue.study.store import Store
 
 NAMED_LEAST = 0.9  # of the seeds, in which every fault is named
@@ -62,7 +62,7 @@ def run(seed: int, folder: Path) -> HardSeed:
         **delivered(s),
         apart=float(np.median([abs(r["deviation_percent"]) for r in tests])),
         macs=(min(like), max(like)),
-        planted=hard.named(s.get("findings", []), hard.plant(seed, plan)),
+        planted=examples.named(s.get("findings", []), examples.plant(seed, plan)),
     )
 
 

@@ -11,7 +11,7 @@ from test_virtual_sensors import small_plan
 from test_virtual_system import MadeUp, made_up
 
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.demos.lsf import facility, hard
+from ringtrue.demos.lsf import examples, facility
 from ringtrue.demos.lsf import spec as S
 from ringtrue.demos.lsf.campaign import ChannelFaults, Circumstances, Day, _paperwork
 from ringtrue.demos.lsf.study import write_facility, write_study
@@ -24,7 +24,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folders = []
     for seed in (3, 3):
         folder = tmp_path_factory.mktemp("hard")
-        example = hard.hard(seed)
+        example = examples.hard(seed)
         analyst = facility.build(example.analyst)
         write_facility(analyst, folder / "deck", "analyst's model")
         write_study(analyst, folder, seed, example.contents)
@@ -46,10 +46,10 @@ def test_candidates_are_fields_of_the_deck_and_cut_across_what_is_wrong(
     assert not config.remodel
     for target in (t for p in config.candidates().parameters for t in p.targets):
         assert target.id in model[target.card].ids.tolist(), target
-    ratio = hard.ratios(3)
+    ratio = examples.ratios(3)
     wrong = [ratio[r] for r in (*S.CONCRETE, *S.JOINTED, *S.BUSHES)]
     assert min(wrong) < 0.85 < 1.2 < max(wrong)
-    for name, regions in (("foundation", S.CONCRETE), ("anchors", hard.ANCHORS)):
+    for name, regions in (("foundation", S.CONCRETE), ("anchors", examples.ANCHORS)):
         mine = [p for p in config.candidates().parameters if p.name.startswith(name)]
         assert len(mine) >= 2
         each = [len({t.id % facility.ZONE for t in p.targets}) for p in mine]
@@ -57,11 +57,11 @@ def test_candidates_are_fields_of_the_deck_and_cut_across_what_is_wrong(
 
 
 def test_the_truth_is_that_of_the_seed() -> None:
-    assert hard.hard(3) == hard.hard(3)
-    assert hard.ratios(3) != hard.ratios(4)
+    assert examples.hard(3) == examples.hard(3)
+    assert examples.ratios(3) != examples.ratios(4)
     plan = small_plan(made_up())
-    assert hard.plant(3, plan) == hard.plant(3, plan)
-    assert hard.plant(3, plan).reversed in plan.foundation
+    assert examples.plant(3, plan) == examples.plant(3, plan)
+    assert examples.plant(3, plan).reversed in plan.foundation
 
 
 def circumstances(twin: MadeUp, faults: ChannelFaults) -> Circumstances:
@@ -113,11 +113,14 @@ def test_a_fault_counts_as_named_with_its_channel_and_setup_alone() -> None:
         finding("amplitude dependent", "ambient modes 1, 2"),
         finding("days differ", "repeated test"),
     ]
-    assert all(hard.named(findings, faults).values())
+    assert all(examples.named(findings, faults).values())
     for k in range(len(findings)):
-        assert list(hard.named(findings[:k] + findings[k + 1 :], faults).values()).count(False) == 1
+        assert (
+            list(examples.named(findings[:k] + findings[k + 1 :], faults).values()).count(False)
+            == 1
+        )
     more = [*findings, finding("channel scaled", "9+Z", factor=3.0)]
-    assert not hard.named(more, faults)["no other channel"]
+    assert not examples.named(more, faults)["no other channel"]
 
 
 def finding(what: str, subject: str, **values: object) -> dict[str, object]:

@@ -18,7 +18,7 @@ import pytest
 from small_study import FULL, write_study
 
 from ringtrue.cli.main import run
-from ringtrue.cli.respond import settings
+from ringtrue.cli.study import settings
 from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.errors import ConfigError, InputError

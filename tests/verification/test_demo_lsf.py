@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ringtrue.demos.lsf import demo, twin
-from ringtrue.demos.lsf import example as worked
+from ringtrue.demos.lsf import examples as worked
 from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.shapes import mac, mpc, realise
 from ringtrue.study.store import Store

@@ -52,7 +52,7 @@ PANELS = {  # panel -> command -> module of `ringtrue.cli` and function
         "correlate": ("correlate", "correlate"),
         "localise": ("update", "localise"),
         "update": ("update", "update"),
-        "predict": ("predict", "run"),
+        "predict": ("study", "predict"),
     },
 }
 

@@ -50,12 +50,12 @@ def pairs(table: CorrelationTable, repeats: float = float("nan")) -> list[dict[s
             "frequency_fe_hz": r.fe_hz,
             "deviation_percent": r.deviation_percent,
             "deviation_hz": r.deviation_hz,
-            "mac_percent": _number(r.mac_percent),
-            "subspace_mac_percent": _number(r.subspace_mac_percent),
+            "mac_percent": finite(r.mac_percent),
+            "subspace_mac_percent": finite(r.subspace_mac_percent),
             "used": r.used,
             "subspace": r.subspace,
             "beyond_gate": r.beyond,
-            "deviation_std": _number(z),
+            "deviation_std": finite(z),
             "within_scatter": not beyond if np.isfinite(z) else None,
         }
         for r, z, beyond in zip(
@@ -129,15 +129,11 @@ def correlation_json(table: CorrelationTable) -> dict[str, Any]:
     return {
         "pairs": pairs(table),
         "unpaired": unpaired(table),
-        "mean_deviation_percent": _number(table.mean_deviation()),
-        "max_deviation_percent": _number(table.max_deviation()),
-        "mean_mac_percent": _number(table.mean_mac()),
-        "mean_subspace_mac_percent": _number(table.mean_subspace_mac()),
+        "mean_deviation_percent": finite(table.mean_deviation()),
+        "max_deviation_percent": finite(table.max_deviation()),
+        "mean_mac_percent": finite(table.mean_mac()),
+        "mean_subspace_mac_percent": finite(table.mean_subspace_mac()),
     }
-
-
-def _number(x: float) -> float | None:
-    return x if np.isfinite(x) else None
 
 
 def finite(value: Any) -> Any:
@@ -296,7 +292,7 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
     if found.reduced_by:  # then there are no local errors and no missing members
         rests["reduced_by"] = found.reduced_by
     return {
-        "error_concentration": {n: _number(x) for n, x in gathered},
+        "error_concentration": {n: finite(x) for n, x in gathered},
         "proposed": proposed,
         "missing_members": [asdict(m) for m in found.members],
         **rests,
@@ -343,7 +339,7 @@ def _measured(update: UpdateStage) -> dict[str, Any]:
                 "kind": d.kind,
                 "configuration": d.configuration or None,
                 "values": [
-                    dict(zip(heads, (label, unit, *(_number(float(v)) for v in row)), strict=True))
+                    dict(zip(heads, (label, unit, *(finite(float(v)) for v in row)), strict=True))
                     for label, unit, *row in zip(
                         d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True
                     )
@@ -383,12 +379,12 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "mean_deviation_percent": s.fit.mean_deviation,
                 "max_deviation_percent": s.fit.max_deviation,
                 "mean_subspace_mac_percent": s.fit.mean_subspace_mac,
-                "mean_deviation_left_out_percent": _number(s.fit.mean_deviation_left_out),
+                "mean_deviation_left_out_percent": finite(s.fit.mean_deviation_left_out),
                 "condition": s.fit.condition,
                 "aicc": s.fit.criterion,
                 "outcome": s.outcome.value,
                 "discrepancy_percent": dict(
-                    zip(("frequency", "mac"), map(_number, 100 * s.discrepancy), strict=True)
+                    zip(("frequency", "mac"), map(finite, 100 * s.discrepancy), strict=True)
                 ),
             }
             | ({"settings": s.settings} if s.settings else {})
@@ -434,7 +430,7 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
                 for v in values
             ],
             "deviation_percent": [100 * x for x in damping.modes.spread(True)],
-            "deviation_left_out_percent": [_number(100 * x) for x in damping.modes.spread(False)],
+            "deviation_left_out_percent": [finite(100 * x) for x in damping.modes.spread(False)],
             "flags": list(damping.flags),
             "refused": damping.why,
         }
@@ -442,7 +438,7 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
             out["damping"]["configurations"] = [
                 {
                     "name": o.name,
-                    "deviation_percent": [_number(100 * x) for x in o.modes.spread(True)],
+                    "deviation_percent": [finite(100 * x) for x in o.modes.spread(True)],
                 }
                 for o in damping.others
             ]

@@ -22,9 +22,8 @@ from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import facility
 from ringtrue.demos.lsf.campaign import CampaignSummary, ChannelFaults, Circumstances, run_campaign
-from ringtrue.demos.lsf.example import campaign_plan, first, twins_of
-from ringtrue.demos.lsf.hard import hard as harder
-from ringtrue.demos.lsf.hard import named, plant
+from ringtrue.demos.lsf.examples import campaign_plan, first, named, plant, twins_of
+from ringtrue.demos.lsf.examples import hard as harder
 from ringtrue.demos.lsf.study import write_facility, write_study
 from ringtrue.demos.lsf.twin import Twin, twin_hash
 from ringtrue.errors import NumericalError
@@ -253,7 +252,7 @@ def run_demo(
         Gets deck/, data/, study.toml, study.h5, updated/, summary.json and report.html.
     seed : int
     hard : bool
-        The second, harder example: `hard.hard`.
+        The second, harder example: `examples.hard`.
     fast : bool
         Short records.
     progress : callable (fraction, text)

@@ -1,22 +1,107 @@
-"""The second, harder worked example: errors in both directions that no candidate region follows,
-joints that soften, three days of other temperatures, and channels at fault.
+"""The worked examples: what one is (its deck, what was built, how it is tested), the first, and the
+second, harder one.
+
+In the harder one errors go in both directions that no candidate region follows, joints soften,
+three days have other temperatures, and channels are at fault.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ringtrue.core.iterate import Progress, part
+from ringtrue.core.testmodel import TestModel
 from ringtrue.demos.lsf import spec as S
-from ringtrue.demos.lsf.campaign import CampaignPlan, ChannelFaults, Day
-from ringtrue.demos.lsf.example import WorkedExample
+from ringtrue.demos.lsf.campaign import DATE, CampaignPlan, ChannelFaults, Day
 from ringtrue.demos.lsf.facility import ZONE
 from ringtrue.demos.lsf.spec import Cut, Spec, ZonedSpec
-from ringtrue.demos.lsf.study import Region, StudyContents
-from ringtrue.demos.lsf.twin import SofteningRegion, built_from
+from ringtrue.demos.lsf.study import Region, StudyContents, contents
+from ringtrue.demos.lsf.twin import SofteningRegion, Twin, as_built, built_from, make_twin
+from ringtrue.study.results import PlanStage
+from ringtrue.virtual.measurements import HammerPlan
+
+HAMMER = HammerPlan(hits=8, block=8.0, peak=(10e3, 22e3))
+
+
+@dataclass(frozen=True, slots=True)
+class WorkedExample:
+    """A worked example.
+
+    Attributes
+    ----------
+    analyst : Spec
+        The facility as it is modelled.
+    built : mapping of str to Spec
+        The facility as it stands, by date.
+    contents : StudyContents
+        What the study file says of the deck.
+    softening : tuple of SofteningRegion
+        Joints that are not linear.
+    days : mapping of str to Day
+        When tests are made, by name; without an entry on the first date.
+    repeated : tuple of str
+        Kinds of excitation that the test of the foundation is repeated with.
+    """
+
+    analyst: Spec
+    built: Mapping[str, Spec]
+    contents: StudyContents
+    softening: tuple[SofteningRegion, ...] = ()
+    days: Mapping[str, Day] = field(default_factory=dict)
+    repeated: tuple[str, ...] = ()
+
+
+def first(seed: int) -> WorkedExample:
+    """The first example of a seed: one day, linear, all channels as the sheet says."""
+    return WorkedExample(analyst=Spec(), built={DATE: as_built(seed)}, contents=contents())
+
+
+def twins_of(example: WorkedExample, plan: PlanStage, progress: Progress) -> dict[str, Twin]:
+    """The twin on each date."""
+    out = {}
+    count = len(example.built)
+    for i, (date, built) in enumerate(example.built.items()):
+        out[date] = make_twin(
+            built,
+            plan.sensors.test,
+            plan.excitation.references,
+            softening=example.softening,
+            progress=part(progress, i / count, (i + 1) / count),
+        )
+    return out
+
+
+def campaign_plan(plan: PlanStage) -> CampaignPlan:
+    """The campaign at the planned points: roving setups, each with all the driving points."""
+    test = plan.sensors.test
+    group = dict(zip(test.points.tolist(), test.groups, strict=True))
+    on = {c: group[int(p)] for c, p in zip(test.channels, test.at, strict=True)}
+    foundation = tuple(c for c in plan.sensors.ambient if on[c] == "foundation")
+    frame = (
+        *foundation[: len(foundation) // 2 // 3 * 3],
+        *(c for c in plan.sensors.ambient if on[c] != "foundation"),
+    )
+    return CampaignPlan(
+        foundation,
+        frame,
+        setups(test, plan.excitation.references),
+        plan.excitation.references,
+        hammer=HAMMER,
+    )
+
+
+def setups(test: TestModel, references: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Channels in four batches along the regions; the driving points are measured in every
+    one.
+    """
+    rest = [c for c in test.channels if c not in references]
+    parts = np.array_split(np.arange(len(rest)), 4)
+    return tuple((*references, *(rest[i] for i in p.tolist())) for p in parts)
+
 
 THIRDS = (8.4, 16.6)  # m, where the analyst divides the foundation along the bay
 MIDDLE = 5.0  # m, where the analyst divides the frame across it
@@ -34,7 +119,7 @@ VESSEL = ("vessel shell", "vessel heads", "vessel rings")
 DECK = ("drive deck", "deck beams", "pedestals", "shaft")
 
 
-def analyst() -> ZonedSpec:
+def hard_analyst() -> ZonedSpec:
     """The facility as it is modelled: joints as stiff as members, concrete of a table."""
     usual = Spec()
     modulus = dict(usual.modulus) | dict.fromkeys(S.CONCRETE, CONCRETE_PA)
@@ -85,7 +170,7 @@ def days(seed: int) -> tuple[Day, Day, Day]:
     return Day("2024-11-04", cold), Day("2024-11-06", warm), Day("2024-11-12", again)
 
 
-def as_built(seed: int, temperature: float, reference: float) -> ZonedSpec:
+def hard_built(seed: int, temperature: float, reference: float) -> ZonedSpec:
     """The facility as it stands at a temperature, °C; ratios hold at the reference."""
     at, factor = cracked(seed)
     warmer = temperature - reference
@@ -93,7 +178,7 @@ def as_built(seed: int, temperature: float, reference: float) -> ZonedSpec:
     warm |= dict.fromkeys((*ANCHORS, *MOUNTS, *MACHINES), 1 + JOINTS_PER_K * warmer)
     r = {k: v * warm.get(k, 1.0) for k, v in ratios(seed).items()}
     cuts = dict.fromkeys(("slab", "long walls"), Cut(0, (at,), (1.0, factor)))
-    return replace(built_from(analyst(), r, seed), seed=seed + 1000, cuts=cuts)
+    return replace(built_from(hard_analyst(), r, seed), seed=seed + 1000, cuts=cuts)
 
 
 def softening(seed: int) -> tuple[SofteningRegion, ...]:
@@ -158,10 +243,10 @@ def named(findings: Sequence[Mapping[str, Any]], faults: ChannelFaults) -> dict[
     }
 
 
-def contents() -> StudyContents:
+def hard_contents() -> StudyContents:
     """What the study file says: candidates by thirds and sides, which cut across what is wrong."""
     number = S.CONCRETE | S.STEEL | S.BUSHES
-    cuts = analyst().cuts
+    cuts = hard_analyst().cuts
     regions = {
         region: [pid + ZONE * z for z in range(1 + len(cuts[region].at) if region in cuts else 1)]
         for region, pid in number.items()
@@ -195,13 +280,13 @@ def hard(seed: int) -> WorkedExample:
     """The example of a seed."""
     first, second, third = days(seed)
     built = {
-        day.date: as_built(seed, day.temperature or 0.0, first.temperature or 0.0)
+        day.date: hard_built(seed, day.temperature or 0.0, first.temperature or 0.0)
         for day in (first, second, third)
     }
     return WorkedExample(
-        analyst=analyst(),
+        analyst=hard_analyst(),
         built=built,
-        contents=contents(),
+        contents=hard_contents(),
         softening=softening(seed),
         days={"foundation": first, "frame": first, "hammer": second, "foundation-again": third},
         repeated=("ambient", "jumping"),
