@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -16,12 +16,9 @@ from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_toml
 from ringtrue.planning.exciters import reciprocity_pairs
 from ringtrue.planning.virtual_test import VirtualTest, rarely_found_modes
-from ringtrue.study.config_sections import Directions
 from ringtrue.study.messages import lost_points_sentence, missed_modes, setup_sentences
 from ringtrue.study.results import PlanStage
 from ringtrue.study.summary import setups_json
-
-DIRECTIONS = get_args(Directions)
 
 
 def plan(
