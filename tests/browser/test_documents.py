@@ -13,7 +13,7 @@ import pytest
 from ringtrue.errors import SolverMissing
 from ringtrue.report import documents
 from ringtrue.report.build import Report, assemble
-from ringtrue.report.documents import print_page, write_word
+from ringtrue.report.documents import ROOM, columns, print_page, write_word
 from ringtrue.report.parts import Columns, Fold, Picture, Plot, ReportTable, Scene3D, Tabs
 from ringtrue.study.config_sections import StudyInfo
 
@@ -85,7 +85,7 @@ def test_a_document_without_chromium_has_all_headings_tables_and_captions(
     written = [
         [[c.text for c in row.cells] for row in t.rows]
         for t in opened.tables
-        if t.style.name == "Light List"
+        if t.style.name == "Light List Accent 1"
     ]
     assert len(written) == len(tables)
     for table, found in zip(tables, written, strict=True):
@@ -126,3 +126,17 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(SolverMissing, match="RINGTRUE_CHROMIUM=nothing-there: no program there"):
         print_page("", tmp_path / "r.pdf")
     assert not (tmp_path / "r.pdf").exists()
+
+
+def test_numbers_and_words_of_a_table_stand_in_one_line() -> None:
+    heads = ["#", "Change, %", "|Reason"]
+    rows = [heads, ["1", "−28.00", "the two shapes are turned into each other by the springs " * 3]]
+    shares, size = columns(rows, [False, False, True])
+    letters = shares * ROOM.line - ROOM.margin
+    assert size == 1
+    assert shares.sum() == pytest.approx(1)
+    assert (letters >= [1, len("Change,"), len("springs")]).all()
+    assert letters[2] > letters[:2].sum()  # what remains goes to the long text
+    wide = [[f"Number {k}" for k in range(20)], ["1234.567"] * 20]
+    shares, size = columns(wide, [False] * 20)
+    assert size * (len("1234.567") + ROOM.margin) * 20 == pytest.approx(ROOM.line)

@@ -18,6 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ringtrue.core.arrays import Float
 from ringtrue.errors import SolverFailed, SolverMissing
 from ringtrue.io.foreign.parsers import json_value
 from ringtrue.report.parts import (
@@ -222,6 +225,25 @@ def write_word(data: Stages, sections: Sequence[Section], page: str, target: Pat
     document.save(str(target))
 
 
+@dataclass(frozen=True, slots=True)
+class TableRoom:
+    """Letters of the size of tables.
+
+    Attributes
+    ----------
+    line : int
+        Across the page.
+    margin : int
+        That the edges of a cell take.
+    """
+
+    line: int = 110
+    margin: int = 4
+
+
+ROOM = TableRoom()
+
+
 @dataclass(slots=True)
 class WordWriter:
     """Writes blocks; figures and tables have the numbers of the page."""
@@ -231,6 +253,12 @@ class WordWriter:
     figures: int = 0
     tables: int = 0
     scripted: int = 0  # figures so far that the page draws
+
+    @property
+    def width(self) -> int:
+        """Of the text, in Word's own unit."""
+        paper = self.document.sections[0]
+        return int(paper.page_width - paper.left_margin - paper.right_margin)
 
     def blocks(self, blocks: Sequence[Block]) -> None:
         """Blocks one below the other: folds open, tabs and columns in a row."""
@@ -307,11 +335,18 @@ class WordWriter:
         if block.foot:
             # the first cell of the foot stands over the lead columns
             rows.append([""] * (block.lead - 1) + list(block.foot))
-        table = self.document.add_table(len(rows), len(left), "Light List")
+        table = self.document.add_table(len(rows), len(left), "Light List Accent 1")
+        table.autofit = False
+        shares, size = columns(rows, left)
+        widths = [round(self.width * share) for share in shares]
+        for column, width in zip(table.columns, widths, strict=True):
+            column.width = width
         for at, (row, cells) in enumerate(zip(table.rows, rows, strict=True)):
             bold = at == 0 or (bool(block.foot) and at == len(rows) - 1)
-            for place, cell, text in zip(row.cells, cells, left, strict=True):
-                _fill(place, cell, left=text, bold=bold)
+            for place, cell, text, width in zip(row.cells, cells, left, widths, strict=True):
+                place.width = width
+                _fill(place, cell, left=text, bold=bold, size=size)
+            row._tr.get_or_add_trPr().append(OxmlElement("w:cantSplit"))
         # the heads stand on every page of the table
         table.rows[0]._tr.get_or_add_trPr().append(OxmlElement("w:tblHeader"))
         self.document.add_paragraph()
@@ -384,12 +419,11 @@ class WordWriter:
 
     def _photo(self, photo: Photo) -> None:
         from docx.image.exceptions import UnrecognizedImageError
-        from docx.shared import Mm
 
         self.figures += 1
         photo.data_url()  # the errors of the page
         try:
-            self.document.add_picture(str(photo.path), width=Mm(182))
+            self.document.add_picture(str(photo.path), width=self.width)
         except UnrecognizedImageError:
             self._paragraph(f"{photo.path.name}: Word takes PNG, JPEG and GIF alone.", "muted")
         self._caption(f"Figure {self.figures}", photo.caption)
@@ -402,6 +436,27 @@ class WordWriter:
         run.font.size = Pt(7.5)
 
 
+def columns(rows: Sequence[Sequence[str | Cell]], left: Sequence[bool]) -> tuple[Float, float]:
+    """Shares of the width of a table for its columns (c,), and its size of letters over the usual
+    one.
+
+    Numbers, and the longest words of heads and texts, stand in one line, in smaller letters where
+    they have no room; what remains goes to the columns by the length of their texts.
+    """
+    least, whole = np.zeros((2, len(left)), dtype=int)
+    for row in rows:
+        for k, (cell, is_text) in enumerate(zip(row, left, strict=True)):
+            text = cell if isinstance(cell, str) else cell.text
+            words = text.split()
+            if row is not rows[0] and not is_text and any(map(str.isdigit, text)):
+                words = [text]
+            least[k] = max(least[k], *(len(word) + ROOM.margin for word in words), ROOM.margin)
+            whole[k] = max(whole[k], len(text) + ROOM.margin)
+    more = whole - least
+    wanted = least + max(ROOM.line - least.sum(), 0) * more / max(more.sum(), 1)
+    return wanted / wanted.sum(), min(1.0, ROOM.line / float(least.sum()))
+
+
 def _colour(run: Any, tone: str) -> None:
     from docx.shared import RGBColor
 
@@ -409,7 +464,7 @@ def _colour(run: Any, tone: str) -> None:
         run.font.color.rgb = RGBColor.from_string(COLORS[tone])
 
 
-def _fill(place: Any, cell: str | Cell, *, left: bool, bold: bool) -> None:
+def _fill(place: Any, cell: str | Cell, *, left: bool, bold: bool, size: float = 1.0) -> None:
     """Write one cell of a table."""
     from docx.enum.text import WD_ALIGN_PARAGRAPH
     from docx.shared import Pt
@@ -419,6 +474,6 @@ def _fill(place: Any, cell: str | Cell, *, left: bool, bold: bool) -> None:
     paragraph.paragraph_format.space_after = Pt(0)
     paragraph.alignment = WD_ALIGN_PARAGRAPH.LEFT if left else WD_ALIGN_PARAGRAPH.RIGHT
     run = paragraph.add_run(shown.text)
-    run.font.size = Pt(8)
+    run.font.size = Pt(8 * size)
     run.bold = bold
     _colour(run, shown.tone)
