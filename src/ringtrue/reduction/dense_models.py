@@ -84,14 +84,15 @@ class ProjectedModel:
     def linearise(self, x: Float) -> Linearisation:
         """Modes and exact sensitivities of the reduced model at x (p,)."""
         everything = self.full_vector(x)
-        lam, y = self._solve(everything, all_modes=True)
         a = self.basis.parameters.factors(everything)
         slope = self.basis.parameters.derivative(everything)
         m = self.count
+        # the slopes first: functions that call element kernels know their values with them
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
             for t in self.basis.of.get(which, []):
                 weights[i, t] = self.basis.terms[t][0].derivative(a, which) * slope[which]
+        lam, y = self._solve(everything, all_modes=True)
         dk, dm = (_products(acting, weights, y, m) for acting in self.basis.acting)
         d_lambda = np.einsum("pii->ip", dk[:, :m]) - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
         c = np.empty((len(self.active), lam.size, m))

@@ -5,8 +5,10 @@ of the truth.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 from zlib import crc32
@@ -298,25 +300,26 @@ def run_campaign(
     crew = _Crew(here, plan.shortened() if fast else plan, folder, seed)
     kinds = here.ambient_tests()
     tests = {name: crew.prepare(name) for name in kinds}
-    jobs = [(name, kind) for name in tests for kind in kinds[name]]
-    ambient = {}
-    for i, (name, kind) in enumerate(jobs):
-        progress(0.6 * i / len(jobs), f"record {name}-{kind}")
-        ambient[f"{name}-{kind}"] = crew.ambient_record(tests[name], name, kind)
-    hammer = {}
-    blows = [(i, r) for i in range(len(plan.setups)) for r in plan.references]
-    for k, (setup, reference) in enumerate(blows):
-        name = hammer_name(setup, reference)
-        progress(0.6 + 0.4 * k / len(blows), f"record {name}")
-        hammer[name] = crew.hammer_record(setup, reference)
-    by_test = {name: ambient[f"{name}-ambient"] for name in tests}
-    by_test["hammer"] = float(np.median(list(hammer.values())))
+    made = {
+        f"{name}-{kind}": partial(crew.ambient_record, tests[name], name, kind)
+        for name in tests
+        for kind in kinds[name]
+    }
+    ambient = list(made)
+    made |= {
+        hammer_name(setup, reference): partial(crew.hammer_record, setup, reference)
+        for setup in range(len(plan.setups))
+        for reference in plan.references
+    }
+    by_record = _at_once(made, progress)
+    hammer = [ratio for name, ratio in by_record.items() if name not in ambient]
+    by_test = {name: by_record[f"{name}-ambient"] for name in tests}
+    by_test["hammer"] = float(np.median(hammer))
     _paperwork(here, crew.plan, folder)
     log.info(
         "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
     )
     progress(1.0, "campaign written")
-    by_record = ambient | hammer
     return CampaignSummary(
         records=tuple(folder / f"{name}.h5" for name in by_record),
         sheet=folder / "sensors.csv",
@@ -325,6 +328,19 @@ def run_campaign(
         snr_record_db=by_record,
         ground_rms={name: t.site.ground_rms for name, t in tests.items()},
     )
+
+
+def _at_once(made: Mapping[str, Callable[[], float]], progress: Progress) -> dict[str, float]:
+    """What is returned for each record; two are made at a time, for the memory that each takes."""
+    out: dict[str, float] = {}
+    pool = ThreadPoolExecutor(2)
+    try:
+        for name, ratio in zip(made, pool.map(lambda make: make(), made.values()), strict=True):
+            out[name] = ratio
+            progress(len(out) / len(made), f"record {name}")
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return out
 
 
 @dataclass(frozen=True, slots=True)

@@ -469,7 +469,7 @@ class Interpolation:
         return out | {k: self.nodes[k].coefficients(f[0]) for k, f in found.items()}
 
     def _slopes_at(self, a: Float) -> dict[int, dict[int, Float]]:
-        """Of each colour, all from one call of the kernels."""
+        """Of each colour, all from one call of the kernels, which gives the values as well."""
         out: dict[int, dict[int, Float]] = {c: {} for c in self.colours.values()}
         by_series = {k: s.derivative(x) for k, s, x in self._by_series(a)}
         for k, slope in by_series.items():
@@ -477,9 +477,13 @@ class Interpolation:
         some = [k for k in range(len(self.regions)) if k not in by_series]
         wanted = sorted({self.colours[i] for k in some for i in self.regions[k].which})
         steps = [np.array([self.colours.get(i) == c for i in range(a.size)]) for c in wanted]
+        values = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
         for k, f in self._entries(a, some, [a + 1j * COMPLEX_STEP * on for on in steps]).items():
             for c, slope in zip(wanted, f.imag / COMPLEX_STEP, strict=True):
                 out[c][k] = self.nodes[k].derivatives(slope)
+            if (a[list(self.regions[k].which)] != 1).any():
+                values[k] = self.nodes[k].coefficients(f[0].real)
+        _kept(self._values, a.tobytes(), lambda: values)
         return out
 
     def _by_series(self, a: Float) -> Iterator[tuple[int, Series, float]]:
