@@ -34,8 +34,6 @@ class AmplitudeSettings:
         response.
     loud : float
         Share of the time that gives the loud level.
-    peak : float
-        Largest power of a machine that switches, over its loud level.
     chance : float
         That a mode is as steady.
     """
@@ -45,7 +43,6 @@ class AmplitudeSettings:
     near: float = 0.4
     decay: float = 2.0
     loud: float = 0.05
-    peak: float = 1.4
     chance: float = 1e-3
 
 
@@ -181,11 +178,8 @@ def amplitude_evidence(
         near = [band for band in bands if band[1] < bands[0][1] / AMPLITUDE.near]
         kurtosis = min(x[0] for x in near)
         top = min(x[2] for x in near)
-        regular = (
-            not interval
-            and top < AMPLITUDE.peak
-            and (1 - AMPLITUDE.loud**top) ** (2 * cycles[k]) < AMPLITUDE.chance
-        )
+        by_chance = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])
+        regular = not interval and by_chance < AMPLITUDE.chance
         if kurtosis < AMPLITUDE.kurtosis and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "

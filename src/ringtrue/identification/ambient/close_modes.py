@@ -27,6 +27,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identification.ambient.confidence import confidence
 from ringtrue.identification.ambient.maximum_likelihood import (
     CHANCE,
+    LIMITS,
     EstimatedModes,
     refine_by_likelihood,
 )
@@ -59,9 +60,8 @@ class MixingLimits:
     prior : float
         Standard deviation of the mixing. What subspace estimates of a close pair state of it is too
         small.
-    misfit, waves : float
-        Squared errors of bins, and of bins half a bandwidth wide, over their expectation. Above,
-        something else than two modes is there.
+    misfit : float
+        Squared error over its expectation, above which something else than two modes is there.
     like : float
         MAC of shapes that may be those of one mode, found twice.
     """
@@ -72,7 +72,6 @@ class MixingLimits:
     bins: int = 4
     prior: float = 0.2
     misfit: float = 1.5
-    waves: float = 2.5
     like: float = 0.6
 
 
@@ -256,7 +255,7 @@ def _solve_mixing(
     size = np.bincount(cell)
     sums = np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)
     waves = float((np.abs(sums[size > 0]) ** 2 / size[size > 0]).mean())
-    if misfit > MIXING.misfit or waves > MIXING.waves:
+    if misfit > MIXING.misfit or waves > LIMITS.waves:
         return None
     found = value + step
     by_chance = max(misfit, waves / CHANCE, 1.0)

@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome, iterate
+from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
 Decays = tuple[Float, ...]  # (ch, sample) each, of equal channels
 
@@ -322,7 +323,7 @@ def strongest_decay(
     """
     samples = max(y.shape[1] for y in rest)
     longest = samples / rate
-    largest = 0.2 * 2 * np.pi * limits[1]  # damping ratio 0.2
+    largest = DAMPING_MAX * 2 * np.pi * limits[1]
     count = max(int(np.log(max(largest * longest, 2.0)) / np.log(2.0)), 2)
     grid = np.geomspace(1 / longest, largest, count)
     best = DecayPeak(0j, 0.0, np.inf)
@@ -341,7 +342,7 @@ def strongest_decay(
             energy = float(weight @ weight)
             spectrum = rfft(part * weight, n, axis=1)
             total += (2 * np.abs(spectrum) ** 2 / (variance * energy)).sum(axis=0)
-        total[(f < limits[0]) | (f > limits[1]) | (sigma > 0.2 * 2 * np.pi * f)] = 0
+        total[(f < limits[0]) | (f > limits[1]) | (sigma > DAMPING_MAX * 2 * np.pi * f)] = 0
         at = int(total.argmax())
         if total[at] > best.gain:
             best = DecayPeak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)
