@@ -55,22 +55,17 @@ class PhaseSettings:
     orders : tuple of int
         Of one line over that of another.
     near : float
-        Relative distance from a ratio of whole numbers, at most.
-    width : float
-        Half a band over its frequency, at most.
+        Relative distance from a ratio of whole numbers, at most; half a band has twice as much of
+        its frequency at most.
     lines : float
         Half a band in lines of the record, at least.
-    phasor : float
-        Mean phasor, at least.
     evidence : float
         Square of the mean phasor times the independent samples, at least.
     """
 
     orders: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 9, 12)
     near: float = 0.03
-    width: float = 0.06
     lines: float = 30.0
-    phasor: float = 0.35
     evidence: float = 15.0
 
 
@@ -230,7 +225,8 @@ def phase_evidence(
         if out[k]:
             continue
         half = min(
-            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])), PHASE.width
+            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])),
+            2 * PHASE.near,
         )
         count = int(next_fast_len(int(4 * half * max(f[k], f[j]) / step) + 8))
         a, b = (_instants(spectrum, step, float(x), half, count) for x in (f[k], f[j]))
@@ -238,7 +234,7 @@ def phase_evidence(
         turn = np.exp(1j * (q * np.angle(a) - p * np.angle(b)))
         together = float(np.abs((weight * turn).sum()) / weight.sum())
         periods = 2 * half * min(f[k], f[j]) / step
-        if together > PHASE.phasor and together**2 * periods > PHASE.evidence:
+        if together**2 * periods > PHASE.evidence:
             out[k] = f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
     return tuple(out)
 

@@ -87,10 +87,6 @@ class PairLimits:
         Share of the orders that must show two poles in one plane.
     within : float
         Share of a squared shape that must lie in the plane.
-    unlike : float
-        Least eigenvalue of the Gram matrix of two unit shapes that span a plane.
-    weak : float
-        Strength of the weaker pole over that of the stronger.
     separate : float
         Standard deviations between poles that are separated.
     damping : float
@@ -100,8 +96,6 @@ class PairLimits:
     channels: int = 4
     orders: float = 0.3
     within: float = 0.8
-    unlike: float = 0.05
-    weak: float = 0.2
     separate: float = 2.0
     damping: float = 3.0
 
@@ -435,7 +429,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     for n in np.unique(p.order[near]):
         here = near[p.order[near] == n]
         best = here[np.argsort(p.std_frequency[here], kind="stable")[:2]]
-        if best.size == 2 and band.strength[best].min() > PAIRS.weak * band.strength[best].max():
+        if best.size == 2:
             two.append(best)
     fewest = PAIRS.orders * p.orders.size
     if len(two) < fewest:
@@ -443,12 +437,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     at = np.array(two)
     shapes = p.shape[:, at]
     unit_shapes = np.moveaxis(shapes, 1, 0) / np.linalg.norm(shapes, axis=0)[:, None]
-    planes, size, _ = np.linalg.svd(unit_shapes, full_matrices=False)
-    spans = size[:, 1] ** 2 > PAIRS.unlike
-    at = at[spans]
-    planes = planes[spans]
-    if len(at) < fewest:
-        return None
+    planes = np.linalg.svd(unit_shapes, full_matrices=False)[0]
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
     like = np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2 > PAIRS.within
     if like.sum() < fewest:
