@@ -34,6 +34,9 @@ class AmplitudeSettings:
         response.
     loud : float
         Share of the time that gives the loud level.
+    peak : float
+        Largest power of a machine that switches, over its loud level: what is counted in `chance`
+        is more than the instants of a long record that are looked at.
     chance : float
         That a mode is as steady.
     """
@@ -43,6 +46,7 @@ class AmplitudeSettings:
     near: float = 0.4
     decay: float = 2.0
     loud: float = 0.05
+    peak: float = 1.4
     chance: float = 1e-3
 
 
@@ -174,7 +178,8 @@ def amplitude_evidence(
         kurtosis = min(x[0] for x in near)
         top = min(x[2] for x in near)
         by_chance = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])
-        regular = not interval and by_chance < AMPLITUDE.chance
+        steady = top < AMPLITUDE.peak and by_chance < AMPLITUDE.chance
+        regular = steady and not interval
         if kurtosis < AMPLITUDE.kurtosis and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "
