@@ -52,6 +52,7 @@ OTHER_PATHS = (  # of the hammer test, of several tests, and pictures
     "ringtrue.identification.common.tracking",
     "ringtrue.identification.common.diagram",
 )
+DEFINITIONS = ("ANY_TURN",)  # arithmetic: the mean share of two shapes after any turn
 PAGE = ROOT / "docs" / "ambient_settings.md"
 FIRST_SEED = 5000
 COUNTS = {"short": 4, "decay": 3, "drops": 2, "mixed": 2, "machine": 1, "close": 1}
@@ -132,7 +133,8 @@ def is_number(value: object) -> bool:
 def settings_of(module: ModuleType) -> Iterator[Setting]:
     """The settings that a module defines."""
     for name, value in vars(module).items():
-        if name.isupper() and is_number(value) and f"\n{name} = " in source(module):
+        own = name.isupper() and f"\n{name} = " in source(module)
+        if own and is_number(value) and name not in DEFINITIONS:
             yield Setting(module.__name__, "", name, value)
         if isinstance(value, type) and value.__module__ == module.__name__:
             if not dataclasses.is_dataclass(value):

@@ -228,10 +228,10 @@ def fit(
     """The most likely poles from a start; `rough` where more poles are to come."""
     if not start.poles.size:
         return decay_sums(decays, rate, start)
-    tolerance = 1e-4
+    rules = DecayFit(decays, rate, start)
     if rough:
-        tolerance = 1e-6 * sum(y.size for y in decays)
-    return iterate(DecayFit(decays, rate, start, tolerance), limit=limit).last.sums
+        rules = replace(rules, tolerance=1e-6 * sum(y.size for y in decays))
+    return iterate(rules, limit=limit).last.sums
 
 
 def left_over(decays: Decays, rate: float, sums: DecaySums, keep: int | None = None) -> Decays:

@@ -40,8 +40,8 @@ class SsiCov:
         Blocks of the record for the variance; 0 chooses, 1 leaves the standard deviations out.
     """
 
-    block_rows: int = 50
-    order_max: int = 80
+    block_rows: int
+    order_max: int
     order_step: int = 2
     blocks: int = 0
 
