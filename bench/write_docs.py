@@ -52,6 +52,7 @@ RUNS = {  # name of the results: script and its options
     "ambient_drops": "bench/ambient_families.py drops",
     "ambient_setups": "bench/ambient_families.py setups",
     "ambient_confidence": "bench/confidence.py",
+    "ablations": "bench/ablations.py",
     "records": "bench/records.py",
     "setups": "bench/identification_setups.py",
     "hammer_accuracy": "bench/identification_hammer.py accuracy",

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import ablations
 import ambient_families
 import calculix_input
 import concrete_frame
@@ -62,6 +63,8 @@ from outcome import (
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
+from ringtrue.identification.ambient import ssi_cov, ssi_data
+from ringtrue.signal import transients
 
 BENCH = Path(__file__).parents[2] / "bench"
 SHARED = {
@@ -603,6 +606,7 @@ JUDGED: list[
             ("setups", [replace(RECORD, missing=1)] * 40),
         ],
     ),
+    ("ablations", ablations.checks, (100, 0, 0), [(500, 0, 0), (100, 500, 0), (100, 0, 1)]),
     (
         "confidence",
         confidence.checks,
@@ -696,6 +700,24 @@ def test_a_deck_as_input_of_calculix(tmp_path: Path) -> None:
     path.write_text(f"BEGIN BULK\n{nodes}{wedge}{materials}CELAS2,2,1.,1,1\n")
     with pytest.raises(calculix_input.OtherDeck, match="CELAS2"):
         calculix_input.written(read_deck(path))
+
+
+def test_a_changed_setting_takes_effect_wherever_it_is_held() -> None:
+    """In a process of its own: of a class, of instances that modules hold, of names imported."""
+    settings = {x.label: x for x in ablations.all_settings()}
+    event = settings["signal.transients: EventSettings.loud"]
+    references = settings["identification.ambient.ssi_cov: MAX_REFERENCES"]
+
+    def held() -> tuple[float, float, int, int]:
+        for one in (event, references):
+            one.change(2.0)
+        modules = ssi_cov.MAX_REFERENCES, ssi_data.MAX_REFERENCES
+        return transients.EventSettings().loud, transients.EVENT.loud, *modules
+
+    before = transients.EVENT.loud, ssi_cov.MAX_REFERENCES
+    doubled = ablations.in_own_process(held)
+    assert doubled == (2 * before[0], 2 * before[0], 2 * before[1], 2 * before[1])
+    assert (transients.EVENT.loud, ssi_cov.MAX_REFERENCES) == before
 
 
 def test_every_script_has_been_fed_a_wrong_answer() -> None:

@@ -115,7 +115,7 @@ def test_deviation_of_a_pole_is_its_derivative():
 
 def test_settings_are_checked():
     with pytest.raises(ConfigError, match="block_rows"):
-        SsiCov(block_rows=1)
+        SsiCov(block_rows=1, order_max=8)
     with pytest.raises(ConfigError, match="fmin < fmax"):
         AmbientSettings(fmin=5.0, fmax=2.0)
 

@@ -243,7 +243,7 @@ def test_orders_of_one_band_agree_with_the_truth():
         np.abs(twin - p.frequencies[best]).min() < 0.5 * p.std_frequency[best]
     )  # the blocks weigh a little otherwise
     with pytest.raises(DataError, match="no reference"):
-        ssi_cov(wrap(y, RATE), SsiCov(), references=["99+Z"])
+        ssi_cov(wrap(y, RATE), SsiCov(50, 80), references=["99+Z"])
 
 
 def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():

@@ -136,7 +136,7 @@ def test_era_is_exact_on_free_decays():
     assert last.frequencies[at] == pytest.approx(F, rel=1e-8)
     assert last.damping[at] == pytest.approx(Z, rel=1e-6)
     with pytest.raises(DataError, match="too few"):
-        era(decays, RATE, SsiCov(block_rows=40))
+        era(decays, RATE, SsiCov(40, 8))
 
 
 def test_next_era_within_its_scatter():

@@ -33,8 +33,6 @@ class SegmentCosts:
 
     Attributes
     ----------
-    many : int
-        Segments from which on a band has many.
     inverse : float
         Inverse transforms of a block over transforms of a segment: 8 references.
     longest : int
@@ -45,7 +43,6 @@ class SegmentCosts:
         Items under way, however many threads there are: all of them are in memory.
     """
 
-    many: int = 48
     inverse: float = 10.0
     longest: int = 5
     looks: int = 48
@@ -302,7 +299,7 @@ def _together(cut: Segments, ch: int, count: int) -> int:
     """How many of `count` segments of `ch` channels are transformed at a time, in parts as equal as
     may be.
     """
-    most = int(np.clip(AT_ONCE // (ch * cut.size), 1, COSTS.many))
+    most = max(AT_ONCE // (ch * cut.size), 1)
     return -(-count // -(-count // most))
 
 

@@ -25,6 +25,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.channels import DERIVATIVE
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Quantity, TimeHistory
+from ringtrue.signal.channel_checks import LIMITS
 from ringtrue.signal.clock_alignment import (
     in_one_motion,
     segment_lines,
@@ -53,9 +54,9 @@ class QuantitySettings:
         Mean of |J| of a channel with the others, at least.
     peak : float
         Standard deviations by which the spectrum of a column that measures a motion has peaks.
-    stray, level : float
-        Share of the typical coherence below which, and ratio of the typical level above which, a
-        column is of another kind (strain among accelerations).
+    stray : float
+        Share of the typical coherence below which a column of an odd level is of another kind
+        (strain among accelerations).
     """
 
     segments: int = 64
@@ -65,7 +66,6 @@ class QuantitySettings:
     agreement: float = 0.5
     peak: float = 8.0
     stray: float = 0.05
-    level: float = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ def with_learned_quantities(
     silent = unknown & (total < 1.0) & _without_peaks(phases.power, limits)
     size = history.data.std(axis=1)
     ratio = size / np.median(size[seen])
-    odd = (ratio > limits.level) | (ratio * limits.level < 1)
+    odd = (ratio > LIMITS.level_ratio) | (ratio * LIMITS.level_ratio < 1)
     stray = unknown & odd & (total < limits.stray * np.median(total[seen])) & ~silent
     notes = []
     for code, out in (("channel without motion", silent), ("channel of another kind", stray)):

@@ -72,7 +72,7 @@ class ShakerFrfs:
 
 def independent_segments(samples: int, length: int, settings: Welch) -> float:
     """Segments of no overlap that have the variance of the given ones (Welch 1967, eq. 17)."""
-    hop = max(1, round(length * (1 - settings.overlap)))
+    hop = max(1, length // 2)
     count = (samples - length) // hop + 1
     w = window(settings.window, length)
     k = np.arange(1, min(count, -(-length // hop)))

@@ -35,7 +35,8 @@ class AmplitudeSettings:
     loud : float
         Share of the time that gives the loud level.
     peak : float
-        Largest power of a machine that switches, over its loud level.
+        Largest power of a machine that switches, over its loud level: what is counted in `chance`
+        is more than the instants of a long record that are looked at.
     chance : float
         That a mode is as steady.
     """
@@ -58,22 +59,17 @@ class PhaseSettings:
     orders : tuple of int
         Of one line over that of another.
     near : float
-        Relative distance from a ratio of whole numbers, at most.
-    width : float
-        Half a band over its frequency, at most.
+        Relative distance from a ratio of whole numbers, at most; half a band has twice as much of
+        its frequency at most.
     lines : float
         Half a band in lines of the record, at least.
-    phasor : float
-        Mean phasor, at least.
     evidence : float
         Square of the mean phasor times the independent samples, at least.
     """
 
     orders: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 9, 12)
     near: float = 0.03
-    width: float = 0.06
     lines: float = 30.0
-    phasor: float = 0.35
     evidence: float = 15.0
 
 
@@ -181,11 +177,9 @@ def amplitude_evidence(
         near = [band for band in bands if band[1] < bands[0][1] / AMPLITUDE.near]
         kurtosis = min(x[0] for x in near)
         top = min(x[2] for x in near)
-        regular = (
-            not interval
-            and top < AMPLITUDE.peak
-            and (1 - AMPLITUDE.loud**top) ** (2 * cycles[k]) < AMPLITUDE.chance
-        )
+        by_chance = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])
+        steady = top < AMPLITUDE.peak and by_chance < AMPLITUDE.chance
+        regular = steady and not interval
         if kurtosis < AMPLITUDE.kurtosis and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "
@@ -236,7 +230,8 @@ def phase_evidence(
         if out[k]:
             continue
         half = min(
-            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])), PHASE.width
+            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])),
+            2 * PHASE.near,
         )
         count = int(next_fast_len(int(4 * half * max(f[k], f[j]) / step) + 8))
         a, b = (_instants(spectrum, step, float(x), half, count) for x in (f[k], f[j]))
@@ -244,7 +239,7 @@ def phase_evidence(
         turn = np.exp(1j * (q * np.angle(a) - p * np.angle(b)))
         together = float(np.abs((weight * turn).sum()) / weight.sum())
         periods = 2 * half * min(f[k], f[j]) / step
-        if together > PHASE.phasor and together**2 * periods > PHASE.evidence:
+        if together**2 * periods > PHASE.evidence:
             out[k] = f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
     return tuple(out)
 

@@ -32,6 +32,7 @@ from ringtrue.signal.shaft_tracking import (
     order_blocks,
     phase_errors,
 )
+from ringtrue.signal.tonal_lines import FIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,6 @@ class MachineSettings:
 
     Attributes
     ----------
-    channels : int
-        That are looked at, at most.
     most : int
         Machines.
     orders : int
@@ -53,31 +52,25 @@ class MachineSettings:
         Chance that an order shows a line where there is none.
     false_alarm : float
         Chance that as many orders do, of each candidate.
-    steady : float, revolutions
-        RMS of the angle about that of a constant speed, below which it is scatter of the estimate.
     damping : float
         Least of a structure. Orders below those where its half-power bandwidth is as wide as what
         a line is compared with are no evidence.
     """
 
-    channels: int = 4
     most: int = 4
     orders: int = 256
     score: float = 8.0
     line: float = 0.01
     false_alarm: float = 1e-6
-    steady: float = 0.01
     damping: float = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalSettings:
-    """How the harmonics are fitted.
+    """How the harmonics are fitted, besides what `LineFit` says of all lines.
 
     Attributes
     ----------
-    slow : int
-        Polynomials of the amplitude over time.
     speed : int
         Polynomials of the amplitude over the speed, beyond its mean: the response of the structure
         changes with it.
@@ -85,7 +78,6 @@ class RemovalSettings:
         Samples that are fitted at a time, at least, and two revolutions.
     """
 
-    slow: int = 4
     speed: int = 3
     block: int = 128
 
@@ -169,10 +161,10 @@ def find_machines(
     Parameters
     ----------
     history : TimeHistory
-        `settings.channels` of it are looked at, over its whole length.
+        `FIT.channels` of it are looked at, over their whole length.
     settings : MachineSettings
     """
-    at = np.linspace(0, len(history.channels) - 1, settings.channels).astype(np.int64)
+    at = np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64)
     data = _searched(history.data, np.unique(at))
     found = list[Machine]()
     while len(data) and len(found) < settings.most:
@@ -180,19 +172,9 @@ def find_machines(
         machine = _clearest(signals, settings)
         if machine is None:
             break
-        machine = _steadied(machine, settings)
         found.append(machine)
         _take_out(data, history.rate, machine)
     return tuple(found)
-
-
-def _steadied(machine: Machine, settings: MachineSettings) -> Machine:
-    """The machine, of a constant speed where its own is constant but for scatter."""
-    line = np.polynomial.Polynomial.fit(machine.knots, machine.revolutions, 1)
-    straight = line(machine.knots)
-    if np.std(machine.revolutions - straight) > settings.steady:
-        return machine
-    return replace(machine, revolutions=straight)
 
 
 def remove_machines(history: TimeHistory, machines: Sequence[Machine]) -> TimeHistory:
@@ -425,7 +407,7 @@ def _slow_basis(places: Float, speed: Float) -> Float:
     """(block, column) orthonormal functions of the place in the record, 0 to 1, and of the speed of
     each block.
     """
-    columns = [legvander(2 * places - 1, REMOVAL.slow - 1)]
+    columns = [legvander(2 * places - 1, FIT.slow - 1)]
     spread = speed.std()
     if spread > 0:
         relative = np.clip((speed - speed.mean()) / (3 * spread), -1, 1)

@@ -70,18 +70,11 @@ class PhaseLock:
         Of a record, at most.
     gate : float
         Standard deviations by which the phases of a harmonic must agree for it to count.
-    slip : float
-        Log-likelihood that a jump of the phase must gain: lines of some orders alone are the same
-        after a part of a revolution.
-    farthest : float
-        Revolutions that it jumps by, at most.
     """
 
     revolutions: int = 4
     blocks: int = 2000
     gate: float = 2.5
-    slip: float = 12.0
-    farthest: float = 0.25
 
 
 SEARCH = SpeedSearch()
@@ -476,14 +469,15 @@ def phase_errors(blocks: OrderBlocks, shortest: int = 2) -> Float:
     while lag < count // 3:
         # the mean over a box and the one of a lag later show the speed, all else its ripple
         box = max(1, lag // 2)
-        mean = _box_means(unit.turned(error), box)
+        turned = unit.turned(error)
+        before = np.concatenate([np.zeros_like(turned[:1]), turned])
+        total = np.cumsum(before, axis=0, dtype=np.complex64)
+        mean = (total[box:] - total[:-box]) / np.float32(box)
         products = (mean[:-lag].conj() * mean[lag:]).sum(axis=2)
-        jumps = _jumps(products, k, box)
-        scaled = _score(products * np.exp(-2j * np.pi * jumps[:, None] * k), k, box)
+        scaled = _score(products, k, box)
         if scaled is None:
             return np.asarray(error)
-        score = scaled[0] + scaled[1] * jumps
-        slope = _smoothed(lag * score / box, lag**2 * scaled[1] / box, _first_differences)
+        slope = _smoothed(lag * scaled[0] / box, lag**2 * scaled[1] / box, _first_differences)
         ends = (count - 1 - slope.size) / 2
         each = np.interp(np.arange(count - 1), np.arange(slope.size) + ends, slope)
         error = error + np.concatenate([[0.0], np.cumsum(each)])
@@ -494,12 +488,6 @@ def phase_errors(blocks: OrderBlocks, shortest: int = 2) -> Float:
         error = error + _smoothed(*scaled, _second_differences)
         lag *= 2
     return np.asarray(error)
-
-
-def _box_means(z: Any_, box: int) -> Any_:
-    """(block - box + 1, order, ch) means of `box` blocks."""
-    total = np.cumsum(np.concatenate([np.zeros_like(z[:1]), z]), axis=0, dtype=np.complex64)
-    return np.asarray((total[box:] - total[:-box]) / np.float32(box))
 
 
 def _around(z: Any_, reach: int) -> Any_:
@@ -515,22 +503,6 @@ def _around(z: Any_, reach: int) -> Any_:
     count = (high - low - inner_high + inner_low).astype(np.float32)
     summed = total[high] - total[low] - total[inner_high] + total[inner_low]
     return np.asarray(summed / count[:, None, None])
-
-
-def _jumps(products: Any_, orders: Int, box: int) -> Float:
-    """(block,) revolutions to the most likely phase of `products` (block, order), 0 where none is
-    clearly more likely.
-    """
-    weight = _weights(products, box)
-    steps = int(4 * LOCK.farthest * orders.max())
-    phases = np.arange(-steps, steps + 1) / (4 * orders.max())
-    turns = weight[:, None] * np.exp(-2j * np.pi * orders[:, None] * phases)
-    mean = _box_means(products[:, :, None], box)[::box, :, 0]
-    likelihood = (mean @ turns.astype(np.complex64)).real
-    best = likelihood.argmax(axis=1)
-    gain = likelihood.max(axis=1) - likelihood[:, steps]
-    nearest = np.minimum(np.arange(len(products)) // box, len(mean) - 1)
-    return np.asarray(np.where(gain > LOCK.slip, phases[best], 0.0)[nearest])
 
 
 def _weights(products: Any_, box: int) -> Float:

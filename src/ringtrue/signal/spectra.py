@@ -25,26 +25,21 @@ WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
 
 @dataclass(frozen=True, slots=True)
 class Welch:
-    """Settings of a Welch estimate.
+    """Settings of a Welch estimate of segments that overlap by half.
 
     Attributes
     ----------
     resolution : float, Hz
         Distance of the frequency lines.
-    overlap : float
-        Fraction of a segment shared with the next, 0 <= overlap < 1.
     window : str
     """
 
     resolution: float
-    overlap: float = 0.5
     window: WindowName = "hann"
 
     def __post_init__(self) -> None:
-        if not self.resolution > 0 or not 0 <= self.overlap < 1:
-            raise ConfigError(
-                f"Welch: resolution {self.resolution} must be > 0, overlap {self.overlap} in [0, 1)"
-            )
+        if not self.resolution > 0:
+            raise ConfigError(f"Welch: resolution {self.resolution} must be > 0")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +123,7 @@ def _welch_segments(history: TimeHistory, settings: Welch) -> tuple[Float, Int]:
             f"{history.source}: {history.duration:.4g} s are too short for a resolution of "
             f"{settings.resolution:.4g} Hz; it needs {1 / settings.resolution:.4g} s"
         )
-    hop = max(1, round(length * (1 - settings.overlap)))
+    hop = max(1, length // 2)
     starts = np.arange(0, samples - length + 1, hop, dtype=np.int64)
     return window(settings.window, length), starts
 

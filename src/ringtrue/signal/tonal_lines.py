@@ -29,10 +29,11 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.band_correlations import Signals, detrended
-from ringtrue.signal.spectra import window
+from ringtrue.signal.spectra import BLOCK, window
 
 GROUP = 32  # bins with a common level
 QUIET = 0.5  # level of a frame, at least
+DYNAMIC_RANGE = 1e-14  # of a record, as power: no recorder has more than 140 dB
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +54,6 @@ class RunUpSettings:
         Largest over smallest frequency, at least: five half-power bandwidths of 3 % damping.
     span : int
         Bins that it moves by, at least.
-    widths : float
-        Widths of the ridge itself that it moves by, at least.
     jump : float
         Typical step from frame to frame over its range, at most.
     """
@@ -65,7 +64,6 @@ class RunUpSettings:
     cells: int = 8
     ratio: float = 1.15
     span: int = 6
-    widths: float = 2.5
     jump: float = 0.25
 
 
@@ -198,18 +196,11 @@ def _ridge(power: Float, first: int) -> tuple[float, float] | None:
     at = first + np.arange(power.shape[1])
     total = power[seen].sum(axis=1)
     centre = power[seen] @ at / total
-    width = 1 + 2 * float(
-        np.median(np.sqrt((power[seen] * (at - centre[:, None]) ** 2).sum(axis=1) / total))
-    )
     ranked = np.sort(centre)
     low = float(ranked[2])
     high = float(ranked[-1 - 2])
     jumps = float(np.median(np.abs(np.diff(centre)))) > RUN_UPS.jump * (high - low)
-    if (
-        jumps
-        or high < RUN_UPS.ratio * low
-        or high - low < max(RUN_UPS.span, RUN_UPS.widths * width)
-    ):
+    if jumps or high < RUN_UPS.ratio * low or high - low < RUN_UPS.span:
         return None
     return low, high
 
@@ -239,20 +230,11 @@ class LineShares:
         Segments that are transformed together.
     clear : tuple of float
         Times the power next to a steady line and around it, and its moment.
-    doubt : tuple of float
-        What each fourth segment of many shows of one at least.
-    every : int
-        Of many segments each of so many is looked at first.
-    many : int
-        Segments that are many.
     """
 
     channels: int = 32
     batch: int = 8
     clear: tuple[float, ...] = (30.0, 10.0, 1.35)
-    doubt: tuple[float, ...] = (15.0, 5.0, 1.6)
-    every: int = 4
-    many: int = 100
 
 
 SHARES = LineShares()
@@ -271,10 +253,6 @@ class LineSearch:
         Power over the median around; noise reaches it once in 2^50.
     next_to : float
         Power over the median just outside of the lobe.
-    empty : float
-        Share of the record below which a line is nothing: no recorder has 140 dB.
-    rounding : float
-        Share of the strongest line, below which is the rounding of single precision.
     around : int
         Lines to each side of which the median is taken.
     lobe : int
@@ -286,8 +264,6 @@ class LineSearch:
     cycles: float = 3600.0
     above: float = 50.0
     next_to: float = 25.0
-    empty: float = 1e-7
-    rounding: float = 1e-12
     around: int = 40
     lobe: int = 5
     most: int = 256
@@ -304,8 +280,6 @@ class LineFit:
     ----------
     slow : int
         Polynomials of amplitude and phase.
-    block : int
-        Samples that are fitted at a time.
     together : int
         Lines that are fitted at a time: a fit of all would cost the square of their number.
     channels : int
@@ -315,7 +289,6 @@ class LineFit:
     """
 
     slow: int = 4
-    block: int = 1 << 16
     together: int = 32
     channels: int = 4
     longest: int = 1 << 21
@@ -370,11 +343,6 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    if (
-        2 * data.shape[1] > SHARES.many * length
-        and not _steady(*_moments(data, length, every=SHARES.every), *SHARES.doubt).size
-    ):
-        return ()
     second, kurtosis = _moments(data, length)
     line = _steady(second, kurtosis, *SHARES.clear)
     freqs = rfftfreq(length, 1 / rate)
@@ -400,12 +368,12 @@ def _steady(second: Float, moment: Float, over_side: float, over_floor: float, l
     return np.asarray(at[peak & clear & (moment[at] < limit)], dtype=np.int64)
 
 
-def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
+def _moments(data: Any_, length: int) -> tuple[Float, Float]:
     """Power (freq,) summed over normalised channels, and its normalised second moment over time.
 
-    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is
-    the mean of those of the channels by their power: the sum of the powers of two modes in
-    different directions would look steadier than either.
+    Of half-overlapped segments of `length` samples. The moment is the mean of those of the channels
+    by their power: the sum of the powers of two modes in different directions would look steadier
+    than either.
     """
     win, total, moment = window("blackmanharris", length), *np.zeros((2, length // 2 + 1))
     room = np.empty((SHARES.batch, length), dtype=np.float32)
@@ -414,7 +382,7 @@ def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
         level = some.mean(dtype=np.float64)
         scale = max(float(np.std(some, dtype=np.float64)), 1e-30)
         gain = (win / scale).astype(np.float32)
-        parts = sliding_window_view(data[i], length)[:: every * (length // 2)]
+        parts = sliding_window_view(data[i], length)[:: length // 2]
         first, second = np.zeros((2, length // 2 + 1))
         # in the cache, and in place: most of the time is that of the transforms
         for k in range(0, len(parts), SHARES.batch):
@@ -452,7 +420,7 @@ def find_tonal_lines(
         & (k < power.size - SEARCH.around)
         & (step * k * samples / history.rate > SEARCH.cycles)
     ]
-    k = k[power[k] > SEARCH.rounding * power.max()]
+    k = k[power[k] > DYNAMIC_RANGE * power.max()]
     beyond = np.arange(SEARCH.lobe + 1, SEARCH.lobe + 5)
     side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
     k = k[power[k] > SEARCH.next_to * side]
@@ -514,7 +482,7 @@ def remove_tonal_lines(history: TimeHistory, frequencies: Sequence[float]) -> Ti
         _take_out(data, history.rate, part)
     if (
         data.std(axis=1, dtype=np.float64)
-        <= SEARCH.empty * history.data.std(axis=1, dtype=np.float64)
+        <= np.sqrt(DYNAMIC_RANGE) * history.data.std(axis=1, dtype=np.float64)
     ).all():
         listed = " ".join(f"{f:.5g}" for f in frequencies[:8])
         raise DataError(
@@ -531,25 +499,23 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
     columns = 2 * FIT.slow * len(frequencies)
     gram = np.zeros((columns, columns))
     right = np.zeros((columns, len(data)))
-    for start in range(
-        0, samples, FIT.block
-    ):  # a basis of the whole record would not fit in memory
+    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
         a = _basis(rate, samples, frequencies, start)
-        weighted = a * taper[start : start + FIT.block, None]
+        weighted = a * taper[start : start + BLOCK, None]
         gram += weighted.T @ a
-        right += weighted.T @ data[:, start : start + FIT.block].T.astype(np.float64)
+        right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
-    for start in range(0, samples, FIT.block):
-        data[:, start : start + FIT.block] -= (
-            _basis(rate, samples, frequencies, start) @ x
-        ).T.astype(data.dtype)
+    for start in range(0, samples, BLOCK):
+        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(
+            data.dtype
+        )
 
 
 def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:
     """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample
     on.
     """
-    t = np.arange(start, min(start + FIT.block, samples))
+    t = np.arange(start, min(start + BLOCK, samples))
     slow = legvander(2 * t / samples - 1, FIT.slow - 1)
     turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)
     both = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)

@@ -72,10 +72,8 @@ class RegularImpactSettings:
 
     Attributes
     ----------
-    loud : float
-        Times the median power of the error: of a normal one none of a million windows.
     faint : float
-        Times the same, where an impact is due.
+        Times the median power of the error, where an impact is due; `EventSettings.loud` elsewhere.
     spacing : int, windows
         To either side without a second impact.
     fewest : int
@@ -90,7 +88,6 @@ class RegularImpactSettings:
         Of the samples of the record, that the response has at most.
     """
 
-    loud: float = 10.0
     faint: float = 4.0
     spacing: int = 4
     fewest: int = 30
@@ -401,7 +398,7 @@ def _impact_samples(some: Any_) -> Int:
     power = (power / typical).mean(axis=0)
     top = _with_faint(
         np.flatnonzero(
-            (power > REGULAR.loud) & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
+            (power > EVENT.loud) & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
         ),
         power,
     )

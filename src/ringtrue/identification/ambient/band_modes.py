@@ -44,8 +44,6 @@ class WanderLimits:
 
     Attributes
     ----------
-    blocks : int
-        Least number of blocks of the record.
     significant : float
         Standard deviations of the mean correlation of neighbouring blocks, above which it is no
         chance.
@@ -55,7 +53,6 @@ class WanderLimits:
         What it adds to the damping, over the square of that ratio; by its shape 0.2 to 0.8.
     """
 
-    blocks: int = 12
     significant: float = 3.0
     matters: float = 0.25
     wider: float = 0.5
@@ -180,7 +177,7 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimi
     limits : WanderLimits
     """
     out = np.zeros(c.pole.size)
-    if blocks < limits.blocks or not at.size:
+    if blocks < 2 or not at.size:
         return out
     d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(c.pole[at, None]) ** 2
     d *= np.sqrt(blocks * (blocks - 1.0))  # of a block, not of the mean

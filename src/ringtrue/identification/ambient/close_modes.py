@@ -27,6 +27,7 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.identification.ambient.confidence import confidence
 from ringtrue.identification.ambient.maximum_likelihood import (
     CHANCE,
+    LIMITS,
     EstimatedModes,
     refine_by_likelihood,
 )
@@ -59,9 +60,8 @@ class MixingLimits:
     prior : float
         Standard deviation of the mixing. What subspace estimates of a close pair state of it is too
         small.
-    misfit, waves : float
-        Squared errors of bins, and of bins half a bandwidth wide, over their expectation. Above,
-        something else than two modes is there.
+    misfit : float
+        Squared error over its expectation, above which something else than two modes is there.
     like : float
         MAC of shapes that may be those of one mode, found twice.
     """
@@ -72,7 +72,6 @@ class MixingLimits:
     bins: int = 4
     prior: float = 0.2
     misfit: float = 1.5
-    waves: float = 2.5
     like: float = 0.6
 
 
@@ -88,10 +87,6 @@ class PairLimits:
         Share of the orders that must show two poles in one plane.
     within : float
         Share of a squared shape that must lie in the plane.
-    unlike : float
-        Least eigenvalue of the Gram matrix of two unit shapes that span a plane.
-    weak : float
-        Strength of the weaker pole over that of the stronger.
     separate : float
         Standard deviations between poles that are separated.
     damping : float
@@ -101,8 +96,6 @@ class PairLimits:
     channels: int = 4
     orders: float = 0.3
     within: float = 0.8
-    unlike: float = 0.05
-    weak: float = 0.2
     separate: float = 2.0
     damping: float = 3.0
 
@@ -256,7 +249,7 @@ def _solve_mixing(
     size = np.bincount(cell)
     sums = np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)
     waves = float((np.abs(sums[size > 0]) ** 2 / size[size > 0]).mean())
-    if misfit > MIXING.misfit or waves > MIXING.waves:
+    if misfit > MIXING.misfit or waves > LIMITS.waves:
         return None
     found = value + step
     by_chance = max(misfit, waves / CHANCE, 1.0)
@@ -436,7 +429,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     for n in np.unique(p.order[near]):
         here = near[p.order[near] == n]
         best = here[np.argsort(p.std_frequency[here], kind="stable")[:2]]
-        if best.size == 2 and band.strength[best].min() > PAIRS.weak * band.strength[best].max():
+        if best.size == 2:
             two.append(best)
     fewest = PAIRS.orders * p.orders.size
     if len(two) < fewest:
@@ -444,12 +437,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     at = np.array(two)
     shapes = p.shape[:, at]
     unit_shapes = np.moveaxis(shapes, 1, 0) / np.linalg.norm(shapes, axis=0)[:, None]
-    planes, size, _ = np.linalg.svd(unit_shapes, full_matrices=False)
-    spans = size[:, 1] ** 2 > PAIRS.unlike
-    at = at[spans]
-    planes = planes[spans]
-    if len(at) < fewest:
-        return None
+    planes = np.linalg.svd(unit_shapes, full_matrices=False)[0]
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
     like = np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2 > PAIRS.within
     if like.sum() < fewest:

@@ -24,6 +24,7 @@ from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.stabilisation import StableDiagram, least_deviations
 from ringtrue.shapes import mpc
+from ringtrue.signal import channel_checks
 from ringtrue.signal.tonal_lines import Harmonic
 
 Row = tuple[int, int]  # a band, and a row of its table
@@ -387,8 +388,6 @@ class ForceLimits:
         Times less damping than the modes have, beyond which a pole is in doubt.
     doubt : float
         Least uncertainty of the damping over that of the modes, times the damping over theirs.
-    odd_level : float
-        Level of a channel over the typical one, above which its unit is not believed.
     """
 
     each_side: int = 3
@@ -397,7 +396,6 @@ class ForceLimits:
     blind: float = 4.0
     sharper: float = 3.0
     doubt: float = 4.0
-    odd_level: float = 100.0
 
 
 def machine(
@@ -464,8 +462,7 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
     limits = ForceLimits()
     level = np.linalg.norm(shape, axis=1)
     typical = float(np.median(level))
-    # a channel of another unit
-    odd = level > limits.odd_level * typical
+    odd = level > channel_checks.LIMITS.level_ratio * typical  # a channel of another unit
     psi = shape * np.where(odd, typical / np.maximum(level, 1e-300), 1.0)[:, None]
     psi = psi / np.linalg.norm(psi, axis=0)
     # over the statistical floor, up to the length of the record

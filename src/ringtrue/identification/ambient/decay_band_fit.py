@@ -174,12 +174,12 @@ class DecaySettings:
         amplitude does to it.
     locked : float
         Standard deviations, within which a pole is a multiple of another, or a sum of two.
-    damping_max : float
-        What decays faster is the end of an impact.
     decades : float
         That the power falls by behind the impacts in a record of free decays.
     early : float
         Share of their energy that is in their first halves there.
+    frames : int
+        Of a record, whose powers are compared before anything else is looked at.
     """
 
     fmin: float | None = None
@@ -187,9 +187,9 @@ class DecaySettings:
     false_alarm: float = 1e-3
     near: float = 12.0
     locked: float = 5.0
-    damping_max: float = 0.2
     decades: float = 1.5
     early: float = 0.9
+    frames: int = 50
 
     def __post_init__(self) -> None:
         check_band(self.fmin, self.fmax)

@@ -12,6 +12,7 @@ from ringtrue.core.notes import Note
 from ringtrue.identification.ambient.decay_backbone import Backbone, fit_backbone
 from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, shape_mac
 from ringtrue.identification.ambient.decay_fit import covariance, deviations, is_steady
+from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +115,7 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
         slack = 5 * std[0]
         f = model.frequencies
         inside = (f > low - slack) & (f < high + slack) & (f >= band.low) & (f <= band.high)
-        inside &= model.damping < settings.damping_max
+        inside &= model.damping < DAMPING_MAX
         for k in np.flatnonzero(inside).tolist():
             parts = found.envelopes(k)
             pole = complex(model.poles[k])

@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome, iterate
+from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
 Decays = tuple[Float, ...]  # (ch, sample) each, of equal channels
 
@@ -227,10 +228,10 @@ def fit(
     """The most likely poles from a start; `rough` where more poles are to come."""
     if not start.poles.size:
         return decay_sums(decays, rate, start)
-    tolerance = 1e-4
+    rules = DecayFit(decays, rate, start)
     if rough:
-        tolerance = 1e-6 * sum(y.size for y in decays)
-    return iterate(DecayFit(decays, rate, start, tolerance), limit=limit).last.sums
+        rules = replace(rules, tolerance=1e-6 * sum(y.size for y in decays))
+    return iterate(rules, limit=limit).last.sums
 
 
 def left_over(decays: Decays, rate: float, sums: DecaySums, keep: int | None = None) -> Decays:
@@ -322,7 +323,7 @@ def strongest_decay(
     """
     samples = max(y.shape[1] for y in rest)
     longest = samples / rate
-    largest = 0.2 * 2 * np.pi * limits[1]  # damping ratio 0.2
+    largest = DAMPING_MAX * 2 * np.pi * limits[1]
     count = max(int(np.log(max(largest * longest, 2.0)) / np.log(2.0)), 2)
     grid = np.geomspace(1 / longest, largest, count)
     best = DecayPeak(0j, 0.0, np.inf)
@@ -341,7 +342,7 @@ def strongest_decay(
             energy = float(weight @ weight)
             spectrum = rfft(part * weight, n, axis=1)
             total += (2 * np.abs(spectrum) ** 2 / (variance * energy)).sum(axis=0)
-        total[(f < limits[0]) | (f > limits[1]) | (sigma > 0.2 * 2 * np.pi * f)] = 0
+        total[(f < limits[0]) | (f > limits[1]) | (sigma > DAMPING_MAX * 2 * np.pi * f)] = 0
         at = int(total.argmax())
         if total[at] > best.gain:
             best = DecayPeak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)

@@ -18,7 +18,13 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import SsiCov, choose_references, decompose, prepared
-from ringtrue.identification.common.stabilisation import PoleSet, confirmed, modes_of, unit
+from ringtrue.identification.common.stabilisation import (
+    DAMPING_MAX,
+    PoleSet,
+    confirmed,
+    modes_of,
+    unit,
+)
 from ringtrue.identification.common.uncertainty import hankel
 from ringtrue.signal.spectra import correlations
 
@@ -58,18 +64,16 @@ def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
     """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of
     `c` (ch, n).
     """
-    parts = [
-        modal(a[:n, :n], c[:, :n], rate, s.damping_max) for n in range(2, len(a) + 1, s.order_step)
-    ]
+    parts = [modal(a[:n, :n], c[:, :n], rate) for n in range(2, len(a) + 1, s.order_step)]
     return gathered(list(range(2, len(a) + 1, s.order_step)), parts)
 
 
-def modal(a: Float, c: Float, rate: float, damping_max: float) -> tuple[Complex, Complex]:
+def modal(a: Float, c: Float, rate: float) -> tuple[Complex, Complex]:
     """Damped poles (k,), rad/s, and shapes (ch, k) of one realisation."""
     mu, right = np.linalg.eig(a)
     pole = np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate
     zeta = -pole.real / np.maximum(np.abs(pole), 1e-300)
-    keep = (mu.imag > 0) & (zeta > 0) & (zeta < damping_max)
+    keep = (mu.imag > 0) & (zeta > 0) & (zeta < DAMPING_MAX)
     return np.asarray(pole[keep]), np.asarray((c @ right[:, keep]).astype(np.complex128))
 
 
@@ -114,7 +118,7 @@ def next_era(
     return era(correlations(data, refs, lags), history.rate, settings).rescaled(scale)
 
 
-SAMPLES_A_ROW = 8
+SAMPLES_A_LAG = 8  # of the record, at least
 
 
 def era_modes(
@@ -123,7 +127,7 @@ def era_modes(
     """Modes of one band (Hz) that most orders show, and both halves of the record."""
 
     def poles(data: Float) -> PoleSet:
-        rows = min(settings.block_rows, data.shape[1] // SAMPLES_A_ROW)
+        rows = min(settings.block_rows, data.shape[1] // SAMPLES_A_LAG)
         own = SsiCov(rows, order_max=60)
         return next_era(replace(part, data=data), own, references=settings.references or None)
 
@@ -134,4 +138,4 @@ def era_modes(
 
 def fewest_samples(channels: int, settings: AmbientSettings) -> int:
     """Samples of a band that all block rows need, whatever the channels."""
-    return SAMPLES_A_ROW * settings.block_rows
+    return SAMPLES_A_LAG * settings.block_rows

@@ -21,7 +21,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.spectral_bins import oscillator_spectrum
-from ringtrue.identification.common.stabilisation import unit
+from ringtrue.identification.common.stabilisation import DAMPING_MAX, unit
 from ringtrue.signal.spectra import Csd, Welch, csd, window
 
 
@@ -50,7 +50,7 @@ class FddSettings:
     fmin: float = 0.0
     fmax: float = 0.0
     mac: float = 0.8
-    damping: tuple[float, float] = (1e-4, 0.3)
+    damping: tuple[float, float] = (1e-4, DAMPING_MAX)
     reach: float = 10.0
     foot: float = 0.05
     filtered: float = 0.3

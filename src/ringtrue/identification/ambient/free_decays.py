@@ -44,8 +44,6 @@ from ringtrue.signal.channel_checks import bridge_gaps, usable
 from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import EVENT, Events, find_events
 
-FRAMES = 50  # of a record, whose powers are compared
-
 
 def decay_bounds(events: Events, history: TimeHistory) -> Int:
     """(decay, 2) first sample of each decay, behind its impact, and the first one behind it.
@@ -380,10 +378,11 @@ def decay_evidence(history: TimeHistory, settings: DecaySettings) -> DecayEviden
 
     A stationary record ends at the first look: its frames are of one power within a decade.
     """
-    if history.data.shape[1] < 16 * FRAMES or not np.isfinite(history.data).all():
+    if history.data.shape[1] < 16 * settings.frames or not np.isfinite(history.data).all():
         return DecayEvidence()
-    size = history.data.shape[1] // FRAMES
-    frames = history.data[:, : size * FRAMES].reshape(len(history.data), FRAMES, size)
+    count = settings.frames
+    size = history.data.shape[1] // count
+    frames = history.data[:, : size * count].reshape(len(history.data), count, size)
     power = frames.var(axis=2, dtype=np.float64)
     range_ = power.max(axis=1) / np.maximum(np.quantile(power, 0.1, axis=1), 1e-300)
     if np.median(np.log10(np.maximum(range_, 1.0))) < settings.decades:

@@ -38,19 +38,18 @@ class LikelihoodLimits:
     null : float
         Weight of other modes over noise in the filter: they move in step with the mode, noise does
         not.
-    misfit : float
-        Squared error over its expectation, above which something else is in the spectrum.
     waves : float
-        The same of bins half a bandwidth wide: above, the mode does not move alone.
+        Squared error of bins half a bandwidth wide over its expectation: above, the mode does not
+        move alone.
     blur : float
-        Times the standard deviation of the start: a fit that knows less is rejected.
+        Times the standard deviation of the start: a fit that knows less, as its errors or other
+        things in the spectrum say, is rejected.
     """
 
     reaches: tuple[float, ...] = (20.0, 10.0)
     span: float = 0.35
     level: float = 1.5
     null: float = 10.0
-    misfit: float = 6.0
     waves: float = 2.5
     blur: float = 3.0
 
@@ -357,7 +356,7 @@ def refine_by_likelihood(
                     continue
                 waves = fit.waves(theta)
                 chi = max(chi, waves / CHANCE)
-                if chi < LIMITS.misfit and waves < LIMITS.waves:
+                if waves < LIMITS.waves:
                     f[i] = new_f
                     z[i] = new_z
                     cov[i] = c[:2, :2] * max(chi, 1.0)

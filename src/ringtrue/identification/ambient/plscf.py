@@ -19,9 +19,10 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.era import SAMPLES_A_LAG
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
-from ringtrue.identification.common.stabilisation import least_deviations, unit
+from ringtrue.identification.common.stabilisation import DAMPING_MAX, least_deviations, unit
 from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
 from ringtrue.identification.frf.lines import Noise, prepare
 from ringtrue.identification.frf.plscf import Plscf, grouped, merged, plscf
@@ -42,12 +43,8 @@ class HalfSpectrumSettings:
         What the exponential window leaves at the last of them.
     fewest_lags : int
         Lags at least.
-    samples_a_lag : int
-        Samples of the record to a lag, at least.
     states : int
         Order times references, at most.
-    damping_max : float
-        Largest damping ratio of a pole.
     deviations : float
         Largest distance of poles of both halves, in deviations of the record's
     bandwidths : float
@@ -57,9 +54,7 @@ class HalfSpectrumSettings:
     lags: int = 400
     ends_at: float = 0.01
     fewest_lags: int = 64
-    samples_a_lag: int = 8
     states: int = 120
-    damping_max: float = 0.2
     deviations: float = 6.0
     bandwidths: float = 0.5
 
@@ -105,7 +100,7 @@ def half_spectra_modes(
     )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
     # with the window, and participation vectors for shapes
-    most = HALF.damping_max + whole.window_decay / (2 * np.pi * whole.freqs[0])
+    most = DAMPING_MAX + whole.window_decay / (2 * np.pi * whole.freqs[0])
     top = max(6, min(40, HALF.states // len(whole.inputs), whole.freqs.size // 3))
     poles = plscf(whole.data, whole.freqs, Plscf(max(2, top // 4), top, most))
     found = grouped(poles, whole.data, sigma=level, frfs=whole, at=everywhere)[1]
@@ -131,15 +126,15 @@ def half_spectra_modes(
 
 def fewest_samples(channels: int, settings: AmbientSettings) -> int:
     """Samples of a band that the half spectra need, whatever the channels."""
-    return HALF.samples_a_lag * HALF.fewest_lags
+    return SAMPLES_A_LAG * HALF.fewest_lags
 
 
 def _lags(history: TimeHistory) -> int:
     samples = int(history.data.shape[1])
-    if (lags := min(HALF.lags, samples // HALF.samples_a_lag)) < HALF.fewest_lags:
+    if (lags := min(HALF.lags, samples // SAMPLES_A_LAG)) < HALF.fewest_lags:
         raise DataError(
             f"{history.source}: {samples} samples are too few for half spectra; needed: "
-            f"{HALF.samples_a_lag * HALF.fewest_lags}"
+            f"{SAMPLES_A_LAG * HALF.fewest_lags}"
         )
     return lags
 
@@ -176,7 +171,7 @@ def _settled(
     while c.pole.size:
         fit = refine(lines, c.pole, c.participation)
         c = c.at(fit)
-        conf = assess_candidates(lines, fit, c, damping_max=HALF.damping_max).confidence
+        conf = assess_candidates(lines, fit, c, damping_max=DAMPING_MAX).confidence
         if (conf >= least).all():
             start = c.pole - whole.window_decay, c.participation
             conf = conf * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)

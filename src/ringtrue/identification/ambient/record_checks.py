@@ -157,17 +157,13 @@ class EdgeLimits:
 
     Attributes
     ----------
-    begins, ends : float
-        Over the rate: where filters begin to end the spectrum, and up to where it is looked at.
-    damping : float
-        Least damping that the edge of a filter seems to have.
+    begins : float
+        Over the rate, where filters begin to end the spectrum.
     fall : float
         Level above the pole, over that of an oscillator, below which a filter has cut it.
     """
 
     begins: float = 0.35
-    ends: float = 0.49
-    damping: float = 0.02
     fall: float = 0.4
 
 
@@ -179,14 +175,14 @@ def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool
     fall less.
     """
     limits = EdgeLimits()
-    high = (frequency > limits.begins * history.rate) & (damping > limits.damping)
+    high = frequency > limits.begins * history.rate
     if not high.any():
         return np.zeros(frequency.size, dtype=np.bool_)
     pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
     some = history.pick([history.channels[i].id for i in pick])
     freqs, auto = psd(some, Welch(history.rate / 256))
     level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
-    top = np.minimum(frequency * (1 + 3 * damping), limits.ends * history.rate)
+    top = np.minimum(frequency * (1 + 3 * damping), freqs[-1])
     mode = oscillator_spectrum(top / frequency, damping)
     here = np.interp(frequency, freqs, level)
     there = np.interp(top, freqs, level)

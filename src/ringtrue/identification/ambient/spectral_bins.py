@@ -18,11 +18,10 @@ from scipy.special import stdtrit
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.identification.ambient.ssi_cov import BandPoles, transition
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.stabilisation import cluster_poles, unit
+from ringtrue.identification.common.stabilisation import DAMPING_MAX, cluster_poles, unit
 from ringtrue.shapes import mpc
 from ringtrue.signal.band_correlations import Signals
-
-ROUNDING = 1e-14  # of the highest level of a spectrum: no recorder has more
+from ringtrue.signal.tonal_lines import DYNAMIC_RANGE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +85,7 @@ def stable_poles(band: BandPoles, strength: float = 2.0) -> Bool:
     # to a share of the frequency, or of the half bandwidth of a mode of much damping
     sharp = p.std_frequency < np.maximum(0.025, 0.5 * p.damping) * p.frequencies
     known = sharp & (p.std_damping < np.maximum(p.damping, 2e-3))
-    return (p.damping < 0.2) & known & (band.strength > strength)
+    return (p.damping < DAMPING_MAX) & known & (band.strength > strength)
 
 
 def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
@@ -289,7 +288,7 @@ class RecordSpectrum:
         gain = [self._gain(*x) for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)]
         level = np.trace(self.bins.cross, axis1=1, axis2=2).real
         here = np.interp(c.frequencies, self.bins.freqs, level)
-        rounding = here < ROUNDING * level.max(initial=0.0)
+        rounding = here < DYNAMIC_RANGE * level.max(initial=0.0)
         return replace(c, gain=np.where(rounding, -np.inf, np.array(gain, dtype=np.float64)))
 
     def _gain(self, frequency: float, damping: float, shape: Complex) -> float:

@@ -19,7 +19,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.stabilisation import PoleSet, unit
+from ringtrue.identification.common.stabilisation import DAMPING_MAX, PoleSet, unit
 from ringtrue.signal.spectra import detrend
 
 MAX_REFERENCES = 8
@@ -38,15 +38,12 @@ class SsiCov:
     order_step : int
     blocks : int
         Blocks of the record for the variance; 0 chooses, 1 leaves the standard deviations out.
-    damping_max : float
-        Poles with more damping, or none, are dropped.
     """
 
-    block_rows: int = 50
-    order_max: int = 80
+    block_rows: int
+    order_max: int
     order_step: int = 2
     blocks: int = 0
-    damping_max: float = 0.3
 
     def __post_init__(self) -> None:
         if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks == 2:
@@ -227,7 +224,7 @@ def _order(
     f = np.abs(log) / (2 * np.pi)
     zeta = -log.real / np.maximum(np.abs(log), 1e-300)
     inside = (f >= band[0]) & (f <= band[1])
-    damped = (zeta > 0) & (zeta < settings.damping_max)
+    damped = (zeta > 0) & (zeta < DAMPING_MAX)
     keep = np.flatnonzero((mu.imag > 0) & damped & inside)
     pole = log[keep]
     own = right[:, keep].astype(np.complex128)

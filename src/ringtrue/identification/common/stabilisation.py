@@ -13,6 +13,8 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import InputError
 from ringtrue.shapes import mac, mpc
 
+DAMPING_MAX = 0.2  # of a mode; what decays faster is the end of an impact
+
 
 def unit(psi: Complex) -> Complex:
     """Shapes (ch, k) with their largest component 1."""
