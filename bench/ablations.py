@@ -40,7 +40,11 @@ import ringtrue as rt
 from ringtrue.core.arrays import Float
 from ringtrue.core.signals import Channel, TimeHistory
 
-PACKAGES = ("ringtrue.identification.ambient", "ringtrue.identification.common", "ringtrue.signal")
+PACKAGES = (
+    "ringtrue.identification.ambient",
+    "ringtrue.identification.common",
+    "ringtrue.signal",
+)
 OTHER_PATHS = (  # of the hammer test, of several tests, and pictures
     "ringtrue.signal.frf",
     "ringtrue.signal.frf_sets",
@@ -77,7 +81,11 @@ class Setting:
     def label(self) -> str:
         """Module and name, without what all have in common."""
         place = self.module.removeprefix("ringtrue.")
-        return f"{place}: {self.owner}.{self.name}" if self.owner else f"{place}: {self.name}"
+        return (
+            f"{place}: {self.owner}.{self.name}"
+            if self.owner
+            else f"{place}: {self.name}"
+        )
 
     def changed(self, factor: float) -> Any:
         """The value times a factor; whole numbers stay whole and positive."""
@@ -118,7 +126,9 @@ def change_default(settings: Any, name: str, value: Any) -> None:
 
 def loaded() -> list[ModuleType]:
     """Modules of ringtrue in this process."""
-    return [m for name, m in list(sys.modules.items()) if name.startswith("ringtrue") and m]
+    return [
+        m for name, m in list(sys.modules.items()) if name.startswith("ringtrue") and m
+    ]
 
 
 def is_number(value: object) -> bool:
@@ -141,7 +151,9 @@ def settings_of(module: ModuleType) -> Iterator[Setting]:
                 continue
             for field in dataclasses.fields(value):
                 if is_number(field.default):
-                    yield Setting(module.__name__, value.__name__, field.name, field.default)
+                    yield Setting(
+                        module.__name__, value.__name__, field.name, field.default
+                    )
 
 
 def source(module: ModuleType) -> str:
@@ -182,7 +194,9 @@ class Case:
 
 def cut(made: families.Made, samples: int) -> families.Made:
     """The first so many samples of a record."""
-    return replace(made, record=replace(made.record, data=made.record.data[:, :samples]))
+    return replace(
+        made, record=replace(made.record, data=made.record.data[:, :samples])
+    )
 
 
 def calm(seed: int, force: str = "") -> families.Made:
@@ -256,7 +270,10 @@ def recorder(seed: int) -> families.Made:
     n = y.shape[1]
     more = np.stack([np.full(n, 0.1), 1e4 * top * rng.standard_normal(n)])
     more[0, : n // 50_000 + 2] += 1
-    names = (*made.record.channels, *(Channel(f"{k}+X", "acceleration", "m/s^2") for k in (9, 10)))
+    names = (
+        *made.record.channels,
+        *(Channel(f"{k}+X", "acceleration", "m/s^2") for k in (9, 10)),
+    )
     record = TimeHistory(np.concatenate([y, more]), made.record.rate, names, "made")
     return replace(made, record=record)
 
@@ -293,7 +310,8 @@ def cases(more: int) -> dict[str, Case]:
         made[force] = of_made(calm(FIRST_SEED, force))
     whole = calm(FIRST_SEED + 1)
     parts = [
-        replace(whole.record, data=x) for x in np.array_split(whole.record.data[:, :39_999], 3, 1)
+        replace(whole.record, data=x)
+        for x in np.array_split(whole.record.data[:, :39_999], 3, 1)
     ]
     made["stretches"] = Case(lambda: rt.identify_ambient(parts), whole, "record_bands")
     for method in ("plscf", "fdd", "era", "ssi-data"):
@@ -334,14 +352,20 @@ def seen(case: Case) -> Seen:
     if isinstance(case.truth, families.Made):
         ids = [c.id for c in case.truth.record.channels[: len(case.truth.shape)]]
         known = [c for c in test.modes.channels if c in ids]
-        made = replace(case.truth, shape=case.truth.shape[[ids.index(c) for c in known]])
-        found = families.paired(made, replace(test, modes=test.modes.rows(known)))[0].size
+        made = replace(
+            case.truth, shape=case.truth.shape[[ids.index(c) for c in known]]
+        )
+        found = families.paired(made, replace(test, modes=test.modes.rows(known)))[
+            0
+        ].size
         extra = len(test) - found
     else:
         counted = records.Counted.of(case.truth, test.frequencies, np.empty(0))
         found, extra = counted.found, counted.extra
     deviation = np.where(np.isfinite(test.std_frequency), test.std_frequency, 1e-3)
-    return Seen(test.frequencies, deviation, test.others.modes.frequencies, found, extra)
+    return Seen(
+        test.frequencies, deviation, test.others.modes.frequencies, found, extra
+    )
 
 
 def what_is_seen(case: Case) -> Seen | str:
@@ -355,7 +379,9 @@ def what_is_seen(case: Case) -> Seen | str:
 class Read:
     """A field of a class of settings that notes that it is read."""
 
-    def __init__(self, slot: Any, key: tuple[str, str, str], noted: set[tuple[str, str, str]]):
+    def __init__(
+        self, slot: Any, key: tuple[str, str, str], noted: set[tuple[str, str, str]]
+    ):
         self.slot = slot
         self.key = key
         self.noted = noted
@@ -370,7 +396,9 @@ class Read:
         self.slot.__set__(held, value)
 
 
-def settings_read(case: Case, settings: list[Setting]) -> tuple[Seen | str, float, set[Setting]]:
+def settings_read(
+    case: Case, settings: list[Setting]
+) -> tuple[Seen | str, float, set[Setting]]:
     """What is seen of a record, the seconds that it takes, and the settings that it reads; ends
     with a process.
     """
@@ -381,7 +409,11 @@ def settings_read(case: Case, settings: list[Setting]) -> tuple[Seen | str, floa
     for s in settings:
         if s.owner:
             kind = getattr(sys.modules[s.module], s.owner)
-            setattr(kind, s.name, Read(vars(kind)[s.name], (s.module, s.owner, s.name), noted))
+            setattr(
+                kind,
+                s.name,
+                Read(vars(kind)[s.name], (s.module, s.owner, s.name), noted),
+            )
     named: set[str] = set()
 
     def note(frame: Any, event: str, _: object) -> None:
@@ -435,7 +467,11 @@ class Effect:
     @property
     def text(self) -> str:
         """In print."""
-        counts = ((self.found, "found"), (self.extra, "extra"), (self.doubtful, "doubtful"))
+        counts = (
+            (self.found, "found"),
+            (self.extra, "extra"),
+            (self.doubtful, "doubtful"),
+        )
         parts = [f"{count:+d} {what}" for count, what in counts if count]
         if self.moved:
             parts.append(f"{self.moved} moved")
@@ -483,8 +519,12 @@ class Ablation:
         value = self.setting.value
         values = value if isinstance(value, tuple) else (value,)
         number = " ".join(f"{x:g}" for x in values)
-        half, double = (self.half.text, self.double.text) if self.records else ("not read",) * 2
-        return f"| {self.setting.label} | {number} | {self.records} | {half} | {double} |"
+        half, double = (
+            (self.half.text, self.double.text) if self.records else ("not read",) * 2
+        )
+        return (
+            f"| {self.setting.label} | {number} | {self.records} | {half} | {double} |"
+        )
 
 
 def checks(settings: int, idle: int, stopped: int) -> list[Check]:
@@ -506,7 +546,10 @@ by more than a tenth of its standard deviation. "Not read": none of the records 
 Written by `python bench/ablations.py`.
 
 """
-    table = ["| setting | value | records that read it | half | double |", "|---|---|---|---|---|"]
+    table = [
+        "| setting | value | records that read it | half | double |",
+        "|---|---|---|---|---|",
+    ]
     return f"{head}Records: {', '.join(names)}.\n\n" + "\n".join(table + lines) + "\n"
 
 
@@ -525,7 +568,10 @@ def main() -> None:
     for name, case in every.items():
         before[name], seconds, read = in_own_process(settings_read, case, tried)
         one = before[name]
-        print(f"{name}: {one if isinstance(one, str) else (one.found, one.extra)}", flush=True)
+        print(
+            f"{name}: {one if isinstance(one, str) else (one.found, one.extra)}",
+            flush=True,
+        )
         for s in read:
             readers[s].append(name)
             cost[s] += seconds
@@ -540,7 +586,9 @@ def main() -> None:
         done[s] = Ablation(s, len(some), *both)
         print(done[s].line, flush=True)
     if tried == all_settings():
-        PAGE.write_text(page([done[s].line for s in tried], list(every)), encoding="utf-8")
+        PAGE.write_text(
+            page([done[s].line for s in tried], list(every)), encoding="utf-8"
+        )
     idle = sum(x.idle for x in done.values())
     stopped = sum(isinstance(x, str) for x in before.values())
     what = f"{len(tried)} settings halved and doubled, {len(every)} records"

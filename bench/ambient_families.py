@@ -24,7 +24,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from outcome import Check, Report, arguments, at_most, rms_over_stated, share_at_least, sized
+from outcome import (
+    Check,
+    Report,
+    arguments,
+    at_most,
+    rms_over_stated,
+    share_at_least,
+    sized,
+)
 
 import ringtrue as rt
 from ringtrue.core.arrays import Complex, Float, Int
@@ -51,7 +59,12 @@ class Made:
 
 
 def responses(
-    frequency: Float, damping: Float, force: Float, seconds: float, rate: float, seed: int
+    frequency: Float,
+    damping: Float,
+    force: Float,
+    seconds: float,
+    rate: float,
+    seed: int,
 ) -> tuple[Complex, Float]:
     """Spectra (m, line) of modal displacements under white forces, and ω (line,): of twice the
     record, whose middle is taken.
@@ -80,7 +93,9 @@ def chain(modes: int, rng: np.random.Generator) -> tuple[Float, Float]:
     """Frequencies over the first, and shapes, of a shear chain of random storeys."""
     k = rng.uniform(0.7, 1.4, modes)
     m = rng.uniform(0.8, 1.3, modes)
-    stiffness = np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    stiffness = (
+        np.diag(k + np.append(k[1:], 0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    )
     squares, shapes = np.linalg.eigh(stiffness / np.sqrt(np.outer(m, m)))
     return np.sqrt(squares / squares[0]), shapes / np.sqrt(m)[:, None]
 
@@ -155,7 +170,9 @@ def machine(seed: int) -> Made:
     channels = int(rng.integers(5, 10))
     shape = rng.standard_normal((channels, f.size))
     seconds = min(600.0, 400_000 / rate)
-    q, omega = responses(f, z, rng.standard_normal((f.size + 2, f.size)), seconds, rate, seed)
+    q, omega = responses(
+        f, z, rng.standard_normal((f.size + 2, f.size)), seconds, rate, seed
+    )
     y = signals(-(shape @ q) * omega**2, np.full(channels, 35.0), seed)
     lines = np.fft.rfftfreq(y.shape[1], 1 / rate)
     slow = np.exp(-0.5 * (lines * rng.uniform(10, 60)) ** 2)
@@ -166,7 +183,9 @@ def machine(seed: int) -> Made:
     turns = 2 * np.pi * np.cumsum(speed * (1 + wander)) / rate
     comb = np.zeros(y.shape[1])
     for k in range(1, int(min(top / speed, 200)) + 1):  # harmonics
-        comb += 10 ** rng.uniform(-0.7, 0) * np.cos(k * turns + rng.uniform(0, 2 * np.pi))
+        comb += 10 ** rng.uniform(-0.7, 0) * np.cos(
+            k * turns + rng.uniform(0, 2 * np.pi)
+        )
     level = 10 ** rng.uniform(-1, -0.2) * y.std() / comb.std()
     y = y + level * rng.standard_normal((channels, 1)) * comb
     return Made(record(y, rate, "acceleration"), f, z, shape, speed)
@@ -227,7 +246,8 @@ def frame(rng: np.random.Generator) -> tuple[Float, Float]:
     beside = np.eye(3) + rng.uniform(-0.25, 0.25, (3, 3))
     across, along, turn = beside.T
     moves = np.stack(
-        [across - np.outer(corners[:, 1], turn), along + np.outer(corners[:, 0], turn)], axis=1
+        [across - np.outer(corners[:, 1], turn), along + np.outer(corners[:, 0], turn)],
+        axis=1,
     )
     f = np.outer(storeys, apart).ravel()
     shape = np.einsum("sm,cdk->scdmk", phi, moves).reshape(64, 24)
@@ -239,7 +259,8 @@ def setups(seed: int) -> Made:
     """Eleven modes of a frame: 15 setups of five minutes with two to four references."""
     rng = np.random.default_rng([16, seed])
     f, phi = frame(rng)
-    while (np.diff(f[:11]) / f[:10]).min() < 0.012:  # nearer ones no setup would separate
+    # nearer ones no setup would separate
+    while (np.diff(f[:11]) / f[:10]).min() < 0.012:
         f, phi = frame(rng)
     f = f[:11] * rng.uniform(1.5, 5)
     phi = phi[:, :11]
@@ -290,7 +311,9 @@ def paired(made: Made, test: rt.TestModes) -> tuple[Int, Int, Float]:
         reach = made.near * made.frequency
     off = np.abs(made.frequency[:, None] - test.frequencies)
     like = mac(made.shape.astype(complex), np.nan_to_num(test.shapes))
-    score = np.where((off < reach[:, None]) & (like > 0.8), off / reach[:, None], np.inf)
+    score = np.where(
+        (off < reach[:, None]) & (like > 0.8), off / reach[:, None], np.inf
+    )
     pairs = []
     while np.isfinite(score.min(initial=np.inf)):
         i, j = np.unravel_index(score.argmin(), score.shape)
@@ -328,7 +351,8 @@ def outcome(made: Made) -> Outcome:
     )
 
 
-FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {  # least share found, records
+# least share found, records
+FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {
     "mixed": (mixed, 0.98, 40),
     "close": (close, 23.5 / 24, 8),
     "short": (short, 0.95, 60),
@@ -347,13 +371,19 @@ def checks(family: str, every: list[Outcome]) -> list[Check]:
     found = sum(x.found for x in every)
     judged = [
         share_at_least("modes found", found, sum(x.of for x in every), least),
-        at_most("others among the modes, a record", sum(x.extra for x in every) / records, 0.1),
+        at_most(
+            "others among the modes, a record",
+            sum(x.extra for x in every) / records,
+            0.1,
+        ),
         rms_over_stated("frequency", np.concatenate([x.frequency for x in every])),
         rms_over_stated("damping", np.concatenate([x.damping for x in every])),
     ]
     if family == "short":
         first = sum(x.first for x in every)
-        judged.append(share_at_least("records with their first mode", first, records, 0.95))
+        judged.append(
+            share_at_least("records with their first mode", first, records, 0.95)
+        )
     if family == "machine":
         right = sum(x.speed < 1e-3 for x in every)
         judged.append(share_at_least("speeds within 0.1 %", right, records, 0.95))
@@ -375,12 +405,12 @@ def main() -> None:
     modes = sum(x.of for x in every)
     report = Report(options)
     doubtful = sum(x.doubtful for x in every) / records
-    what = (
-        f"{records} records, {modes} modes; doubtful or harmonic besides: {doubtful:.2g} a record"
-    )
+    what = f"{records} records, {modes} modes; doubtful or harmonic besides: {doubtful:.2g} a record"
     mean = float(np.mean([x.seconds for x in every]))
     report.row(
-        f"family `{options.family}`: {what}", {"s a record": mean}, checks(options.family, every)
+        f"family `{options.family}`: {what}",
+        {"s a record": mean},
+        checks(options.family, every),
     )
     report.end()
 

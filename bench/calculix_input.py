@@ -57,10 +57,16 @@ def written(model: Model) -> str:
     used = _used(model)
     at = np.flatnonzero(np.isin(grid.ids, used))
     nodes = zip(grid.ids[at].tolist(), m.xyz[at].tolist(), strict=True)
-    text = "*NODE,NSET=ALL\n" + "".join(f"{i},{x!r},{y!r},{z!r}\n" for i, (x, y, z) in nodes) + text
+    text = (
+        "*NODE,NSET=ALL\n"
+        + "".join(f"{i},{x!r},{y!r},{z!r}\n" for i, (x, y, z) in nodes)
+        + text
+    )
     held = supports(m)[: 6 * len(grid)].reshape(-1, 6)[at]
     for i, fixed in zip(grid.ids[at].tolist(), held, strict=True):
-        text += "".join(f"*BOUNDARY\n{i},{c + 1}\n" for c in np.flatnonzero(fixed).tolist())
+        text += "".join(
+            f"*BOUNDARY\n{i},{c + 1}\n" for c in np.flatnonzero(fixed).tolist()
+        )
     return text
 
 
@@ -115,7 +121,9 @@ def _material(model: Model, card: str, row: int, name: str) -> str:
 def _used(model: Model) -> Int:
     tables = [model[card] for card in CORNERS if card in model]
     return np.unique(
-        np.concatenate([t[c] for t in tables for c in t.columns if c[0] == "G" and c[1:].isdigit()])
+        np.concatenate(
+            [t[c] for t in tables for c in t.columns if c[0] == "G" and c[1:].isdigit()]
+        )
     )
 
 
@@ -141,7 +149,9 @@ def static_steps(model: Model, acting: Float) -> str:
 def run(program: str, folder: Path, text: str) -> str:
     """The table of results, `m.dat`; "" if the program ends without any."""
     (folder / "m.inp").write_text(text)
-    subprocess.run([program, "m"], cwd=folder, capture_output=True, check=False, timeout=600)
+    subprocess.run(
+        [program, "m"], cwd=folder, capture_output=True, check=False, timeout=600
+    )
     results = folder / "m.dat"
     return results.read_text() if results.exists() else ""
 
@@ -159,7 +169,9 @@ def displacements(results: str, nodes: Int) -> list[Float]:
     for block in results.split("displacements (vx,vy,vz)")[1:]:
         rows = [line.split() for line in block.splitlines()]
         moved = {
-            int(r[0]): [float(x) for x in r[1:]] for r in rows if len(r) == 4 and r[0].isdigit()
+            int(r[0]): [float(x) for x in r[1:]]
+            for r in rows
+            if len(r) == 4 and r[0].isdigit()
         }
         out.append(np.array([moved.get(i, [0.0] * 3) for i in nodes.tolist()]))
     return out

@@ -31,7 +31,8 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.solvers.matrices import MatrixModel
 
 PUBLISHED = (
-    Path(__file__).parents[2] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
+    Path(__file__).parents[2]
+    / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
 )
 LINES = (0.0, 6.0, 11.1)  # m, of columns
 DEPTH = 5.0  # m
@@ -41,7 +42,8 @@ PARTS = 4  # elements of a column
 YOUNG, POISSON, DENSITY = 3.0e10, 0.2, 2400.0  # Pa, -, kg/m³
 COLUMN, GIRDER = (0.40, 0.30), (0.25, 0.45)  # m, width and depth
 SLAB = 0.16  # m
-ROD, HEIGHT = (0.003, 0.0045), 0.5  # m: section and height of a steel rod of 50 g on the roof
+# m: section and height of a steel rod of 50 g on the roof
+ROD, HEIGHT = (0.003, 0.0045), 0.5
 STEEL = 13, 2.1e11, 0.3, 7800.0  # material, Pa, -, kg/m³
 
 
@@ -49,9 +51,9 @@ def published_frame() -> tuple[MatrixModel, Int]:
     """The published matrices and the measured rows."""
     given = loadmat(PUBLISHED)
     parts = [given[f"E_{i}"] for i in range(1, 13)]
-    return MatrixModel(given["K0"], given["M0"], stiffness=parts), given["measDOFs"].ravel().astype(
-        np.int64
-    ) - 1
+    return MatrixModel(given["K0"], given["M0"], stiffness=parts), given[
+        "measDOFs"
+    ].ravel().astype(np.int64) - 1
 
 
 def own_frame() -> tuple[MatrixModel, Int]:
@@ -116,7 +118,9 @@ def measured() -> list[tuple[int, int]]:
     beside = [floor_node(2, i + 2, j) for i, j in columns()[:4]] + [
         floor_node(1, i + 2, j) for i, j in columns()[:3]
     ]
-    return [(node, d) for node in joints for d in (1, 2, 3)] + [(node, 2) for node in beside]
+    return [(node, d) for node in joints for d in (1, 2, 3)] + [
+        (node, 2) for node in beside
+    ]
 
 
 def deck() -> str:
@@ -146,7 +150,8 @@ def deck() -> str:
             lines += [f"GRID,{n},,{stations[i]},{y},{of[n]}" for n in new]
             group = 3 * (storey - 1) + number // 2 + 1
             elements += [
-                f"CBAR,{{}},{group},{a},{b},1.,0.,0." for a, b in itertools.pairwise(nodes)
+                f"CBAR,{{}},{group},{a},{b},1.,0.,0."
+                for a, b in itertools.pairwise(nodes)
             ]
         elements += _floor(storey)
     lines += _rod(elements)
@@ -185,6 +190,9 @@ def _floor(floor: int) -> list[str]:
             out.append(f"CBAR,{{}},{8 + floor},{ends[0]},{ends[1]},0.,0.,1.")
     for i in range(CELLS[0]):
         for j in range(CELLS[1]):
-            corners = [floor_node(floor, i + a, j + b) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
+            corners = [
+                floor_node(floor, i + a, j + b)
+                for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
+            ]
             out.append(f"CQUAD4,{{}},{10 + floor}," + ",".join(str(n) for n in corners))
     return out

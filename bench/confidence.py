@@ -55,7 +55,11 @@ def made(seed: int) -> tuple[TimeHistory, Float, Float, Float]:
     rng = np.random.default_rng([100, seed])
     f, phi = structure(rng)
     short = seed % 2 == 0
-    z = 10 ** rng.uniform(-3.3, -2, f.size) if short else rng.uniform(0.003, 0.03, f.size)
+    z = (
+        10 ** rng.uniform(-3.3, -2, f.size)
+        if short
+        else rng.uniform(0.003, 0.03, f.size)
+    )
     shape = phi[rng.permutation(len(phi))[: int(rng.integers(3, 13))]]
     rate = rng.uniform(2.2, 5) * f.max()
     periods = 10 ** (rng.uniform(1.7, 2.4) if short else rng.uniform(1.75, 3.3))
@@ -71,7 +75,9 @@ def made(seed: int) -> tuple[TimeHistory, Float, Float, Float]:
     noise = rng.random() < 0.1
     if noise:
         white = rng.standard_normal((len(shape), 2, omega.size))
-        spectra = rng.standard_normal((len(shape),) * 2) @ (white[:, 0] + 1j * white[:, 1])
+        spectra = rng.standard_normal((len(shape),) * 2) @ (
+            white[:, 0] + 1j * white[:, 1]
+        )
     else:
         spectra = -(shape @ q) * omega**2
     snr = np.full(len(shape), rng.uniform(5, 40))
@@ -100,7 +106,9 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
     for band in found:
         for k in range(band.confidence.size):
             near = np.abs(band.table.frequencies[k] - f) < reach
-            like = mac(shape.astype(complex), band.shape[:, [k]])[:, 0] if f.size else near
+            like = (
+                mac(shape.astype(complex), band.shape[:, [k]])[:, 0] if f.size else near
+            )
             own = np.where(near & (like > 0.8), like, 0.0)
             rows.append(np.append(1.0, band.evidence[:, k] / weights))
             real.append(False)
@@ -143,11 +151,16 @@ def checks(stated: Float, anew: Float, real: Bool) -> list[Check]:
     high = stated >= 0.9
     natural = stated >= 0.5
     shown = [
-        share_at_least("real of those stated at 0.9 and more", real[high].sum(), high.sum(), 0.9),
+        share_at_least(
+            "real of those stated at 0.9 and more", real[high].sum(), high.sum(), 0.9
+        ),
         share_at_least("modes that are natural", natural[real].sum(), real.sum(), 0.85),
         share_at_least("real of the natural", real[natural].sum(), natural.sum(), 0.85),
     ]
-    for what, score in (("area under the curve", stated), ("the same, weights anew", anew)):
+    for what, score in (
+        ("area under the curve", stated),
+        ("the same, weights anew", anew),
+    ):
         shown.append(at_least(what, area_under_curve(score, real), 0.95))
     return shown
 
@@ -164,7 +177,9 @@ def main() -> None:
     stated = expit(x @ np.array([getattr(WEIGHTS, name) for name in NAMES]))
     anew = expit(x @ w)
     report = Report(options)
-    listed = ", ".join(f"{name} {value:.2f}" for name, value in zip(NAMES, w, strict=True))
+    listed = ", ".join(
+        f"{name} {value:.2f}" for name, value in zip(NAMES, w, strict=True)
+    )
     report.row(
         f"{records} records, {real.size} candidates of the held-out half; weights anew: {listed}",
         {},

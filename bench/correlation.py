@@ -73,7 +73,10 @@ def sets(modes: int, channels: int) -> tuple[ModeSet, ModeSet, Float]:
     names = tuple(f"{i}+Z" for i in range(channels))
     noise = 0.2 * rng.standard_normal(phi.shape) / np.sqrt(channels)
     test = ModeSet(
-        f * (1 + 0.01 * rng.standard_normal(modes)), np.full(modes, 0.01), phi + noise, names
+        f * (1 + 0.01 * rng.standard_normal(modes)),
+        np.full(modes, 0.01),
+        phi + noise,
+        names,
     )
     order = np.argsort(test.frequencies)
     return test.take(order), ModeSet(f, np.zeros(modes), phi, names, Norm.MASS), order
@@ -106,12 +109,16 @@ def everything(a: ModeSet, b: ModeSet) -> Float:
     return complete(a, b, pair_modes(a, b), std=(0.01, float("nan"))).by_channel.comac
 
 
-def _timed(job: Job, modes: int, channels: int, answer: multiprocessing.Queue[Timed]) -> None:
+def _timed(
+    job: Job, modes: int, channels: int, answer: multiprocessing.Queue[Timed]
+) -> None:
     a, b, _ = sets(modes, channels)
     start = time.process_time()
     found = job(a, b)
     seconds = time.process_time() - start
-    answer.put(Timed(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, found))
+    answer.put(
+        Timed(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, found)
+    )
 
 
 def measure(job: Job, modes: int, channels: int) -> Timed:
@@ -127,13 +134,18 @@ def measure(job: Job, modes: int, channels: int) -> Timed:
 
 def same_mac(found: Float, expected: Float) -> Check:
     """Of all pairs against those of the loop."""
-    return at_most("MAC off that of the loop by", np.abs(found - expected).max(), ROUNDING)
+    return at_most(
+        "MAC off that of the loop by", np.abs(found - expected).max(), ROUNDING
+    )
 
 
 def right_pairs(found: Float, true: Float) -> Check:
     """Modes paired with their own."""
     return share_at_least(
-        "modes paired with their own", int((found == true).sum()), true.size, RIGHT_LEAST
+        "modes paired with their own",
+        int((found == true).sum()),
+        true.size,
+        RIGHT_LEAST,
     )
 
 
@@ -154,7 +166,9 @@ def large_sets(report: Report, modes: int, channels: int) -> None:
     paired = measure(pairing, modes, channels)
     cost = {"s": paired.seconds, "MB": paired.memory}
     report.row(
-        f"pairs with their subspaces and reasons, {what}", cost, [right_pairs(paired.answer, true)]
+        f"pairs with their subspaces and reasons, {what}",
+        cost,
+        [right_pairs(paired.answer, true)],
     )
     every = measure(everything, modes, channels)
     cost = {"s": every.seconds, "MB": every.memory}
@@ -198,10 +212,19 @@ def mixed(seed: int, channels: int, spacing: float) -> tuple[ModeSet, ModeSet, F
     squared, turn = np.linalg.eigh(np.diag(f**2) + error)
     phi = rng.standard_normal((channels, f.size))
     test = phi @ turn[:, :modes]
-    test += 0.1 * rng.standard_normal(test.shape) * np.linalg.norm(test, axis=0) / np.sqrt(channels)
+    test += (
+        0.1
+        * rng.standard_normal(test.shape)
+        * np.linalg.norm(test, axis=0)
+        / np.sqrt(channels)
+    )
     names = tuple(f"{i}+Z" for i in range(channels))
     a = ModeSet(np.sqrt(squared[:modes]), np.zeros(modes), test, names)
-    return a, ModeSet(f, np.zeros(f.size), phi, names, Norm.MASS), turn[:, :modes].T ** 2
+    return (
+        a,
+        ModeSet(f, np.zeros(f.size), phi, names, Norm.MASS),
+        turn[:, :modes].T ** 2,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +248,11 @@ def paired(cases: list[tuple[ModeSet, ModeSet, Float]], largest: int) -> Paired:
         ).turns
         macs += p.mac.tolist()
         for i, j in zip(p.a.tolist(), p.b.tolist(), strict=True):
-            gained = sum(w[i] * (share[i, list(g)].sum() - share[i, j]) for g, w in turns if j in g)
+            gained = sum(
+                w[i] * (share[i, list(g)].sum() - share[i, j])
+                for g, w in turns
+                if j in g
+            )
             shares.append(float(share[i, j] + gained))
     return Paired(np.array(macs), np.array(shares))
 
@@ -235,7 +262,10 @@ def few_wrong(found: Paired) -> list[Check]:
     wrong = int((found.shared < SHARED_LEAST).sum())
     return [
         share_at_most(
-            f"pairs that share less than {SHARED_LEAST:.0%}", wrong, found.shared.size, WRONG_MOST
+            f"pairs that share less than {SHARED_LEAST:.0%}",
+            wrong,
+            found.shared.size,
+            WRONG_MOST,
         )
     ]
 
@@ -269,7 +299,9 @@ def of_thirty(found: Paired, count: int) -> dict[str, float]:
 def main() -> None:
     """Run and state."""
     parser = arguments(__doc__)
-    parser.add_argument("what", nargs="?", default="sets", choices=["sets", "faults", "groups"])
+    parser.add_argument(
+        "what", nargs="?", default="sets", choices=["sets", "faults", "groups"]
+    )
     options = parser.parse_args()
     report = Report(options)
     if options.what == "sets":

@@ -122,16 +122,26 @@ def checks(read: Square, written: Square) -> list[Check]:
     if np.array_equal(read.elements, written.elements):
         wrong = int((read.joined != written.joined).any(axis=1).sum())
     off = np.abs(read.xyz - written.xyz).max() if same_nodes else np.nan
-    return [at_most("nodes off by", off, DIGITS, "m"), at_most("elements wrong", wrong, 0)]
+    return [
+        at_most("nodes off by", off, DIGITS, "m"),
+        at_most("elements wrong", wrong, 0),
+    ]
 
 
 def measure(python: str, text: str, path: Path) -> Reading | str:
     """One reading in a fresh process, or why it could not be run."""
     found = path.with_suffix(".npz")
     done = subprocess.run(
-        [python, "-c", text, str(path), str(found)], capture_output=True, text=True, check=False
+        [python, "-c", text, str(path), str(found)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    stated = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("result")]
+    stated = [
+        line.split()[1:]
+        for line in done.stdout.splitlines()
+        if line.startswith("result")
+    ]
     if not stated:
         return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
     with np.load(found) as arrays:
@@ -158,7 +168,12 @@ def case(style: str, nodes: int, report: Report, folder: Path) -> None:
         report.not_run("pyNastran", theirs)
     else:
         peers = [Peer("pyNastran", {"s": theirs.seconds, "MB": theirs.memory})]
-    report.row(what, {"s": ours.seconds, "MB": ours.memory}, checks(ours.square, written), peers)
+    report.row(
+        what,
+        {"s": ours.seconds, "MB": ours.memory},
+        checks(ours.square, written),
+        peers,
+    )
 
 
 def main() -> None:
@@ -167,7 +182,9 @@ def main() -> None:
     report = Report(options)
     for style in GRID:
         with tempfile.TemporaryDirectory() as folder:
-            case(style, sized(options, 20_000, 200_000, 1_000_000), report, Path(folder))
+            case(
+                style, sized(options, 20_000, 200_000, 1_000_000), report, Path(folder)
+            )
     report.end()
 
 

@@ -57,7 +57,9 @@ def moduli(model: Model, groups: int) -> list[Parameter]:
     """
     quads = model["CQUAD4"]
     made = []
-    for g, rows in enumerate(np.array_split(np.arange(len(quads)), min(groups, len(quads)))):
+    for g, rows in enumerate(
+        np.array_split(np.arange(len(quads)), min(groups, len(quads)))
+    ):
         pid = int(quads["PID"][rows[0]])
         same = tuple(quads.ids[rows[quads["PID"][rows] == pid]].tolist())
         made.append(Parameter(f"E{g}", (CardField("MAT1", pid, "E", same),)))
@@ -65,14 +67,18 @@ def moduli(model: Model, groups: int) -> list[Parameter]:
     return made
 
 
-def residual(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: Float) -> float:
+def residual(
+    pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: Float
+) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, :MODES], modes.values[:MODES]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam
     rest = pencil.stiffness @ d - (pencil.mass @ d) * lam + load
     rest -= (pencil.mass @ phi) * np.einsum("fm,fm->m", phi, load)
     elastic = lam > 1e-6 * lam[-1]
-    return float((np.linalg.norm(rest, axis=0) / np.linalg.norm(load, axis=0))[elastic].max())
+    return float(
+        (np.linalg.norm(rest, axis=0) / np.linalg.norm(load, axis=0))[elastic].max()
+    )
 
 
 def eigenvalue_derivatives(modes: EigenModes, slopes: list[MatrixDerivatives]) -> Float:
@@ -91,7 +97,9 @@ def difference(pencil: Pencil, slope: MatrixDerivatives) -> Float:
     """
     ends = []
     for h in (-STEP, STEP):
-        moved = Pencil(pencil.stiffness + h * slope.stiffness, pencil.mass + h * slope.mass)
+        moved = Pencil(
+            pencil.stiffness + h * slope.stiffness, pencil.mass + h * slope.mass
+        )
         ends.append(solve_modes(moved, MODES + BUFFER).values[:MODES])
     return np.asarray((ends[1] - ends[0]) / (2 * STEP))
 
@@ -103,12 +111,16 @@ def apart(a: Float, b: Float) -> float:
 
 def by_differences(values: Float, expected: Float) -> Check:
     """Relative derivatives of eigenvalues to one parameter against differences."""
-    return at_most("off differences of eigensolutions by", apart(values, expected), DIFFERENCE_MOST)
+    return at_most(
+        "off differences of eigensolutions by", apart(values, expected), DIFFERENCE_MOST
+    )
 
 
 def by_products(values: Float, expected: Float) -> Check:
     """Derivatives of eigenvalues from element products against those from sparse matrices."""
-    return at_most("off those from sparse matrices by", apart(values, expected), ROUNDING)
+    return at_most(
+        "off those from sparse matrices by", apart(values, expected), ROUNDING
+    )
 
 
 def main() -> None:
@@ -122,7 +134,8 @@ def main() -> None:
     runs = [timed(lambda: solve_modes(pencil, MODES + BUFFER)) for _ in range(3)]
     modes = runs[0][0]
     unit = min(t for _, t in runs)
-    pencil.at(modes.shift)  # the factor that the modes came from; the inertia count has moved it
+    # the factor that the modes came from; the inertia count has moved it
+    pencil.at(modes.shift)
     phi = modes.vectors[:, :MODES]
     where = f"shell of {pencil.size / 1000:.0f}k DOFs, {MODES} modes"
 
@@ -132,7 +145,11 @@ def main() -> None:
     lam = modes.values[:MODES]
     check = by_differences(values[:, 0] / lam, difference(pencil, slopes[0]) / lam)
     cost = {UNIT: (t_slopes + t_values) / unit, "s a solution": unit}
-    report.row(f"{where}: eigenvalues by {len(fifty)} parameters, sparse matrices", cost, [check])
+    report.row(
+        f"{where}: eigenvalues by {len(fifty)} parameters, sparse matrices",
+        cost,
+        [check],
+    )
 
     products, t = timed(lambda: quadratic_forms(model, fifty, system, phi))
     k, m = products
@@ -152,7 +169,10 @@ def main() -> None:
             )
         )
         pages = os.times().system - pages
-        worst = max(residual(pencil, modes, slopes[i], made[:, :, i]) for i in range(0, count, 5))
+        worst = max(
+            residual(pencil, modes, slopes[i], made[:, :, i])
+            for i in range(0, count, 5)
+        )
         cost = {UNIT: t / unit, "of it the system, for fresh memory": pages / unit}
         check = at_most("residual", worst, RESIDUAL_MOST)
         report.row(f"{where}: eigenvectors by {count} parameters", cost, [check])

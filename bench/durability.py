@@ -112,7 +112,9 @@ def survived(found: Faults) -> list[Check]:
     return [
         at_least("faults that ended a run", found.met, max(found.asked, 1)),
         at_most("stores with a torn stage", found.asked - found.whole, 0),
-        at_most("resumed to other bits or with leftovers", found.asked - found.alike, 0),
+        at_most(
+            "resumed to other bits or with leftovers", found.asked - found.alike, 0
+        ),
     ]
 
 
@@ -127,10 +129,14 @@ def flipped(case: Case, bits: list[int], every: int) -> Flips:
         found = durable.read_anew(case.store)
         refused = [name for name, what in found.items() if what.startswith("refused: ")]
         wrong = [
-            name for name, what in found.items() if name not in refused and what != fresh.get(name)
+            name
+            for name, what in found.items()
+            if name not in refused and what != fresh.get(name)
         ]
         lost = [] if "" in found else [name for name in fresh if name not in found]
-        case.told.write_text(f"{len(wrong)} {len(refused) + len(lost)} {int('' in found)}")
+        case.told.write_text(
+            f"{len(wrong)} {len(refused) + len(lost)} {int('' in found)}"
+        )
 
     for i, bit in enumerate(bits):
         case.store.write_bytes(durable.flipped(case.image, bit))
@@ -155,7 +161,9 @@ def unread(found: Flips) -> list[Check]:
         at_most("wrong results read", found.wrong, 0),
         at_most("readers that ended or hung", found.ended, 0),
         at_least("bits that were seen", found.named + found.refused, 1),
-        at_most("runs on a damaged store that gave other bits", found.anew - found.alike, 0),
+        at_most(
+            "runs on a damaged store that gave other bits", found.anew - found.alike, 0
+        ),
     ]
 
 
@@ -174,7 +182,11 @@ def main() -> None:
                 survived(found),
             )
         size = sized(options, 40, 200, 5000)
-        bits = np.random.default_rng(0).choice(8 * len(case.image), size, replace=False).tolist()
+        bits = (
+            np.random.default_rng(0)
+            .choice(8 * len(case.image), size, replace=False)
+            .tolist()
+        )
         durable.copied(case.inputs, case.folder)
         case.resumes()
         seen = flipped(case, bits, every=max(1, size // 20))

@@ -62,12 +62,14 @@ def shell(card: str) -> list[Check]:
     """Deflections over the references, on a mesh with as many nodes for each card."""
     part = 1 if card in ("CQUAD4", "CTRIA3") else 2
     found = {
-        "twisted beam, 12 x 2 cells, in its plane": twisted(card, 12, 2, 0.32, 3) / 0.005424,
+        "twisted beam, 12 x 2 cells, in its plane": twisted(card, 12, 2, 0.32, 3)
+        / 0.005424,
         "out of its plane": twisted(card, 12, 2, 0.32, 2) / 0.001754,
         f"Scordelis-Lo roof, {16 // part} a side": roof(card, 16 // part) / 0.3024,
         f"pinched cylinder, {32 // part} a side": pinched(card, 32 // part) / 1.8248e-5,
         f"hemisphere, {16 // part} a side": hemisphere(card, 16 // part) / HEMISPHERE,
-        f"Raasch's hook, {56 // part} x {8 // part}": hook(card, 56 // part, 8 // part) / 5.012,
+        f"Raasch's hook, {56 // part} x {8 // part}": hook(card, 56 // part, 8 // part)
+        / 5.012,
     }
     least = 0.82 if card == "CTRIA3" else 0.97  # constant strain in the plane
     return [within(what, value, least, 1.03) for what, value in found.items()]
@@ -87,8 +89,12 @@ def main() -> None:
         )
     for card in ("CQUAD4", "CTRIA3", "CQUAD8", "CTRIA6"):
         report.row(f"{card}: deflection over the reference", {}, shell(card))
-    beams = [100 * (1 - twisted("CTRIA6", 6 * n, n, 0.0032, 3) / TWISTED) for n in (2, 4)]
-    report.row("CTRIA6, very thin twisted beam, 12 x 2 cells", {}, converges(beams, 10.0))
+    beams = [
+        100 * (1 - twisted("CTRIA6", 6 * n, n, 0.0032, 3) / TWISTED) for n in (2, 4)
+    ]
+    report.row(
+        "CTRIA6, very thin twisted beam, 12 x 2 cells", {}, converges(beams, 10.0)
+    )
     domes = [100 * (1 - hemisphere("CQUAD8", n) / HEMISPHERE) for n in (4, 8)]
     report.row("CQUAD8, hemisphere, 4 x 4 elements", {}, converges(domes, 1.5))
     report.end()

@@ -45,9 +45,11 @@ from ringtrue.study.store import Store
 
 RIGID = 2.6  # Hz, modes of the air springs end here
 FRAME = ("columns", "girders", "cross beams")  # one candidate over three regions
-PAIRS_LEAST, MEAN_MOST, LARGEST_MOST, MAC_LEAST = 18, 2.0, 6.0, 93.0  # as `checks`: pairs, %, %, %
+# as `checks`: pairs, %, %, %
+PAIRS_LEAST, MEAN_MOST, LARGEST_MOST, MAC_LEAST = 18, 2.0, 6.0, 93.0
 BANDS_LEAST = (
-    0.75  # of bands of 90 %, in the long run: the form of the deck is not that of the structure
+    # of bands of 90 %, in the long run: the form of the deck is not that of the structure
+    0.75
 )
 SHIFT = 2.0  # %, of a mode's frequency, from which on a wrong region should be named
 NAMED_LEAST = 0.75  # of them, in the long run
@@ -87,7 +89,8 @@ class Delivered:
 def delivered(summary: dict[str, Any]) -> dict[str, Any]:
     """Fields of `Delivered` from a summary.json."""
     first, last = (
-        np.array([abs(r["deviation_percent"]) for r in summary[k]]) for k in ("initial", "final")
+        np.array([abs(r["deviation_percent"]) for r in summary[k]])
+        for k in ("initial", "final")
     )
     return {
         "first_pairs": first.size,
@@ -103,7 +106,9 @@ def delivered(summary: dict[str, Any]) -> dict[str, Any]:
 def ran(folder: Path, *options: str) -> tuple[bool, dict[str, Any]]:
     """Run `ringtrue demo` with some options: whether all held that must, and its summary.json."""
     command = [sys.executable, "-m", "ringtrue", "demo", *options, "--out", str(folder)]
-    kept = subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode == 0
+    kept = (
+        subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode == 0
+    )
     return kept, json.loads((folder / "summary.json").read_text(encoding="utf-8"))
 
 
@@ -141,7 +146,8 @@ def damping(store: Store, seed: int) -> tuple[float, ...]:
     built = zeta[np.abs(found.ambient.modes.frequencies[low, None] - f).argmin(axis=1)]
     return tuple(
         (
-            (found.ambient.modes.damping[low] - built) / found.ambient.uncertainty.damping[low]
+            (found.ambient.modes.damping[low] - built)
+            / found.ambient.uncertainty.damping[low]
         ).tolist()
     )
 
@@ -150,7 +156,10 @@ def regions(store: Store, seed: int) -> dict[str, bool]:
     """Regions that are wrong, by what they do, and whether the proposal names them."""
     ratio, thick = twin.ratios(seed), twin.thicker(seed)
     ratio["frame members"] = float(np.mean([ratio[k] for k in FRAME]))
-    sensitivity, members = store.load("sensitivity"), store.load("localise").proposal.members
+    sensitivity, members = (
+        store.load("sensitivity"),
+        store.load("localise").proposal.members,
+    )
     named = {n for m in members for n in (m.name, *m.collinear, *m.rivals)}
     table = store.load("correlate").remodelled
     seen = np.isin(sensitivity.fe_modes, table.pairing.b[table.used])
@@ -193,7 +202,9 @@ def over_all(seeds: list[Seed]) -> list[Check]:
     held, of = (sum(s.bands[k] for s in seeds) for k in (0, 1))
     named = [found for s in seeds for found in s.wrong.values()]
     return [
-        share_at_least("bands of 90 % of frequencies left out held", held, of, BANDS_LEAST),
+        share_at_least(
+            "bands of 90 % of frequencies left out held", held, of, BANDS_LEAST
+        ),
         rms_over_stated(
             "damping below 2.6 Hz, error over stated deviation, rms",
             damping_of(seeds),
@@ -230,7 +241,9 @@ def off_diagonal(store: Path) -> dict[str, float]:
     for tam in ("irs", "guyan"):
         changed = config.model_copy(update={"tam": tam})
         mass = channel_mass(opened, look, test.channels, changed, session.fmax).matrix
-        out[tam] = float(100 * np.abs(self_orthogonality(seen, mass) - np.eye(len(modes))).max())
+        out[tam] = float(
+            100 * np.abs(self_orthogonality(seen, mass) - np.eye(len(modes))).max()
+        )
     return out
 
 
@@ -248,7 +261,11 @@ def main() -> None:
         for seed in range(sized(options, 1, 2, 10)):
             got = run(seed, Path(folder) / str(seed))
             seeds.append(got)
-            cost = {"% mean |Δf|": got.mean, "pairs": got.pairs, "s by the clock": got.seconds}
+            cost = {
+                "% mean |Δf|": got.mean,
+                "pairs": got.pairs,
+                "s by the clock": got.seconds,
+            }
             report.row(f"worked example, seed {seed}", cost, bars(got), [got.before])
         report.row(f"worked example, {len(seeds)} seeds together", {}, over_all(seeds))
         off = off_diagonal(Path(folder) / "0" / "study.h5")

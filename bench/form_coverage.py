@@ -159,17 +159,23 @@ class Lines:
                 lines.append(f"CBUSH,{30000 + 10 * m + i},{200 + m},{p},{q},,,,0")
         chain = [ends[0], *inner, ends[1]]
         lines += [
-            f"CBAR,{50000 + 100 * m + i},{pid},{chain[i]},{chain[i + 1]},{up}" for i in range(n)
+            f"CBAR,{50000 + 100 * m + i},{pid},{chain[i]},{chain[i + 1]},{up}"
+            for i in range(n)
         ]
         if s.carried and not form.spread:
             half = s.carried * length / 2 * form.factors.get("mass", 1.0)
-            lines += [f"CONM2,{70000 + 10 * m + i},{p},,{half:.8E}" for i, p in enumerate((a, b))]
+            lines += [
+                f"CONM2,{70000 + 10 * m + i},{p},,{half:.8E}"
+                for i, p in enumerate((a, b))
+            ]
         return lines
 
     def channels(self) -> list[str]:
         """Of all nodes that the deck names and that are no feet, and the middles of members."""
         own = [n for n in self.nodes if n not in self.feet]
-        middle = [1000 + 100 * m + self.cells // 2 for m in range(0, len(self.members), 3)]
+        middle = [
+            1000 + 100 * m + self.cells // 2 for m in range(0, len(self.members), 3)
+        ]
         return [f"{n}+{a}" for n in own for a in "XYZ"] + [
             f"{n}+{a}" for n in middle for a in "XYZ" if self.cells > 1
         ]
@@ -193,7 +199,9 @@ class Lines:
         for name in self.parameters:
             if name == "feet":
                 out.append(
-                    rt.parameter(name, "PBUSH 90 K1,K2,K3,K4,K5,K6", lower=0.2, upper=5, std=0.7)
+                    rt.parameter(
+                        name, "PBUSH 90 K1,K2,K3,K4,K5,K6", lower=0.2, upper=5, std=0.7
+                    )
                 )
             elif name == "mass":
                 ids = [
@@ -214,7 +222,9 @@ def _section(pid: int, s: Section, form: Form) -> list[str]:
     b, h = s.width, s.height
     e = 2.1e11 * form.factors.get(s.group, 1.0)
     nsm = s.carried * form.factors.get("mass", 1.0) if form.spread else 0.0
-    inertia = f"{b * h**3 / 12:.6E},{h * b**3 / 12:.6E},{0.2 * b * h * min(b, h) ** 2:.6E}"
+    inertia = (
+        f"{b * h**3 / 12:.6E},{h * b**3 / 12:.6E},{0.2 * b * h * min(b, h) ** 2:.6E}"
+    )
     lines = [f"PBAR,{pid},{pid},{b * h:.6E},{inertia},{nsm:.8E}"]
     if form.shear:
         k = f"{5 / 6 / form.shear:.6f}"
@@ -228,8 +238,12 @@ def portal() -> Lines:
     nodes = {10 * i + k + 1: (x[i], 0.0, z[k]) for i in range(3) for k in range(3)}
     column = Section("columns", 0.2, 0.26)
     beam = Section("beams", 0.16, 0.3, 150.0)
-    members = [(10 * i + k + 1, 10 * i + k + 2, column) for i in range(3) for k in range(2)]
-    members += [(10 * i + k + 2, 10 * i + k + 12, beam) for i in range(2) for k in range(2)]
+    members = [
+        (10 * i + k + 1, 10 * i + k + 2, column) for i in range(3) for k in range(2)
+    ]
+    members += [
+        (10 * i + k + 2, 10 * i + k + 12, beam) for i in range(2) for k in range(2)
+    ]
     return Lines(
         nodes=nodes,
         members=tuple(members),
@@ -251,8 +265,12 @@ def tower() -> Lines:
             nodes[10 * k + c + 1] = (w * sx, 0.8 * w * sy, 2.6 * k)
     column = Section("columns", 0.14, 0.18)
     ring = Section("rings", 0.1, 0.18, 120.0)
-    members = [(10 * k + c, 10 * k + c + 10, column) for k in range(3) for c in range(1, 5)]
-    members += [(10 * k + c, 10 * k + c % 4 + 1, ring) for k in range(1, 4) for c in range(1, 5)]
+    members = [
+        (10 * k + c, 10 * k + c + 10, column) for k in range(3) for c in range(1, 5)
+    ]
+    members += [
+        (10 * k + c, 10 * k + c % 4 + 1, ring) for k in range(1, 4) for c in range(1, 5)
+    ]
     return Lines(
         nodes=nodes,
         members=tuple(members),
@@ -336,7 +354,9 @@ class Plate:
                 ring = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
                 at = ",".join(str(self._node(*p)) for p in ring)
                 lines.append(f"CQUAD4,{1 + i + 1000 * j},{pid},{at}")
-        for pid, (name, t) in enumerate(zip(("left", "right"), self.thick, strict=True), start=1):
+        for pid, (name, t) in enumerate(
+            zip(("left", "right"), self.thick, strict=True), start=1
+        ):
             shear = f",{pid},{5 / 6 / (3 * form.shear):.6f}" if form.shear else ",,"
             nsm = 60.0 * f.get("mass", 1.0) if form.spread else 0.0
             lines.append(f"PSHELL,{pid},{pid},{t},{pid},{shear},{nsm:.8E}")
@@ -353,7 +373,9 @@ class Plate:
             p, q = ((i * n, j * n) for i, j in self.brace)
             lines.append(f"CBAR,99999,99,{self._node(*p)},{self._node(*q)},0.,0.,1.")
             b = 0.02 * form.member
-            lines.append(f"PBAR,99,99,{b**2:.6E},{b**4 / 12:.6E},{b**4 / 12:.6E},{b**4 / 7:.6E}")
+            lines.append(
+                f"PBAR,99,99,{b**2:.6E},{b**4 / 12:.6E},{b**4 / 12:.6E},{b**4 / 7:.6E}"
+            )
             lines.append("MAT1,99,7.E10,,0.33,2700.")
         if not form.spread:
             lines += self._lumps(form)
@@ -372,9 +394,13 @@ class Plate:
             lx, ly = self.size
             y = ly * self.rib / self.cells[1]
             own = [60001 + i for i in range(nx + 1)]
-            lines += [f"GRID,{p},,{lx * i / nx:.8f},{y:.8f},0." for i, p in enumerate(own)]
+            lines += [
+                f"GRID,{p},,{lx * i / nx:.8f},{y:.8f},0." for i, p in enumerate(own)
+            ]
             k = 2e6 / form.joint / nx
-            lines.append(f"PBUSH,91,K,{k:.6E},{k:.6E},{k:.6E},{k / 2e3:.6E},{k / 2e3:.6E},{k:.6E}")
+            lines.append(
+                f"PBUSH,91,K,{k:.6E},{k:.6E},{k:.6E},{k / 2e3:.6E},{k / 2e3:.6E},{k:.6E}"
+            )
             lines += [
                 f"CBUSH,{91000 + i},91,{p},{q},,,,0"
                 for i, (p, q) in enumerate(zip(at, own, strict=True))
@@ -388,7 +414,10 @@ class Plate:
         cx, cy = self.cells
         some = [(i, j) for i in range(0, cx + 1, 2) for j in range(0, cy + 1, 2)]
         weight = np.array(
-            [(0.5 if i in (0, cx) else 1.0) * (0.5 if j in (0, cy) else 1.0) for i, j in some]
+            [
+                (0.5 if i in (0, cx) else 1.0) * (0.5 if j in (0, cy) else 1.0)
+                for i, j in some
+            ]
         )
         total = 60.0 * self.size[0] * self.size[1] * form.factors.get("mass", 1.0)
         return [
@@ -416,7 +445,9 @@ class Plate:
             for i in range(cx + 1)
             for j in range(cy + 1)
         }
-        return {c: f"{at[int(c.split('+')[0])]}+{c.split('+')[1]}" for c in self.channels()}
+        return {
+            c: f"{at[int(c.split('+')[0])]}+{c.split('+')[1]}" for c in self.channels()
+        }
 
     def fields(self) -> ParameterSet:
         """What is updated."""
@@ -434,7 +465,9 @@ class Plate:
             "mass": (lumps, 0.3),
         }
         return ParameterSet(
-            tuple(rt.parameter(n, *every[n][0], std=every[n][1]) for n in self.parameters)
+            tuple(
+                rt.parameter(n, *every[n][0], std=every[n][1]) for n in self.parameters
+            )
         )
 
 
@@ -506,10 +539,14 @@ def case(s: Structure, kind: str, rng: np.random.Generator) -> Case:
     shapes = np.asarray(twin.at(list(sampled.values())).shapes.real)[:, elastic]
     exact = twin.frequencies[elastic]
     f = exact * (1 + NOISE * rng.standard_normal(exact.size))
-    shapes = shapes + SHAPE_NOISE * np.abs(shapes).max(axis=0) * rng.standard_normal(shapes.shape)
+    shapes = shapes + SHAPE_NOISE * np.abs(shapes).max(axis=0) * rng.standard_normal(
+        shapes.shape
+    )
     test = rt.modes_of_test(f, shapes, list(sampled), std_frequency=NOISE * f)
     out = np.sort(rng.choice(np.arange(1, exact.size), LEFT_OUT, replace=False)) + 1
-    found = rt.update(model_of(s.deck(Form())), test, s.fields(), leave_out=out.tolist())
+    found = rt.update(
+        model_of(s.deck(Form())), test, s.fields(), leave_out=out.tolist()
+    )
     return Case(found, np.array([true[n] for n in names]), f, out - 1)
 
 
@@ -531,7 +568,9 @@ def counts(structure: str, family: str, kind: str, seeds: range) -> Counter[str]
         seen = c.left_out[np.isfinite(bands.predicted[c.left_out])]
         f = c.frequencies[seen]
         out["left out"] += f.size
-        out["left out held"] += int(((bands.low[seen] <= f) & (f <= bands.high[seen])).sum())
+        out["left out held"] += int(
+            ((bands.low[seen] <= f) & (f <= bands.high[seen])).sum()
+        )
     return out
 
 
@@ -551,9 +590,15 @@ def checks(of_form: Counter[str], right: Counter[str]) -> list[Check]:
     """
     found = shares(of_form)
     return [
-        within("parameters not flagged held", found["% of unflagged held"], LOW, HIGH, "%"),
-        within("frequencies left out held", found["% of left out held"], LOW, HIGH, "%"),
-        share_at_most("flagged, form right", right["flagged"], right["parameters"], FLAGGED_MOST),
+        within(
+            "parameters not flagged held", found["% of unflagged held"], LOW, HIGH, "%"
+        ),
+        within(
+            "frequencies left out held", found["% of left out held"], LOW, HIGH, "%"
+        ),
+        share_at_most(
+            "flagged, form right", right["flagged"], right["parameters"], FLAGGED_MOST
+        ),
     ]
 
 
@@ -580,7 +625,9 @@ def main() -> None:
     right = total.pop("right")
     of_form = sum(total.values(), Counter[str]())
     twins = len(seeds) * len(FAMILIES[options.family])
-    row = f"{twins * len(total)} twins of five errors of form, {twins} of the right form"
+    row = (
+        f"{twins * len(total)} twins of five errors of form, {twins} of the right form"
+    )
     stated = shares(of_form) | {"% flagged, form right": shares(right)["% flagged"]}
     report.row(row, stated, checks(of_form, right))
     report.end()

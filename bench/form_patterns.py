@@ -63,7 +63,9 @@ def _material(mid: int, t: Truth) -> str:
 def _bar(pid: int, side: tuple[float, float], t: Truth) -> list[str]:
     """A rectangular section; K1 and K2 where it has shear flexibility."""
     b, h = side
-    inertia = f"{b * h**3 / 12:.6E},{h * b**3 / 12:.6E},{0.2 * b * h * min(b, h) ** 2:.6E}"
+    inertia = (
+        f"{b * h**3 / 12:.6E},{h * b**3 / 12:.6E},{0.2 * b * h * min(b, h) ** 2:.6E}"
+    )
     lines = [f"PBAR,{pid},{pid},{b * h:.6E},{inertia}"]
     if t.shear:
         k = f"{5 / 6 / t.shear:.6f}"
@@ -101,7 +103,12 @@ def frame(t: Truth) -> tuple[list[str], list[str]]:
     """Two storeys and two bays of stocky bars, beams joined to the columns by CBUSH."""
     x, z = (0.0, 1.9, 3.5), (0.0, 1.3, 2.4)
     lines = list[str]()
-    node = {(i, k, m): 100 * k + 10 * i + m + 1 for i in range(3) for k in range(3) for m in (0, 1)}
+    node = {
+        (i, k, m): 100 * k + 10 * i + m + 1
+        for i in range(3)
+        for k in range(3)
+        for m in (0, 1)
+    }
     for (i, k, m), n in node.items():
         if m == 0:
             lines.append(f"GRID,{n},,{x[i]},0.,{z[k]}")
@@ -111,7 +118,10 @@ def frame(t: Truth) -> tuple[list[str], list[str]]:
     for i in range(3):
         for k in (1, 2):
             a, b, c = node[i, k - 1, 0], node[i, k, 1], node[i, k, 0]
-            lines += [f"CBAR,{eid},{k},{a},{b},0.,1.,0.", f"CBAR,{eid + 1},{k},{b},{c},0.,1.,0."]
+            lines += [
+                f"CBAR,{eid},{k},{a},{b},0.,1.,0.",
+                f"CBAR,{eid + 1},{k},{b},{c},0.,1.,0.",
+            ]
             eid += 2
     for k in (1, 2):
         for i in range(2):
@@ -121,10 +131,14 @@ def frame(t: Truth) -> tuple[list[str], list[str]]:
             for j in range(3):
                 lines.append(f"CBAR,{eid},3,{ends[j]},{ends[j + 1]},0.,1.,0.")
                 eid += 1
-            for j, (a, b) in enumerate(((node[i, k, 0], ends[0]), (ends[3], node[i + 1, k, 0]))):
+            for j, (a, b) in enumerate(
+                ((node[i, k, 0], ends[0]), (ends[3], node[i + 1, k, 0]))
+            ):
                 lines.append(f"CBUSH,{800 + 10 * k + 2 * i + j},80,{a},{b},,,,0")
     lines.append(f"PBUSH,80,K,4.E8,4.E8,4.E8,8.E6,8.E6,8.E6\n,,GE,{t.loss}")
-    lines += _bar(1, (0.16, 0.22), t) + _bar(2, (0.14, 0.2), t) + _bar(3, (0.12, 0.24), t)
+    lines += (
+        _bar(1, (0.16, 0.22), t) + _bar(2, (0.14, 0.2), t) + _bar(3, (0.12, 0.24), t)
+    )
     lines += _feet([node[i, 0, 0] for i in range(3)], t, 700)
     lines += _stub(node[2, 2, 0], 999, (3.5, 0.0, 2.95), t)
     seen = [
@@ -166,7 +180,12 @@ def plate(t: Truth) -> tuple[list[str], list[str]]:
         lines.append(f"CBUSH,{800 + e},80,{n},,,,,0")
     lines += _stub(608, 999, (1.6, 1.1, 0.5), t)
     lines.append("PARAM,K6ROT,100.")
-    seen = [f"{100 * j + i}+{a}" for j in (0, 2, 4, 6) for i in (0, 2, 4, 6, 8) for a in "XYZ"]
+    seen = [
+        f"{100 * j + i}+{a}"
+        for j in (0, 2, 4, 6)
+        for i in (0, 2, 4, 6, 8)
+        for a in "XYZ"
+    ]
     return lines, [*seen, "999+X", "999+Y"]
 
 
@@ -200,7 +219,8 @@ def panel(t: Truth) -> tuple[list[str], list[str]]:
     for k, j in ((0, 2), (1, 4)):
         y = ly * j / (ny - 1) + 0.02
         lines += [
-            f"GRID,{2000 + 100 * k + i},,{lx * i / (nx - 1)},{y},-0.12" for i in range(0, nx, 2)
+            f"GRID,{2000 + 100 * k + i},,{lx * i / (nx - 1)},{y},-0.12"
+            for i in range(0, nx, 2)
         ]
         for i in range(0, nx - 2, 2):
             a = 2000 + 100 * k + i
@@ -213,12 +233,26 @@ def panel(t: Truth) -> tuple[list[str], list[str]]:
     lines += _feet([102, 110, 502, 510], t, 700)
     lines += _stub(306, 999, (1.0, 0.55, 0.5), t)
     lines.append("PARAM,K6ROT,100.")
-    seen = [f"{100 * j + i + 1}+{a}" for j in (0, 2, 4, 6) for i in (0, 2, 5, 8, 10) for a in "XYZ"]
-    return lines, [*seen, *[f"{2000 + 100 * k + 4}+{a}" for k in (0, 1) for a in "YZ"], "999+X"]
+    seen = [
+        f"{100 * j + i + 1}+{a}"
+        for j in (0, 2, 4, 6)
+        for i in (0, 2, 5, 8, 10)
+        for a in "XYZ"
+    ]
+    return lines, [
+        *seen,
+        *[f"{2000 + 100 * k + 4}+{a}" for k in (0, 1) for a in "YZ"],
+        "999+X",
+    ]
 
 
 Structure = Callable[[Truth], tuple[list[str], list[str]]]
-STRUCTURES: dict[str, Structure] = {"frame": frame, "plate": plate, "beam": beam, "panel": panel}
+STRUCTURES: dict[str, Structure] = {
+    "frame": frame,
+    "plate": plate,
+    "beam": beam,
+    "panel": panel,
+}
 # flexibility of the supports whose effect is some per cent, m/N and rad/(N m)
 SOFT = {"frame": (6e-10, 1.5e-9), "beam": (5e-11, 8e-10), "panel": (3e-10, 1.5e-8)}
 
@@ -305,7 +339,9 @@ def one(structure: str, cause: str, seed: int) -> str:
     """What is named on a twin."""
     at = (list(STRUCTURES).index(structure), (*CAUSES, *OTHERS).index(cause))
     rng = np.random.default_rng([seed, *at])
-    return named(findings(structure, measured(structure, truth(structure, cause, rng), rng)))
+    return named(
+        findings(structure, measured(structure, truth(structure, cause, rng), rng))
+    )
 
 
 def confusion(structure: str, seeds: range) -> dict[str, Counter[str]]:
@@ -320,7 +356,9 @@ def table(every: dict[str, Counter[str]]) -> str:
     """True causes down, what is named across."""
     heads = (*CAUSES, *OTHERS)
     lines = ["".join(f"{h:>10}" for h in ("", *heads))]
-    lines += [f"{c:>10}" + "".join(f"{n[h]:>10}" for h in heads) for c, n in every.items()]
+    lines += [
+        f"{c:>10}" + "".join(f"{n[h]:>10}" for h in heads) for c, n in every.items()
+    ]
     return "\n".join(lines)
 
 
@@ -331,7 +369,9 @@ def checks(every: dict[str, Counter[str]]) -> list[Check]:
         count = sum(n.values())
         if cause in OTHERS:
             wrong = sum(n[c] for c in CAUSES)
-            out.append(share_at_most(f"form named where {cause}", wrong, count, WRONG_MOST))
+            out.append(
+                share_at_most(f"form named where {cause}", wrong, count, WRONG_MOST)
+            )
         else:
             out.append(share_at_least(f"{cause} named", n[cause], count, NAMED_LEAST))
     return out

@@ -119,23 +119,39 @@ def materials(factors: Float, density: float) -> list[str]:
 
 def whole(cards: list[str]) -> str:
     """The deck of some bulk data."""
-    return "\n".join(["SOL 103", "CEND", "SPC = 1", "BEGIN BULK", *cards, "ENDDATA", ""])
+    return "\n".join(
+        ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK", *cards, "ENDDATA", ""]
+    )
 
 
 def plate(a: Float, density: float) -> str:
     """12 x 8 shells, three ribs along, two across."""
     nx, ny = 12, 8
     cards = materials(a[:3], density)
-    cards += ["PSHELL,1,1,.006,1", "PBARL,2,2,,BAR", ",.008,.03", "PBARL,3,3,,BAR", ",.008,.03"]
+    cards += [
+        "PSHELL,1,1,.006,1",
+        "PBARL,2,2,,BAR",
+        ",.008,.03",
+        "PBARL,3,3,,BAR",
+        ",.008,.03",
+    ]
     for i in range(nx + 1):
         for j in range(ny + 1):
-            cards.append(f"GRID,{plate_node(i, j)},,{1.2 * i / nx:.5f},{0.8 * j / ny:.5f},0.")
+            cards.append(
+                f"GRID,{plate_node(i, j)},,{1.2 * i / nx:.5f},{0.8 * j / ny:.5f},0."
+            )
     corners = [(i, j) for i in range(nx) for j in range(ny)]
     for k, (i, j) in enumerate(corners, start=1):
         nodes = [plate_node(i + p, j + q) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))]
         cards.append(f"CQUAD4,{k},1," + ",".join(map(str, nodes)))
-    along = [(2, plate_node(i, j), plate_node(i + 1, j)) for j in (0, 4, 8) for i in range(nx)]
-    across = [(3, plate_node(i, j), plate_node(i, j + 1)) for i in (4, 9) for j in range(ny)]
+    along = [
+        (2, plate_node(i, j), plate_node(i + 1, j))
+        for j in (0, 4, 8)
+        for i in range(nx)
+    ]
+    across = [
+        (3, plate_node(i, j), plate_node(i, j + 1)) for i in (4, 9) for j in range(ny)
+    ]
     for k, (part, one, two) in enumerate([*along, *across], start=1001):
         cards.append(f"CBAR,{k},{part},{one},{two},0.,0.,1.")
     cards.append(f"PELAS,9,{4e4 * a[3]:.9e}")
@@ -170,7 +186,9 @@ def frame(a: Float, density: float) -> str:
             x, y, z = (1 - share) * ends[0] + share * ends[1]
             cards.append(f"GRID,{node},,{x:.6f},{y:.6f},{z:.6f}")
         for k in range(3):
-            cards.append(f"CBAR,{3 * m + k + 1},{part},{nodes[k]},{nodes[k + 1]},{axis}")
+            cards.append(
+                f"CBAR,{3 * m + k + 1},{part},{nodes[k]},{nodes[k + 1]},{axis}"
+            )
     cards += [f"GRID,{n},,{x},{y},{z:.3f}" for n, (x, y, z) in at.items()]
     return whole([*cards, "SPC1,1,123456,1,THRU,4"])
 
@@ -190,7 +208,12 @@ def beam(a: Float, density: float) -> str:
 STRUCTURES = (
     Structure(
         "plate",
-        {"plate": "MAT1 1 E", "along": "MAT1 2 E", "across": "MAT1 3 E", "springs": "PELAS 9 K"},
+        {
+            "plate": "MAT1 1 E",
+            "along": "MAT1 2 E",
+            "across": "MAT1 3 E",
+            "springs": "PELAS 9 K",
+        },
         plate,
         tuple(f"{plate_node(i, j)}+Z" for i in (3, 6, 9, 12) for j in (0, 3, 6, 8)),
         (f"{plate_node(12, 0)}+Z",),
@@ -206,7 +229,12 @@ STRUCTURES = (
     ),
     Structure(
         "beam",
-        {"left": "MAT1 1 E", "right": "MAT1 2 E", "outer": "PELAS 5 K", "inner": "PELAS 6 K"},
+        {
+            "left": "MAT1 1 E",
+            "right": "MAT1 2 E",
+            "outer": "PELAS 5 K",
+            "inner": "PELAS 6 K",
+        },
         beam,
         tuple(f"{i}+Z" for i in range(2, 31, 3)),
         ("5+Z", "29+Z"),
@@ -234,7 +262,9 @@ def measure(
     seen = out[:, :count] + 0.02 * size * rng.standard_normal((len(out), count))
     measured = f[:count] * (1 + 1e-3 * rng.standard_normal(count))
     zeta = np.full(f.size, family.damping)
-    write_modes(folder / "modes.json", ModeSet(measured, zeta[:count], seen, s.channels))
+    write_modes(
+        folder / "modes.json", ModeSet(measured, zeta[:count], seen, s.channels)
+    )
     freqs = np.linspace(0.5 * f[0], 1.3 * f[s.modes - 1], LINES)
     h = frf(freqs, f, zeta, out, shapes[[every.index(i) for i in s.inputs]])
     noise = rng.standard_normal((2, *h.shape))
@@ -261,7 +291,9 @@ def case(s: Structure, family: Family, seed: int, density: float = 1.0) -> Case:
         folder = Path(name)
         measure(s, family, truth, density, folder, seed)
         begin = time.process_time()
-        found = update_study(folder / "study.toml", folder / "modes.json", UpdateRequest())
+        found = update_study(
+            folder / "study.toml", folder / "modes.json", UpdateRequest()
+        )
         seconds = time.process_time() - begin
     stated = as_stated(found.problem, found.done)
     u = found.config.update
@@ -287,8 +319,12 @@ def row(s: Structure, family: Family, count: int, report: Report) -> list[Case]:
     wrong = [case(s, family, seed, HEAVY) for seed in range(2)]
     at_once = np.mean([c.at_once <= c.optimum + J_MOST for c in cases])
     checks: list[Check] = [
-        at_most("called unfit at the optimum", sum(c.unfit and c.reached for c in cases), 0),
-        at_least("called unfit with a wrong density", sum(c.unfit for c in wrong), len(wrong)),
+        at_most(
+            "called unfit at the optimum", sum(c.unfit and c.reached for c in cases), 0
+        ),
+        at_least(
+            "called unfit with a wrong density", sum(c.unfit for c in wrong), len(wrong)
+        ),
     ]
     what = f"{s.name}: damping {100 * family.damping:g} %, "
     what += f"{100 * family.identified:g} % of the modes identified, {count} draws"
@@ -307,7 +343,12 @@ def main() -> None:
     options = arguments(__doc__).parse_args()
     report = Report(options)
     count = sized(options, 3, 12, 60)
-    cases = [c for family in FAMILIES for s in STRUCTURES for c in row(s, family, count, report)]
+    cases = [
+        c
+        for family in FAMILIES
+        for s in STRUCTURES
+        for c in row(s, family, count, report)
+    ]
     report.row(f"all {len(cases)} updatings from the deck", {}, judged(cases))
     report.end()
 

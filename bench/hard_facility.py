@@ -25,7 +25,8 @@ from ringtrue.demos.lsf.examples import campaign_plan
 from ringtrue.study.store import Store
 
 NAMED_LEAST = 0.9  # of the seeds, in which every fault is named
-APART_LEAST, APART_MOST = 0.1, 0.6  # %, median |Δf| of ambient and hammer test: as published
+# %, median |Δf| of ambient and hammer test: as published
+APART_LEAST, APART_MOST = 0.1, 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,14 +73,20 @@ def bars(got: HardSeed) -> list[Check]:
         at_least("pairs", got.pairs, PAIRS_LEAST),
         at_most("mean |Δf|", got.mean, MEAN_MOST, "%"),
         at_most("largest", got.largest, LARGEST_MOST, "%"),
-        Check("ambient and hammer, median |Δf|", got.apart, APART_LEAST, APART_MOST, "%"),
+        Check(
+            "ambient and hammer, median |Δf|", got.apart, APART_LEAST, APART_MOST, "%"
+        ),
     ]
 
 
 def all_named(seeds: list[HardSeed]) -> list[Check]:
     """In how many seeds every fault is named."""
     share = np.mean([not s.unnamed for s in seeds])
-    return [at_least("seeds with every fault named", 100 * float(share), 100 * NAMED_LEAST, "%")]
+    return [
+        at_least(
+            "seeds with every fault named", 100 * float(share), 100 * NAMED_LEAST, "%"
+        )
+    ]
 
 
 def main() -> None:

@@ -51,7 +51,8 @@ from ringtrue.identification.ambient.pipeline import (
 
 HOUR = 3600.0  # s
 OVER_FLOOR = (
-    1.35  # error over its floor, root mean square over many records: close modes share their data
+    # error over its floor, root mean square over many records: close modes share their data
+    1.35
 )
 # of an hour: the pair at 1.85 and 1.90 Hz is told apart no better in one record of a hundred
 MAC_LEAST = 0.985
@@ -90,7 +91,10 @@ class Record:
 def history(y: np.ndarray, rate: float) -> TimeHistory:
     """(ch, sample) accelerations."""
     return TimeHistory(
-        y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+        y,
+        rate,
+        tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))),
+        "made",
     )
 
 
@@ -126,9 +130,13 @@ def over_floor(what: str, errors: np.ndarray) -> Check:
 def accurate(records: list[Record]) -> list[Check]:
     """All modes, no other ones, with errors near the floor."""
     return [
-        at_least("modes found in each", min(r.score.found for r in records), system.BAND),
+        at_least(
+            "modes found in each", min(r.score.found for r in records), system.BAND
+        ),
         at_most("extra", max(r.score.extra for r in records), 0),
-        over_floor("frequency", np.concatenate([r.score.f / r.f_floor for r in records])),
+        over_floor(
+            "frequency", np.concatenate([r.score.f / r.f_floor for r in records])
+        ),
         over_floor("damping", np.concatenate([r.score.z / r.z_floor for r in records])),
         at_least("MAC", min(r.score.mac.min() for r in records), MAC_LEAST),
     ]
@@ -166,12 +174,22 @@ class Frame:
 
     def record(self, seed: int, seconds: float) -> np.ndarray:
         """Accelerations (10, sample) for white forces at every floor, sensor noise 20 dB below."""
-        rng, w, lead = np.random.default_rng(seed), 2 * np.pi * self.f, int(80 * self.rate)
+        rng, w, lead = (
+            np.random.default_rng(seed),
+            2 * np.pi * self.f,
+            int(80 * self.rate),
+        )
         q = []
         for s in -self.zeta * w + 1j * w * np.sqrt(1 - self.zeta**2):
-            force, a = rng.standard_normal(int(seconds * self.rate) + lead), np.exp(s / self.rate)
+            force, a = (
+                rng.standard_normal(int(seconds * self.rate) + lead),
+                np.exp(s / self.rate),
+            )
             z = lfilter([0, (a - 1) / s], [1, -a], force)
-            q.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * force)
+            q.append(
+                2 * np.real(s**2 / (2j * s.imag) * z)
+                + 2 * np.real(s / (2j * s.imag)) * force
+            )
         y = self.shapes @ np.array(q)[:, lead:]
         return y + 0.1 * y.std(1, keepdims=True) * rng.standard_normal(y.shape)
 
@@ -215,7 +233,9 @@ def frame(report: Report, count: int) -> None:
         seconds.append(t)
     what = f"10 modes of a chain of storeys in {count} records of an hour"
     report.row(
-        what, {"s": min(seconds)}, near_floor(each, scatter_floor(chain.f, chain.zeta, HOUR))
+        what,
+        {"s": min(seconds)},
+        near_floor(each, scatter_floor(chain.f, chain.zeta, HOUR)),
     )
 
 
@@ -224,12 +244,18 @@ def honest(each: list[Errors]) -> list[Check]:
     e, s = np.array([x.found for x in each]), np.array([x.stated for x in each])
     shapes = np.concatenate([x.shapes for x in each])
     shapes = shapes[np.isfinite(shapes)]
-    out = [share_at_least("modes found", int(np.isfinite(e[:, 0]).sum()), e[:, 0].size, 0.99)]
+    out = [
+        share_at_least(
+            "modes found", int(np.isfinite(e[:, 0]).sum()), e[:, 0].size, 0.99
+        )
+    ]
     for name, k in (("frequency", 0), ("damping", 1)):
         there = np.isfinite(e[:, k])
         gap = (e[:, k] / s[:, k])[there]
         out.append(
-            share_at_least(f"{name} held", int((np.abs(gap) < 1.96).sum()), gap.size, HELD_LEAST)
+            share_at_least(
+                f"{name} held", int((np.abs(gap) < 1.96).sum()), gap.size, HELD_LEAST
+            )
         )
         out.append(rms_over_stated(f"error over stated deviation, {name}, rms", gap))
     held = int((np.abs(shapes) < 1.96).sum())
@@ -281,10 +307,16 @@ def pairs(report: Report, count: int) -> None:
             extra += max(int(near.sum()) - 2, 0) + max(int((~near).sum()) - 1, 0)
             if near.sum() == 2:
                 both += 1
-                f += ((r.modes.frequencies - 5.0) / r.uncertainty.frequency)[near].tolist()
-                z += ((r.modes.damping - equal.DAMPING) / r.uncertainty.damping)[near].tolist()
+                f += ((r.modes.frequencies - 5.0) / r.uncertainty.frequency)[
+                    near
+                ].tolist()
+                z += ((r.modes.damping - equal.DAMPING) / r.uncertainty.damping)[
+                    near
+                ].tolist()
     report.row(
-        f"{2 * count} pairs of equal frequency", {}, told(Pairs(2 * count, both, extra, f, z))
+        f"{2 * count} pairs of equal frequency",
+        {},
+        told(Pairs(2 * count, both, extra, f, z)),
     )
 
 
@@ -305,23 +337,31 @@ def stream(report: Report, hours: float) -> None:
     """
     samples = round(HOUR / 2 * system.FS)
     stretches = [slice(k * samples, (k + 1) * samples) for k in range(round(2 * hours))]
-    with tempfile.TemporaryDirectory() as folder, h5py.File(Path(folder) / "long.h5", "w") as file:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        h5py.File(Path(folder) / "long.h5", "w") as file,
+    ):
         data = file.create_dataset(
             "data", (64, len(stretches) * samples), "f4", chunks=(64, 20_000)
         )
         for seed, part in enumerate(stretches):
             data[:, part] = system.ambient(64, 30, seed).T
-        Path("/proc/self/clear_refs").write_text("5")  # the peak of the memory so far is forgotten
+        # the peak of the memory so far is forgotten
+        Path("/proc/self/clear_refs").write_text("5")
         t = time.process_time()
         for part in stretches:
             rfft(data[:, part], axis=1)
         plain = time.process_time() - t
         t, r = timed(
-            lambda: identify_stretches(history(data[:, part], system.FS) for part in stretches)
+            lambda: identify_stretches(
+                history(data[:, part], system.FS) for part in stretches
+            )
         )
     true = system.truth(system.points(64))
     got = system.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, true)
-    checks = right_stream(got, scatter_floor(true.frequencies, true.damping, hours * HOUR))
+    checks = right_stream(
+        got, scatter_floor(true.frequencies, true.damping, hours * HOUR)
+    )
     cost = {"s": t, "GB": peak_memory()}
     report.row(
         f"64 channels, {hours:g} h from HDF5",

@@ -37,7 +37,11 @@ from outcome import (
 )
 
 from ringtrue.core.signals import Channel, FrfSet
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import (
+    HammerModes,
+    HammerResult,
+    identify_hammer,
+)
 
 HIGH = 64.0  # Hz
 EVERY, ONE = (0, 1, 2), (0,)  # references
@@ -48,7 +52,8 @@ Z_MOST = {EVERY: 0.1, ONE: 1.0}
 MAC_LEAST = {EVERY: 0.999, ONE: 0.99}
 NOISE = 0.05  # of the RMS of each FRF, for the stated deviations
 STATED_LOW = (
-    0.6  # of the errors over stated deviations: these may be too large, as that of a fit in bands
+    # of the errors over stated deviations: these may be too large, as that of a fit in bands
+    0.6
 )
 
 PEER = """
@@ -115,11 +120,16 @@ def timed(data: FrfSet) -> tuple[float, HammerResult]:
     return time.process_time() - t, r
 
 
-def identified(d: system.HammerTest, refs: tuple[int, ...], complex_modes: bool) -> Found:
+def identified(
+    d: system.HammerTest, refs: tuple[int, ...], complex_modes: bool
+) -> Found:
     """One record against the truth."""
     seconds, r = timed(frfs(d, refs))
     true = system.truth(d.responses, complex_modes)
-    return Found(seconds, system.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, true))
+    return Found(
+        seconds,
+        system.score(r.modes.frequencies, r.modes.damping, r.modes.shapes, true),
+    )
 
 
 def checks(found: list[Found], refs: tuple[int, ...]) -> list[Check]:
@@ -128,9 +138,17 @@ def checks(found: list[Found], refs: tuple[int, ...]) -> list[Check]:
         at_least("modes found in each", min(x.score.found for x in found), system.BAND),
         at_most("extra", max(x.score.extra for x in found), 0),
         at_most(
-            "frequency rms, worst", max(system.rms(x.score.f) for x in found), F_MOST[refs], "%"
+            "frequency rms, worst",
+            max(system.rms(x.score.f) for x in found),
+            F_MOST[refs],
+            "%",
         ),
-        at_most("damping rms, worst", max(system.rms(x.score.z) for x in found), Z_MOST[refs], "%"),
+        at_most(
+            "damping rms, worst",
+            max(system.rms(x.score.z) for x in found),
+            Z_MOST[refs],
+            "%",
+        ),
         at_least("MAC", min(x.score.mac.min() for x in found), MAC_LEAST[refs]),
     ]
 
@@ -154,10 +172,14 @@ def single(report: Report, count: int) -> None:
     found = []
     for seed in range(count):
         refs = (seed % 3,)
-        found.append(identified(system.hammer(seed, bool(seed % 2)), refs, bool(seed % 2)))
+        found.append(
+            identified(system.hammer(seed, bool(seed % 2)), refs, bool(seed % 2))
+        )
     seconds = min(x.seconds for x in found)
     report.row(
-        f"hammer test, 60 responses, 1 input, {count} records", {"s": seconds}, checks(found, ONE)
+        f"hammer test, 60 responses, 1 input, {count} records",
+        {"s": seconds},
+        checks(found, ONE),
     )
 
 
@@ -181,8 +203,12 @@ def uncertainty(report: Report, repeats: int) -> None:
     f, z = list[np.ndarray](), list[np.ndarray]()
     for seed in range(repeats):
         rng = np.random.default_rng(seed)
-        y = h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
-        r = timed(frfs(system.HammerTest(freqs, y, coherence, 0.0, pick, system.REFS), EVERY))[1]
+        y = h + sigma * (
+            rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)
+        )
+        r = timed(
+            frfs(system.HammerTest(freqs, y, coherence, 0.0, pick, system.REFS), EVERY)
+        )[1]
         if len(r.modes) == system.BAND:
             f.append((r.modes.frequencies - true.frequencies) / r.uncertainty.frequency)
             z.append((r.modes.damping - true.damping) / r.uncertainty.damping)
@@ -214,7 +240,10 @@ def peer(report: Report, repeats: int) -> None:
         "% of damping": system.rms(score.z),
     }
     report.row(
-        "hammer test, 60 responses, 3 inputs, FRFs to modes", cost, checks(found, EVERY), peers
+        "hammer test, 60 responses, 3 inputs, FRFs to modes",
+        cost,
+        checks(found, EVERY),
+        peers,
     )
 
 
@@ -223,11 +252,21 @@ def polypy(python: str, d: system.HammerTest) -> list[float] | str:
     true = system.truth(d.responses)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frf.npz"
-        given = {"f": d.f, "H": d.H, "sigma": d.sigma, "resp": d.responses, "refs": d.references}
+        given = {
+            "f": d.f,
+            "H": d.H,
+            "sigma": d.sigma,
+            "resp": d.responses,
+            "refs": d.references,
+        }
         np.savez(path, true_f=true.frequencies, true_z=true.damping, **given)
         env = dict(os.environ, QT_QPA_PLATFORM="offscreen")
         done = subprocess.run(
-            [python, "-c", PEER, str(path)], capture_output=True, text=True, check=False, env=env
+            [python, "-c", PEER, str(path)],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=env,
         )
     if done.returncode:
         return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]

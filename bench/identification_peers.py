@@ -25,13 +25,24 @@ from pathlib import Path
 
 import identification_system as system
 import numpy as np
-from outcome import Check, Peer, Report, arguments, at_least, at_most, peer_program, sized, within
+from outcome import (
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_least,
+    at_most,
+    peer_program,
+    sized,
+    within,
+)
 
 FROM = 3.0  # Hz, the modes that one band over 100 Hz holds
 HIGH = 5.0  # Hz, likewise with 20 block rows
 NEAR = 0.01  # relative to the frequency
 FREQUENCY_MOST = (
-    0.5  # %, rms over these modes of an hour and less; the floor of ten minutes is 0.13 %
+    # %, rms over these modes of an hour and less; the floor of ten minutes is 0.13 %
+    0.5
 )
 DEVIATION = (
     0.3,
@@ -126,7 +137,13 @@ class Measured:
 def ours(name: str, work: str, answer: str = POLES) -> Run:
     """By this interpreter."""
     tests = Path(__file__).parents[1] / "tests" / "verification"
-    return Run(name, sys.executable, f"sys.path.insert(0, {str(tests)!r})\n{OURS}", work, answer)
+    return Run(
+        name,
+        sys.executable,
+        f"sys.path.insert(0, {str(tests)!r})\n{OURS}",
+        work,
+        answer,
+    )
 
 
 def pyoma(name: str, work: str, setup: str = PYOMA) -> Run:
@@ -149,7 +166,12 @@ def true_frequencies(low: float) -> np.ndarray:
 
 
 def checks(
-    got: Measured, low: float, minutes: float, *, exact: bool = False, deviations: bool = False
+    got: Measured,
+    low: float,
+    minutes: float,
+    *,
+    exact: bool = False,
+    deviations: bool = False,
 ) -> list[Check]:
     """Whether the true modes are among the poles (`exact`: and nothing else), and the deviations
     plausible.
@@ -161,7 +183,10 @@ def checks(
     out = [
         at_least(f"modes found of {f.size}", found.sum(), f.size),
         at_most(
-            "frequency rms", 100 * system.rms(np.where(found, nearest, np.nan)), FREQUENCY_MOST, "%"
+            "frequency rms",
+            100 * system.rms(np.where(found, nearest, np.nan)),
+            FREQUENCY_MOST,
+            "%",
         ),
     ]
     if exact:
@@ -169,14 +194,20 @@ def checks(
     if deviations:
         zeta = system.truth(system.SIXTEEN).damping[-f.size :]
         floor = f * np.sqrt(zeta / (2 * np.pi * f * 60 * minutes))
-        stated = got.std[apart.argmin(axis=0)] if got.f.size else np.full(f.size, np.nan)
+        stated = (
+            got.std[apart.argmin(axis=0)] if got.f.size else np.full(f.size, np.nan)
+        )
         ratio = float(np.median(stated / floor))
         out.append(within("stated deviation over floor, median", ratio, *DEVIATION))
     return out
 
 
 def compare(
-    report: Report, what: str, y: np.ndarray, mine: list[tuple[Run, Judge]], theirs: list[Run]
+    report: Report,
+    what: str,
+    y: np.ndarray,
+    mine: list[tuple[Run, Judge]],
+    theirs: list[Run],
 ) -> None:
     """Each on the record `y` (sample, ch); each peer beside each of ours."""
     with tempfile.TemporaryDirectory() as folder:
@@ -195,7 +226,10 @@ def compare(
             if isinstance(got, str):
                 raise SystemExit(got)
             report.row(
-                f"{what}, {run.name}", {"s": got.seconds, "MB": got.memory}, judge(got), peers
+                f"{what}, {run.name}",
+                {"s": got.seconds, "MB": got.memory},
+                judge(got),
+                peers,
             )
 
 
@@ -204,10 +238,16 @@ def measured(run: Run, path: Path, repeats: int) -> Measured | str:
     if run.python is None:
         return "not installed"
     file = path.with_suffix(".npz")
-    text = RUN.format(setup=run.setup, work=run.work, repeats=repeats, answer=run.answer)
+    text = RUN.format(
+        setup=run.setup, work=run.work, repeats=repeats, answer=run.answer
+    )
     command = [run.python, "-c", text, str(path), str(file)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    stated = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("result")]
+    stated = [
+        line.split()[1:]
+        for line in done.stdout.splitlines()
+        if line.startswith("result")
+    ]
     if not stated or done.returncode:
         return (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
     f, std = np.zeros(0), np.zeros(0)
@@ -221,7 +261,10 @@ def one(report: Report, minutes: float) -> None:
     """One band."""
     band = "ssi_cov(h, SsiCov(50, 100, 1{}), references=every)"
     mine: list[tuple[Run, Judge]] = [
-        (ours("no deviations", band.format(", 1")), lambda got: checks(got, FROM, minutes)),
+        (
+            ours("no deviations", band.format(", 1")),
+            lambda got: checks(got, FROM, minutes),
+        ),
         (
             ours("with deviations", band.format("")),
             lambda got: checks(got, FROM, minutes, deviations=True),
@@ -267,13 +310,17 @@ def automatic(report: Report, minutes: float) -> None:
 
 def uncertainty(report: Report, minutes: float) -> None:
     """Standard deviations of every order."""
-    run = ours("all deviations", "ssi_cov(h, SsiCov(20, 40, 1, blocks=50), references=every)")
+    run = ours(
+        "all deviations", "ssi_cov(h, SsiCov(20, 40, 1, blocks=50), references=every)"
+    )
     theirs = [
         pyoma("`cov`", "run('cov', 20, 40, calc_unc=True, nb=50)"),
         toolbox("uncertain(20, 40, 50)"),
     ]
     what = f"SSI-cov, 16 channels, {minutes:g} min, orders to 40"
-    mine: list[tuple[Run, Judge]] = [(run, lambda got: checks(got, HIGH, minutes, deviations=True))]
+    mine: list[tuple[Run, Judge]] = [
+        (run, lambda got: checks(got, HIGH, minutes, deviations=True))
+    ]
     compare(report, what, system.ambient(16, minutes, 0), mine, theirs)
 
 

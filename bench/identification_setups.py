@@ -14,7 +14,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from outcome import HELD_LEAST, Check, Report, arguments, rms_over_stated, share_at_least, sized
+from outcome import (
+    HELD_LEAST,
+    Check,
+    Report,
+    arguments,
+    rms_over_stated,
+    share_at_least,
+    sized,
+)
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "verification"))
 import test_oma_setups as made
@@ -66,7 +74,9 @@ def main() -> None:
     count = sized(options, 4, 10, 40)
     sets = [made.recorded(seed, int(60 * MINUTES * made.RATE)) for seed in range(count)]
     each = [errors(*merged(setups)) for setups in sets]
-    report.row(f"{count} sets of three setups, merged: intervals of 95 %", {}, checks(each))
+    report.row(
+        f"{count} sets of three setups, merged: intervals of 95 %", {}, checks(each)
+    )
     report.end()
 
 

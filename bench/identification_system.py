@@ -21,9 +21,30 @@ Int = npt.NDArray[np.int64]
 
 # of the modes in the band: Hz and damping ratio; those above it have 2 %
 F = np.array(
-    [0.40, 0.62, 1.10, 1.85, 1.90, 3.2, 5.1, 7.9, 11.8, 12.0, 18.5, 26.0, 36.0, 47.0, 59.0]
+    [
+        0.40,
+        0.62,
+        1.10,
+        1.85,
+        1.90,
+        3.2,
+        5.1,
+        7.9,
+        11.8,
+        12.0,
+        18.5,
+        26.0,
+        36.0,
+        47.0,
+        59.0,
+    ]
 )
-Z = np.array([2.0, 1.5, 1.2, 1.0, 1.3, 0.8, 0.9, 0.6, 0.7, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]) / 100
+Z = (
+    np.array(
+        [2.0, 1.5, 1.2, 1.0, 1.3, 0.8, 0.9, 0.6, 0.7, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
+    )
+    / 100
+)
 F_ABOVE = np.array([110.0, 118, 127, 136, 147, 158, 171, 185, 200.0])
 Z_ABOVE = np.full(9, 0.02)
 BAND = F.size
@@ -149,7 +170,8 @@ def normal_shapes(points: int = 8, modes: int = 24, seed: int = 3) -> Float:
     waves = [(i, j) for i in range(6) for j in range(6)]
     waves = sorted(waves, key=lambda w: w[0] ** 2 + 1.3 * w[1] ** 2)[1 : modes + 1]
     shapes = np.stack(
-        [(np.cos(np.pi * i * x) * np.cos(np.pi * j * y)).ravel() for i, j in waves], axis=1
+        [(np.cos(np.pi * i * x) * np.cos(np.pi * j * y)).ravel() for i, j in waves],
+        axis=1,
     )
     shapes += 0.15 * rng.standard_normal(shapes.shape) * shapes.std(axis=0)
     return np.linalg.qr(shapes)[0]
@@ -164,7 +186,9 @@ def system(complex_modes: bool = False, modes: int = BAND) -> System:
     for start, end, c in DASHPOTS if complex_modes else ():
         apart = normal[start] - normal[end]
         damping = damping + c * np.outer(apart, apart)
-    state = np.block([[np.zeros((modes, modes)), np.eye(modes)], [-np.diag(w**2), -damping]])
+    state = np.block(
+        [[np.zeros((modes, modes)), np.eye(modes)], [-np.diag(w**2), -damping]]
+    )
     poles, right = np.linalg.eig(state)
     upper = np.flatnonzero(poles.imag > 0)
     upper = upper[np.argsort(np.abs(poles[upper]))]
@@ -244,11 +268,15 @@ def hammer(seed: int = 1, complex_modes: bool = False) -> HammerTest:
             length = PULSE * (1 + 0.1 * rng.standard_normal())
             peak = 1 + 0.3 * rng.random()
             w0 = np.pi / length
-            half_sine = peak * w0 * (1 + np.exp(-1j * w * length)) / (w0**2 - w**2 + 1e-9)
+            half_sine = (
+                peak * w0 * (1 + np.exp(-1j * w * length)) / (w0**2 - w**2 + 1e-9)
+            )
             impact = half_sine * np.exp(-1j * w * begin) * low_pass * FS_HAMMER
             force = np.fft.irfft(impact, long)[:samples]
             y = np.fft.irfft(exact[:, :, j] * impact[:, None], long, axis=0)[:samples]
-            force = force + rng.standard_normal(samples) * np.abs(force).max() * NOISE_FORCE
+            force = (
+                force + rng.standard_normal(samples) * np.abs(force).max() * NOISE_FORCE
+            )
             y = y + rng.standard_normal(y.shape) * y.std() * NOISE_HAMMER
             force_lines = np.fft.rfft(force * force_window)
             response_lines = np.fft.rfft(y * window[:, None], axis=0)
@@ -257,7 +285,9 @@ def hammer(seed: int = 1, complex_modes: bool = False) -> HammerTest:
             of_response += np.abs(response_lines) ** 2
         h[:, :, j] = of_both / of_force[:, None]
         coherence[:, :, j] = np.abs(of_both) ** 2 / of_force[:, None] / of_response
-    return HammerTest(np.fft.rfftfreq(samples, 1 / FS_HAMMER), h, coherence, sigma, RESP, REFS)
+    return HammerTest(
+        np.fft.rfftfreq(samples, 1 / FS_HAMMER), h, coherence, sigma, RESP, REFS
+    )
 
 
 def truth(at: Int, complex_modes: bool = False) -> Truth:
@@ -272,9 +302,13 @@ def mac(a: Complex, b: Complex) -> Float:
     return np.asarray(np.abs(a.conj().T @ b) ** 2 / norms)
 
 
-def score(frequencies: Float, damping: Float, shapes: Complex | Float, true: Truth) -> Score:
+def score(
+    frequencies: Float, damping: Float, shapes: Complex | Float, true: Truth
+) -> Score:
     """Each mode of the truth takes the mode of best MAC within 3 % of its frequency."""
-    f_error, z_error, values = (np.full(true.frequencies.size, np.nan) for _ in range(3))
+    f_error, z_error, values = (
+        np.full(true.frequencies.size, np.nan) for _ in range(3)
+    )
     for i, f in enumerate(true.frequencies):
         near = np.flatnonzero(np.abs(frequencies / f - 1) < 0.03)
         if not near.size:
@@ -286,7 +320,9 @@ def score(frequencies: Float, damping: Float, shapes: Complex | Float, true: Tru
             f_error[i] = 100 * (frequencies[k] / f - 1)
             z_error[i] = 100 * (damping[k] / true.damping[i] - 1)
             values[i] = like[best]
-    return Score(f_error, z_error, values, len(frequencies) - int(np.isfinite(values).sum()))
+    return Score(
+        f_error, z_error, values, len(frequencies) - int(np.isfinite(values).sum())
+    )
 
 
 def rms(errors: Float) -> float:

@@ -41,9 +41,20 @@ def run(seed: int, kernel: str, folder: Path) -> dict[str, Any]:
     """The summary of the worked example under a kernel."""
     blas, mkl, _ = KERNELS[kernel]
     environment = os.environ | {"OPENBLAS_CORETYPE": blas, "MKL_CBWR": mkl}
-    command = [sys.executable, "-m", "ringtrue", "demo", "--seed", str(seed), "--out", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "ringtrue",
+        "demo",
+        "--seed",
+        str(seed),
+        "--out",
+        str(folder),
+    ]
     subprocess.run(command, check=False, stdout=subprocess.DEVNULL, env=environment)
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    summary: dict[str, Any] = json.loads(
+        (folder / "summary.json").read_text(encoding="utf-8")
+    )
     return summary
 
 
@@ -66,9 +77,15 @@ def decisions(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 def compared(got: dict[str, Any], reference: dict[str, Any]) -> list[Check]:
     """Decisions, frequencies, MAC and factors of two summaries."""
     ours, theirs = dict(decisions(got)), dict(decisions(reference))
-    other = [place for place in ours.keys() | theirs.keys() if ours.get(place) != theirs.get(place)]
+    other = [
+        place
+        for place in ours.keys() | theirs.keys()
+        if ours.get(place) != theirs.get(place)
+    ]
     for place in sorted(other):
-        print(f"  {place}: {ours.get(place)!r}, under {REFERENCE} {theirs.get(place)!r}")
+        print(
+            f"  {place}: {ours.get(place)!r}, under {REFERENCE} {theirs.get(place)!r}"
+        )
     checks = [at_most("decisions that differ", len(other), 0)]
     if other:  # what is not there cannot be compared
         return checks
@@ -100,12 +117,12 @@ def main() -> None:
                 if kernel == REFERENCE:
                     continue
                 if needs not in has:
-                    report.not_run(f"the kernels of {kernel}", "the processor does not have them")
+                    report.not_run(
+                        f"the kernels of {kernel}", "the processor does not have them"
+                    )
                     continue
                 got = run(seed, kernel, Path(folder) / f"{seed}-{kernel}")
-                what = (
-                    f"worked example, seed {seed}: kernels of {kernel} beside those of {REFERENCE}"
-                )
+                what = f"worked example, seed {seed}: kernels of {kernel} beside those of {REFERENCE}"
                 report.row(what, {}, compared(got, reference))
     report.end()
 

@@ -65,10 +65,14 @@ class Score:
 def regions_of(names: Iterable[str]) -> set[int]:
     """Regions whose elements are those of one of the candidates."""
     at = {c.name: set(c.elements) for c in twin.start().candidates}
-    return {r for r in twin.REGIONS if any(at[n] == twin.region_elements(r) for n in names)}
+    return {
+        r for r in twin.REGIONS if any(at[n] == twin.region_elements(r) for n in names)
+    }
 
 
-def drawn(rng: np.random.Generator, count: int, wrong: set[int], draws: int = 200) -> float:
+def drawn(
+    rng: np.random.Generator, count: int, wrong: set[int], draws: int = 200
+) -> float:
     """Share of the wrong regions that `count` candidates at random name."""
     names = [c.name for c in twin.start().candidates]
     picks = [regions_of(rng.choice(names, count, replace=False)) for _ in range(draws)]
@@ -92,7 +96,9 @@ def one(seed: int) -> Score:
 
     rules = {rule: share(found.orders[rule][:few]) for rule in RULES}
     at_random = drawn(rng, max(len(named), 1), set(wrong))
-    return Score(few, len(named), share(strict), share(named), at_random, rules, seconds)
+    return Score(
+        few, len(named), share(strict), share(named), at_random, rules, seconds
+    )
 
 
 def checks(scores: list[Score]) -> list[Check]:
@@ -101,9 +107,18 @@ def checks(scores: list[Score]) -> list[Check]:
     at_random = 100 * np.mean([s.random for s in scores])
     return [
         at_least("wrong regions named", share, NAMED_LEAST, "%"),
-        at_most("parameters proposed, mean", np.mean([s.members for s in scores]), PROPOSED_MOST),
+        at_most(
+            "parameters proposed, mean",
+            np.mean([s.members for s in scores]),
+            PROPOSED_MOST,
+        ),
         at_most("as many candidates at random", at_random, share / 2, "%"),
-        at_least("named without rivals", 100 * np.mean([s.strict for s in scores]), at_random, "%"),
+        at_least(
+            "named without rivals",
+            100 * np.mean([s.strict for s in scores]),
+            at_random,
+            "%",
+        ),
     ]
 
 
@@ -123,7 +138,9 @@ def main() -> None:
         for rule in RULES
     ]
     cost = {"% named": share, "s each": seconds}
-    report.row(f"three wrong regions of sixteen, {count} twins", cost, checks(scores), rules)
+    report.row(
+        f"three wrong regions of sixteen, {count} twins", cost, checks(scores), rules
+    )
     report.end()
 
 

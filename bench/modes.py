@@ -31,7 +31,16 @@ from pathlib import Path
 
 import calculix_input
 import numpy as np
-from outcome import THREADS, Check, Peer, Report, arguments, at_most, peer_program, sized
+from outcome import (
+    THREADS,
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_most,
+    peer_program,
+    sized,
+)
 
 from ringtrue.model.cards import TETRAHEDRON
 
@@ -73,24 +82,40 @@ def shell_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
     """A curved strip of 2 m x 1.3 m: nodes (n, 3), elements (e, 4) from 0."""
     ny = max(round((dof / 6 / 1.45) ** 0.5), 2)
     nx = round(1.45 * ny)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
+    i, j = (
+        a.ravel()
+        for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij")
+    )
     x = 2.0 * i / nx
     a, b = (c.ravel() for c in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
     g = a * (ny + 1) + b
-    return np.c_[x, 1.3 * j / ny, 0.3 * np.sin(2 * x)], np.c_[g, g + ny + 1, g + ny + 2, g + 1]
+    return np.c_[x, 1.3 * j / ny, 0.3 * np.sin(2 * x)], np.c_[
+        g, g + ny + 1, g + ny + 2, g + 1
+    ]
 
 
 def solid_mesh(dof: int) -> tuple[np.ndarray, np.ndarray]:
     """A block of 1 m x 0.7 m x 0.4 m: nodes (n, 3), elements (e, 8) from 0."""
     h = (0.28 * 3 / dof) ** (1 / 3)
     n = np.maximum(np.round(np.array([1.0, 0.7, 0.4]) / h - 0.5).astype(int), 1)
-    ijk = np.stack(np.meshgrid(*(np.arange(k + 1) for k in n), indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
-    c = np.stack(np.meshgrid(*(np.arange(k) for k in n), indexing="ij"), axis=-1).reshape(-1, 3)
+    ijk = np.stack(
+        np.meshgrid(*(np.arange(k + 1) for k in n), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    c = np.stack(
+        np.meshgrid(*(np.arange(k) for k in n), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
     step = np.array([(n[1] + 1) * (n[2] + 1), n[2] + 1, 1])
     corner = np.array(
-        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+        [
+            [0, 0, 0],
+            [1, 0, 0],
+            [1, 1, 0],
+            [0, 1, 0],
+            [0, 0, 1],
+            [1, 0, 1],
+            [1, 1, 1],
+            [0, 1, 1],
+        ]
     )
     return ijk * [1.0, 0.7, 0.4] / n, c @ step[:, None] + corner @ step
 
@@ -129,13 +154,16 @@ def write_nastran(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     with path.open("w") as f:
         f.write(head.replace("e+", "+"))
         f.writelines(
-            f"GRID,{k},,{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
+            f"GRID,{k},,{x:.7f},{y:.7f},{z:.7f}\n"
+            for k, (x, y, z) in enumerate(nodes.tolist(), 1)
         )
         for k, g in enumerate((elements + 1).tolist(), 1):
             if shell:
                 f.write(f"CQUAD4,{k},1,{','.join(map(str, g))}\n")
             else:
-                f.write(f"{card},{k},1,{','.join(map(str, g[:6]))}\n,{','.join(map(str, g[6:]))}\n")
+                f.write(
+                    f"{card},{k},1,{','.join(map(str, g[:6]))}\n,{','.join(map(str, g[6:]))}\n"
+                )
         f.write("ENDDATA\n")
 
 
@@ -145,11 +173,13 @@ def write_calculix(path: Path, nodes: np.ndarray, elements: np.ndarray) -> None:
     with path.open("w") as f:
         f.write("*NODE,NSET=ALL\n")
         f.writelines(
-            f"{k},{x:.7f},{y:.7f},{z:.7f}\n" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
+            f"{k},{x:.7f},{y:.7f},{z:.7f}\n"
+            for k, (x, y, z) in enumerate(nodes.tolist(), 1)
         )
         f.write(f"*ELEMENT,TYPE={kind},ELSET=ALL\n")
         f.writelines(
-            f"{k},{','.join(map(str, g))}\n" for k, g in enumerate((elements + 1).tolist(), 1)
+            f"{k},{','.join(map(str, g))}\n"
+            for k, g in enumerate((elements + 1).tolist(), 1)
         )
         f.write(
             f"*MATERIAL,NAME=M\n*ELASTIC\n{E},{NU}\n*DENSITY\n{RHO}\n*SOLID "
@@ -172,7 +202,9 @@ def own(folder: Path) -> np.ndarray:
         result = analysis.modes(ModesRequest(MODES))
         marks.append(time.process_time())
         np.savez(
-            folder / "modes.npz", frequencies=result.modes.frequencies, shapes=result.modes.shapes
+            folder / "modes.npz",
+            frequencies=result.modes.frequencies,
+            shapes=result.modes.shapes,
         )
     marks.append(time.process_time())
     (folder / "phases.json").write_text(json.dumps(np.diff(marks).round(3).tolist()))
@@ -190,9 +222,16 @@ def plain(folder: Path) -> np.ndarray:
 
     system = assemble(read_deck(folder / "m.bdf"))
     before = time.process_time()
-    shift = -0.1 * (2 * np.pi * float(np.load(folder / "modes.npz")["frequencies"][-1])) ** 2
+    shift = (
+        -0.1
+        * (2 * np.pi * float(np.load(folder / "modes.npz")["frequencies"][-1])) ** 2
+    )
     values = eigsh(
-        system.stiffness.tocsc(), MODES, system.mass.tocsc(), sigma=shift, return_eigenvectors=True
+        system.stiffness.tocsc(),
+        MODES,
+        system.mass.tocsc(),
+        sigma=shift,
+        return_eigenvectors=True,
     )[0]
     (folder / "phases.json").write_text(json.dumps([time.process_time() - before]))
     return np.sqrt(np.abs(values)) / (2 * np.pi)
@@ -224,9 +263,15 @@ def child(folder: Path, what: str) -> None:
 
 def timed(command: list[str], folder: Path, threads: int) -> tuple[float, float]:
     """CPU seconds and peak GB of a command."""
-    environment = os.environ | dict.fromkeys((*THREADS, "CCX_NPROC_EQUATION_SOLVER"), str(threads))
+    environment = os.environ | dict.fromkeys(
+        (*THREADS, "CCX_NPROC_EQUATION_SOLVER"), str(threads)
+    )
     pid = subprocess.Popen(
-        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
     ).pid
     _, status, used = os.wait4(pid, 0)
     if status:
@@ -244,8 +289,12 @@ def mystran_frequencies(folder: Path) -> np.ndarray:
     text = (folder / "m.F06").read_text(errors="replace")
     if "FATAL" in text:
         raise SystemExit("MYSTRAN: fatal error, see " + str(folder / "m.F06"))
-    rows = [line.split() for line in text[text.index("E I G E N V A L U E") :].splitlines()]
-    return np.array([float(r[4]) for r in rows if len(r) == 7 and r[0].isdigit() and r[0] == r[1]])
+    rows = [
+        line.split() for line in text[text.index("E I G E N V A L U E") :].splitlines()
+    ]
+    return np.array(
+        [float(r[4]) for r in rows if len(r) == 7 and r[0].isdigit() and r[0] == r[1]]
+    )
 
 
 def ours(folder: Path, what: str, threads: int) -> Run:
@@ -284,7 +333,11 @@ def rigid(f: np.ndarray) -> float:
 def solved(frequencies: np.ndarray, rest: float) -> list[Check]:
     """Whether these are modes of a free structure."""
     return [
-        at_most("six rigid-body modes over the first elastic one", rigid(frequencies), RIGID_MOST),
+        at_most(
+            "six rigid-body modes over the first elastic one",
+            rigid(frequencies),
+            RIGID_MOST,
+        ),
         at_most("residual of the equations of motion", rest, RESIDUAL_MOST),
     ]
 
@@ -308,14 +361,21 @@ def case(kind: str, dof: int, threads: int, report: Report, folder: Path) -> Non
     size = len(nodes) * (6 if kind == "shell" else 3)
     own_run = ours(folder, "ringtrue", threads)
     timed([sys.executable, str(HERE), "--child", "residual"], folder, threads)
-    checks = solved(own_run.frequencies, json.loads((folder / "residual.json").read_text()))
+    checks = solved(
+        own_run.frequencies, json.loads((folder / "residual.json").read_text())
+    )
     body = "solid of CTETRA10" if kind == "tetra" else kind
     what = f"{MODES} modes of a {body} of {size / 1000:.0f}k DOFs"
     if size < EIGSH_LARGEST and kind != "tetra":
         plain = ours(folder, "eigsh", threads)
         check = same(own_run.frequencies, plain.frequencies)
         scipy_itself = Peer("scipy `eigsh`", {"s": plain.solution})
-        report.row(f"{what}, eigensolution alone", {"s": own_run.solution}, [check], [scipy_itself])
+        report.row(
+            f"{what}, eigensolution alone",
+            {"s": own_run.solution},
+            [check],
+            [scipy_itself],
+        )
     name = "MYSTRAN" if kind == "shell" else "CalculiX"
     command = mystran() if kind == "shell" else calculix()
     peers = []
@@ -328,7 +388,12 @@ def case(kind: str, dof: int, threads: int, report: Report, folder: Path) -> Non
         if kind != "shell":
             checks.append(near(own_run.frequencies, other.frequencies, kind))
         peers = [Peer(name, {"s": other.seconds, "GB": other.memory})]
-    report.row(f"{what}, deck to disk", {"s": own_run.seconds, "GB": own_run.memory}, checks, peers)
+    report.row(
+        f"{what}, deck to disk",
+        {"s": own_run.seconds, "GB": own_run.memory},
+        checks,
+        peers,
+    )
 
 
 def calculix() -> list[str] | None:

@@ -44,7 +44,8 @@ from ringtrue.study.loads import load_vectors, support_motions
 
 DATA = ROOT.parent / "shared" / "data" / "fe"
 RIGID = 1e-3  # of the highest recorded frequency of a deck: below is a rigid-body mode
-ROUNDING = 1e-9  # of the largest recorded displacement of a deck: a load case that moves nothing
+# of the largest recorded displacement of a deck: a load case that moves nothing
+ROUNDING = 1e-9
 SINGULAR = 1e6  # %: what rounding makes of a mechanism
 DIGITS = 1e-4  # %: recorded with seven digits and more
 NOTHING = 1e-6  # %: less is not told apart
@@ -157,14 +158,19 @@ def displacements_off(found: Sequence[Float], recorded: Sequence[Float]) -> Devi
     """Translations (node, 3) of each load case."""
     if not len(found) == len(recorded) > 0:
         return Deviation(np.nan, len(recorded))
-    off = [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(found, recorded, strict=True)]
+    off = [
+        np.abs(a - b).max() / np.abs(b).max()
+        for a, b in zip(found, recorded, strict=True)
+    ]
     return Deviation(100 * float(np.max(off)), len(recorded))
 
 
 def near(case: Case, off: Deviation) -> Check:
     """Whether a deck is as near to what is recorded as it is said to be."""
     why = f" ({case.why})" if case.why else ""
-    return at_most(f"the worst of {off.answers}{why} is off by", off.percent, case.limit, "%")
+    return at_most(
+        f"the worst of {off.answers}{why} is off by", off.percent, case.limit, "%"
+    )
 
 
 def recorded_frequencies(path: Path) -> Float:
@@ -175,8 +181,12 @@ def recorded_frequencies(path: Path) -> Float:
         first = table[table["DOMAIN_ID"] == table["DOMAIN_ID"].min()]
         return np.sort(np.asarray(first["FREQ"], dtype=np.float64))
     if path.suffix == ".f06":
-        text = path.read_text(encoding="latin-1").split("R E A L   E I G E N V A L U E S")[1]
-        rows = re.findall(r"^ +\d+ +\d+ +\S+E\S+ +\S+E\S+ +(\S+E\S+)", text, re.MULTILINE)
+        text = path.read_text(encoding="latin-1").split(
+            "R E A L   E I G E N V A L U E S"
+        )[1]
+        rows = re.findall(
+            r"^ +\d+ +\d+ +\S+E\S+ +\S+E\S+ +(\S+E\S+)", text, re.MULTILINE
+        )
         return np.array(rows, dtype=np.float64)
     for table in read_tables(path):
         if table.name.startswith("LAMA"):
@@ -192,7 +202,10 @@ def recorded_displacements(path: Path) -> dict[int, tuple[Int, Float]]:
     found = read_recorded_deflections(path)
     if found is None:
         return {}
-    return {case: (found.nodes, found.motion[:, :3, k]) for k, case in enumerate(found.cases)}
+    return {
+        case: (found.nodes, found.motion[:, :3, k])
+        for k, case in enumerate(found.cases)
+    }
 
 
 def solved_frequencies(deck: Path, solver: ModalSolver, count: int) -> Float:
@@ -229,7 +242,9 @@ def solved_displacements(
     model, cases = read_loaded_deck(deck)
     with EmbeddedSolver().open(model) as analysis:
         drawn, carried = support_motions(model, analysis.dofs, cases)
-        moved = analysis.static(load_vectors(model, analysis.dofs, cases) + drawn) + carried
+        moved = (
+            analysis.static(load_vectors(model, analysis.dofs, cases) + drawn) + carried
+        )
     grids = moved[: 6 * len(model["GRID"])].reshape(-1, 6, len(cases))
     told = list(compared(model, [c.name for c in cases], recorded))
     return [grids[row, :3, j] for j, row, _ in told], [motion for _, _, motion in told]
@@ -243,7 +258,9 @@ def deviation(case: Case) -> tuple[str, Deviation]:
         if recorded := recorded_displacements(results):
             return "statics", displacements_off(*solved_displacements(deck, recorded))
         want = recorded_frequencies(results)[: case.first or None]
-        return "modes", modes_off(solved_frequencies(deck, EmbeddedSolver(), want.size), want)
+        return "modes", modes_off(
+            solved_frequencies(deck, EmbeddedSolver(), want.size), want
+        )
     except RingtrueError as e:
         return str(e), Deviation(np.nan, 0)
 
@@ -269,7 +286,9 @@ def of_mystran(case: Case) -> Peer:
         try:
             found = solved_frequencies(deck, MystranSolver(timeout=120.0), count)
         except RingtrueError as e:
-            said = " ".join(str(e).split()).removeprefix("mystran stopped with a fatal error:")
+            said = " ".join(str(e).split()).removeprefix(
+                "mystran stopped with a fatal error:"
+            )
             continue
         off = modes_off(found, want[:count])
         if np.isfinite(off.percent):
@@ -289,7 +308,9 @@ def of_calculix(case: Case, program: str) -> Peer:
     deck = DATA / case.folder / case.deck
     results = deck.with_name(case.results)
     recorded = recorded_displacements(results)
-    want = np.zeros(0) if recorded else recorded_frequencies(results)[: case.first or None]
+    want = (
+        np.zeros(0) if recorded else recorded_frequencies(results)[: case.first or None]
+    )
     name = "CalculiX"
     off = Deviation(np.nan, 0)
     try:
@@ -326,7 +347,9 @@ def _calculix_statics(
     told = list(compared(model, [c.name for c in cases], recorded))
     if len(found) != len(cases):
         return Deviation(np.nan, len(told))
-    return displacements_off([found[j][row] for j, row, _ in told], [u for _, _, u in told])
+    return displacements_off(
+        [found[j][row] for j, row, _ in told], [u for _, _, u in told]
+    )
 
 
 def installed(report: Report) -> dict[str, Callable[[Case], Peer]]:

@@ -75,7 +75,9 @@ class Check:
             return with_unit(f"≤ {figure(self.high)}", self.unit)
         if self.high is None and self.low is not None:
             return with_unit(f"≥ {figure(self.low)}", self.unit)
-        return with_unit(f"{figure(self.low or 0.0)} to {figure(self.high or 0.0)}", self.unit)
+        return with_unit(
+            f"{figure(self.low or 0.0)} to {figure(self.high or 0.0)}", self.unit
+        )
 
     @property
     def accuracy(self) -> str:
@@ -111,7 +113,10 @@ def share_at_least(what: str, count: float, of: int, least: float) -> Check:
 
     least_count = max(binom.ppf(RISK, of, least), 1) if of else np.nan
     return at_least(
-        what, 100 * count / of if of else np.nan, 100 * float(least_count) / max(of, 1), "%"
+        what,
+        100 * count / of if of else np.nan,
+        100 * float(least_count) / max(of, 1),
+        "%",
     )
 
 
@@ -123,12 +128,18 @@ def share_at_most(what: str, count: float, of: int, most: float) -> Check:
 
     most_count = min(binom.ppf(1 - RISK, of, most), of - 1) if of else np.nan
     return at_most(
-        what, 100 * count / of if of else np.nan, 100 * float(most_count) / max(of, 1), "%"
+        what,
+        100 * count / of if of else np.nan,
+        100 * float(most_count) / max(of, 1),
+        "%",
     )
 
 
 def rms_over_stated(
-    what: str, errors: npt.ArrayLike, low: float = 1 - ALLOWANCE, high: float = 1 + ALLOWANCE
+    what: str,
+    errors: npt.ArrayLike,
+    low: float = 1 - ALLOWANCE,
+    high: float = 1 + ALLOWANCE,
 ) -> Check:
     """Errors over their stated standard deviations, root mean square: 1 to within the allowance.
 
@@ -141,7 +152,9 @@ def rms_over_stated(
     given = given[np.isfinite(given)]
     if not given.size:
         return within(what, np.nan, low, high)
-    least, most = (np.sqrt(chi2.ppf(p, given.size) / given.size) for p in (RISK, 1 - RISK))
+    least, most = (
+        np.sqrt(chi2.ppf(p, given.size) / given.size) for p in (RISK, 1 - RISK)
+    )
     return within(what, np.sqrt(np.mean(given**2)), low * least, high * most)
 
 
@@ -175,7 +188,9 @@ class Row:
 
     def __post_init__(self) -> None:
         if not self.checks:
-            raise ValueError(f"{self.what}: a row states what is right; give it a check")
+            raise ValueError(
+                f"{self.what}: a row states what is right; give it a check"
+            )
         if self.peers and not self.cost:
             raise ValueError(
                 f"{self.what}: peers are compared with what ringtrue took; give its cost"
@@ -222,7 +237,9 @@ def arguments(text: str | None) -> argparse.ArgumentParser:
     size.add_argument(
         "--quick", action="store_true", help="the smallest case that can still be wrong"
     )
-    size.add_argument("--full", action="store_true", help="the largest case, which may take hours")
+    size.add_argument(
+        "--full", action="store_true", help="the largest case, which may take hours"
+    )
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     return parser
 
@@ -264,14 +281,20 @@ class Report:
         self.provenance = _provenance()
 
     def row(
-        self, what: str, cost: dict[str, float], checks: Sequence[Check], peers: Sequence[Peer] = ()
+        self,
+        what: str,
+        cost: dict[str, float],
+        checks: Sequence[Check],
+        peers: Sequence[Peer] = (),
     ) -> None:
         """Add a row and print it."""
         row = Row(what, cost, tuple(checks), tuple(peers))
         self.rows.append(row)
         print(f"{row.what}: {costs(row.cost)}".rstrip(": "))
         for peer in row.peers:
-            print(f"  {peer.name}: {costs(peer.cost)}, {figure(row.ratio(peer))} x ringtrue")
+            print(
+                f"  {peer.name}: {costs(peer.cost)}, {figure(row.ratio(peer))} x ringtrue"
+            )
         for check in row.checks:
             print(
                 f"  {'right' if check.right else 'WRONG'}: {check.accuracy}, limit {check.limit}",
@@ -288,11 +311,16 @@ class Report:
         none.
         """
         right = bool(self.rows) and all(row.right for row in self.rows)
-        stated: dict[str, Any] = {**self.provenance, "right": right, "not_run": self.missing}
+        stated: dict[str, Any] = {
+            **self.provenance,
+            "right": right,
+            "not_run": self.missing,
+        }
         stated["rows"] = [asdict(row) for row in self.rows]
         if self.file:
             self.file.write_text(
-                json.dumps(stated, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+                json.dumps(stated, indent=1, ensure_ascii=False) + "\n",
+                encoding="utf-8",
             )
         print("all answers are right" if right else "AN ANSWER IS WRONG")
         raise SystemExit(0 if right else 1)
@@ -310,7 +338,11 @@ def read_rows(stated: dict[str, Any]) -> list[Row]:
 
 def _provenance() -> dict[str, Any]:
     script = Path(sys.argv[0]).resolve()
-    name = script.relative_to(ROOT).as_posix() if script.is_relative_to(ROOT) else script.name
+    name = (
+        script.relative_to(ROOT).as_posix()
+        if script.is_relative_to(ROOT)
+        else script.name
+    )
     options = sys.argv[1:]
     if "--json" in options:
         at = options.index("--json")
@@ -329,11 +361,17 @@ def _commit() -> str:
     git = ["git", "-C", str(ROOT)]
     try:
         found = subprocess.run(
-            [*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=True
+            [*git, "rev-parse", "--short=7", "HEAD"],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         code = ["--", "src", "bench/*.py", "scripts", "tests"]
         changed = subprocess.run(
-            [*git, "status", "--porcelain", *code], capture_output=True, text=True, check=True
+            [*git, "status", "--porcelain", *code],
+            capture_output=True,
+            text=True,
+            check=True,
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
@@ -342,13 +380,21 @@ def _commit() -> str:
 
 def _processor() -> str:
     """Name of the processor, and how many of its threads this process may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count()
+    )
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    fields = dict(tuple(s.strip() for s in line.split(":", 1)) for line in lines if ":" in line)
+    fields = dict(
+        tuple(s.strip() for s in line.split(":", 1)) for line in lines if ":" in line
+    )
     if "model name" not in fields:
         return f"{platform.machine()}, {cores} threads"
-    numbers = f"family {fields.get('cpu family', '?')}, model {fields.get('model', '?')}"
+    numbers = (
+        f"family {fields.get('cpu family', '?')}, model {fields.get('model', '?')}"
+    )
     return f"{fields['model name']} ({numbers}), {cores} threads"

@@ -111,7 +111,9 @@ def peaks() -> tuple[float, float]:
     return rank, share
 
 
-def by_slepc(model: Model, parameters: ParameterSet, readings: sparse.csr_array, ranks: int) -> Run:
+def by_slepc(
+    model: Model, parameters: ParameterSet, readings: sparse.csr_array, ranks: int
+) -> Run:
     """Modes and derivatives on ranks."""
     start = time.perf_counter()
     with SlepcSolver(ranks=ranks).open(model) as analysis:
@@ -119,7 +121,10 @@ def by_slepc(model: Model, parameters: ParameterSet, readings: sparse.csr_array,
         solved = time.perf_counter()
         memory = dict(zip(("GB a rank", "GB its ringtrue"), peaks(), strict=True))
         d_lambda, d_seen = analysis.observed_derivatives(modes, parameters, readings)
-        seconds = {"s modes": solved - start, "s derivatives": time.perf_counter() - solved}
+        seconds = {
+            "s modes": solved - start,
+            "s derivatives": time.perf_counter() - solved,
+        }
         memory["GB a rank with derivatives"] = peaks()[0]
     return Run(modes, d_lambda, d_seen, seconds, memory)
 
@@ -133,8 +138,13 @@ def by_embedded(
         modes = analysis.modes(ModesRequest(MODES)).modes
         solved = time.perf_counter()
         d_lambda, d_phi = analysis.derivatives(like, parameters)
-        seconds = {"s modes": solved - start, "s derivatives": time.perf_counter() - solved}
-    d_seen = (readings @ d_phi.reshape(d_phi.shape[0], -1)).reshape(-1, *d_phi.shape[1:])
+        seconds = {
+            "s modes": solved - start,
+            "s derivatives": time.perf_counter() - solved,
+        }
+    d_seen = (readings @ d_phi.reshape(d_phi.shape[0], -1)).reshape(
+        -1, *d_phi.shape[1:]
+    )
     return Run(modes, d_lambda, d_seen, seconds, {})
 
 
@@ -148,13 +158,17 @@ def same(got: Run, want: Run) -> list[Check]:
     }
     checks = [at_most("frequencies off the embedded ones by", off, SAME_MOST)]
     for what, (a, b) in pairs.items():
-        checks.append(at_most(f"{what} by", np.abs(a - b).max() / np.abs(b).max(), SAME_MOST))
+        checks.append(
+            at_most(f"{what} by", np.abs(a - b).max() / np.abs(b).max(), SAME_MOST)
+        )
     return checks
 
 
 def write_study(model: Model, folder: Path) -> Path:
     """A study of a deck whose test is that of another: two moduli are wrong."""
-    wrong = ParameterSet(tuple(Parameter(f"E{r}", (CardField("MAT1", r, "E"),)) for r in WRONG))
+    wrong = ParameterSet(
+        tuple(Parameter(f"E{r}", (CardField("MAT1", r, "E"),)) for r in WRONG)
+    )
     deck = "SOL 103\nCEND\nBEGIN BULK\n" + write_bulk(model) + "ENDDATA\n"
     (folder / "deck.bdf").write_text(deck)
     grid = model["GRID"]
@@ -165,11 +179,15 @@ def write_study(model: Model, folder: Path) -> Path:
     axes = np.tile([0.0, 0.0, 1.0], (CHANNELS, 1))
     none = np.zeros((0, 2), dtype=np.int64)
     groups = ("",) * CHANNELS
-    test = TestModel(points, xyz, channels, at=points, axes=axes, lines=none, groups=groups)
+    test = TestModel(
+        points, xyz, channels, at=points, axes=axes, lines=none, groups=groups
+    )
     write_sheet(folder / "sensors.csv", test, channels)
     truth = at_factors(model, wrong, np.array(list(WRONG.values())))
     with EmbeddedSolver().open(truth) as analysis:
-        modes = analysis.modes(ModesRequest(RIGID + TESTED)).modes.take(slice(RIGID, None))
+        modes = analysis.modes(ModesRequest(RIGID + TESTED)).modes.take(
+            slice(RIGID, None)
+        )
     seen = replace(modes, shapes=modes.shapes[6 * at + 2], labels=channels)
     write_modes(folder / "modes.json", seen)
     fmax = 1.3 * float(modes.frequencies[-1])
@@ -190,7 +208,10 @@ def localised(study: Path, ranks: int) -> tuple[LocaliseStage, dict[str, float]]
     memory = [(0.0, 0.0)]
     start = time.perf_counter()
     found = localise.run(session, lambda *_: memory.append(peaks()))
-    cost = {"s": time.perf_counter() - start, "GB this process": peak(Path("/proc/self"))}
+    cost = {
+        "s": time.perf_counter() - start,
+        "GB this process": peak(Path("/proc/self")),
+    }
     if ranks:
         most = np.max(memory, axis=0).tolist()
         cost |= dict(zip(("GB a rank", "GB its ringtrue"), most, strict=True))
@@ -212,10 +233,16 @@ def localise_row(model: Model, report: Report) -> None:
     names = [[m.name for m in r.proposal.members] for r in (got, want)]
     factors = [np.array([m.factor for m in r.proposal.members]) for r in (got, want)]
     checks = [at_least("parameters proposed by the embedded solver", len(names[1]), 1)]
-    checks.append(at_most("proposed by one of the two only", len(set(names[0]) ^ set(names[1])), 0))
+    checks.append(
+        at_most(
+            "proposed by one of the two only", len(set(names[0]) ^ set(names[1])), 0
+        )
+    )
     if names[0] == names[1]:
         off = np.abs(factors[0] / factors[1] - 1).max()
-        checks.append(at_most("their factors off the embedded ones by", off, SAME_FACTORS))
+        checks.append(
+            at_most("their factors off the embedded ones by", off, SAME_FACTORS)
+        )
     dofs = 6 * len(model["GRID"])
     report.row(
         f"localise a shell of {dofs / 1000:.3g}k DOFs on 2 ranks",
@@ -234,7 +261,9 @@ def main() -> None:
     except SolverMissing as e:
         report.not_run("SLEPc", str(e))
         report.end()
-    shells = sized(options, ((34, 22),), ((34, 22), (112, 74)), ((34, 22), (112, 74), (200, 130)))
+    shells = sized(
+        options, ((34, 22),), ((34, 22), (112, 74)), ((34, 22), (112, 74), (200, 130))
+    )
     solids = sized(options, (9,), (12,), (12, 22))
     models = [shell(nx, ny, regions=6) for nx, ny in shells] + [cube(n) for n in solids]
     parameters = ParameterSet(

@@ -43,7 +43,8 @@ def storeys(stiffness: np.ndarray, mass: np.ndarray) -> rt.MatrixModel:
     """Springs from storey to storey, each a parameter."""
     n = stiffness.size
     parts = [
-        k * np.outer(v, v) for k, v in zip(stiffness, np.eye(n) - np.eye(n, k=-1), strict=True)
+        k * np.outer(v, v)
+        for k, v in zip(stiffness, np.eye(n) - np.eye(n, k=-1), strict=True)
     ]
     return rt.MatrixModel(sum(parts), mass, stiffness=parts)
 
@@ -54,7 +55,9 @@ def five_storeys() -> list[Check]:
     given = loadmat(folder / "modelprop.mat")
     measured = np.load(folder / "SSIfreq_no_damp.npy")
     frame = storeys(given["k"][0], given["M"])
-    test = rt.modes_of_test(measured, np.load(folder / "SSImodes_no_damp.npy"), range(1, 6))
+    test = rt.modes_of_test(
+        measured, np.load(folder / "SSImodes_no_damp.npy"), range(1, 6)
+    )
     settings = rt.UpdateSettings(residuals=["frequencies"], frequency_error=1e-4)
     result = rt.update(frame, test, frame.parameters(), settings=settings)
     now = rt.solve_modes(result.model, count=5).frequencies
@@ -96,7 +99,9 @@ def concrete_frame(seeds: int) -> list[Check]:
     frame = rt.MatrixModel(given["K0"], given["M0"], stiffness=parts)
     rows = given["measDOFs"].ravel().astype(int)
     parameters = frame.parameters(lower=0.4, upper=2.0, std=FREE)
-    settings = rt.UpdateSettings(frequency_error=1e-4, mac_error=1e-4, discrepancy="assumed")
+    settings = rt.UpdateSettings(
+        frequency_error=1e-4, mac_error=1e-4, discrepancy="assumed"
+    )
     off = []
     for seed in range(seeds):
         truth = np.random.default_rng(seed).uniform(*DRAWN, 12)
@@ -111,8 +116,17 @@ def recovered(off: list[float]) -> list[Check]:
     """The largest error of a factor in each update."""
     found = sum(error < NEAR for error in off)
     return [
-        at_least(f"all factors within {100 * NEAR:g} %, of {len(off)} truths", found, len(off)),
-        at_most("largest error of a factor, median", 100 * float(np.median(off)), 100 * NEAR, "%"),
+        at_least(
+            f"all factors within {100 * NEAR:g} %, of {len(off)} truths",
+            found,
+            len(off),
+        ),
+        at_most(
+            "largest error of a factor, median",
+            100 * float(np.median(off)),
+            100 * NEAR,
+            "%",
+        ),
     ]
 
 
@@ -122,8 +136,12 @@ def truss(folder: str, points: list[str], seeds: int, common: bool) -> list[Chec
     """
     deck = rt.read_deck(TRUSSES / folder / "nastran_runs" / "modes.dat")
     pids = deck["PROD"]["PID"].tolist()
-    areas = rt.ParameterSet([rt.parameter(f"area {p}", f"PROD {p} A", std=FREE) for p in pids])
-    settings = rt.UpdateSettings(frequency_error=1e-4, mac_error=1e-4, discrepancy="assumed")
+    areas = rt.ParameterSet(
+        [rt.parameter(f"area {p}", f"PROD {p} A", std=FREE) for p in pids]
+    )
+    settings = rt.UpdateSettings(
+        frequency_error=1e-4, mac_error=1e-4, discrepancy="assumed"
+    )
     off = []
     for seed in range(seeds):
         truth = np.random.default_rng(seed).uniform(*DRAWN, len(pids))
@@ -145,8 +163,13 @@ def stick(first: int, start: Point, end: Point, parts: int, up: Point) -> list[s
     """CBAR and their points, numbered from `first`; the property is the number of its hundred."""
     along = np.linspace(start, end, parts + 1)
     v = ",".join(map(str, up))
-    grids = [f"GRID,{first + k},,{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(along)]
-    return grids + [f"CBAR,{k},{first // 100},{k},{k + 1},{v}" for k in range(first, first + parts)]
+    grids = [
+        f"GRID,{first + k},,{x:.5f},{y:.5f},{z:.5f}"
+        for k, (x, y, z) in enumerate(along)
+    ]
+    return grids + [
+        f"CBAR,{k},{first // 100},{k},{k + 1},{v}" for k in range(first, first + parts)
+    ]
 
 
 def section(pid: int, width: float, height: float, mass: float = 0.0) -> str:
@@ -180,7 +203,9 @@ def aeroplane() -> Any:
         "MAT1,1,7.1+10,,.33,2700.",
     ]
     joints = ((112, 220), (129, 300), (310, 404), (200, 504), (240, 554))
-    return model_of(cards + [f"RBE2,{900 + k},{a},123456,{b}" for k, (a, b) in enumerate(joints)])
+    return model_of(
+        cards + [f"RBE2,{900 + k},{a},123456,{b}" for k, (a, b) in enumerate(joints)]
+    )
 
 
 def garteur() -> list[Check]:
@@ -194,10 +219,14 @@ def garteur() -> list[Check]:
     order = 6 + np.array([0, 1, 3, 4, 2, 5, 6, 7])
     before = np.abs(nominal.frequencies[order] / measured - 1)
     scatter = 0.005 * measured  # among participants
-    test = rt.modes_of_test(measured, nominal.shapes[:, order], points, std_frequency=scatter)
+    test = rt.modes_of_test(
+        measured, nominal.shapes[:, order], points, std_frequency=scatter
+    )
     fields = ("PBAR 2 I1", "PBAR 2 I2", "PBAR 2 J", "PBAR 3 I1", "PBAR 1 I2")
     settings = rt.UpdateSettings(residuals=["frequencies"])
-    result = rt.update(model, test, [rt.parameter(p, p) for p in fields], settings=settings)
+    result = rt.update(
+        model, test, [rt.parameter(p, p) for p in fields], settings=settings
+    )
     after = np.abs(result.after.deviation_percent)
     return [
         within("mean |Δf| of the nominal sticks", 100 * before.mean(), 8.0, 10.0, "%"),
@@ -249,7 +278,10 @@ def main() -> None:
     seventy_two = [f"{k}+{d}" for k in range(1, 17) for d in "XY"]
     cases: dict[str, tuple[Path, Callable[[], list[Check]]]] = {
         "frame of five storeys (DTU)": (UPDATING / "dtu_five_storey", five_storeys),
-        "frame of four storeys (Georgia Tech)": (UPDATING / "gt_four_storey", four_storeys),
+        "frame of four storeys (Georgia Tech)": (
+            UPDATING / "gt_four_storey",
+            four_storeys,
+        ),
         f"frame of concrete (Georgia Tech), {seeds} truths": (
             UPDATING / "concrete_frame",
             lambda: concrete_frame(seeds),

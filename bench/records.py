@@ -19,7 +19,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from outcome import ROOT, Check, Peer, Report, arguments, at_least, at_most, peer_program
+from outcome import (
+    ROOT,
+    Check,
+    Peer,
+    Report,
+    arguments,
+    at_least,
+    at_most,
+    peer_program,
+)
 
 import ringtrue as rt
 from ringtrue.core.arrays import Float
@@ -117,7 +126,20 @@ class Counted:
 def ambient_records() -> list[Published]:
     """Those with a published or exact answer."""
     mast = np.array(
-        [2.7747, 2.8174, 13.538, 16.009, 16.335, 30.94, 39.65, 40.94, 42.50, 66.84, 69.71, 72.12]
+        [
+            2.7747,
+            2.8174,
+            13.538,
+            16.009,
+            16.335,
+            30.94,
+            39.65,
+            40.94,
+            42.50,
+            66.84,
+            69.71,
+            72.12,
+        ]
     )
     omega = np.sort(np.load(DATA / "oma/shear_frame/omega_n.npy").ravel())
     # frequencies of the average-acceleration method at 12 Hz, which made the record
@@ -204,7 +226,9 @@ def by_peer(published: Published, python: str | None) -> tuple[Peer | None, str]
             frequencies = np.asarray(arrays["f"], dtype=np.float64)
             seconds = float(arrays["seconds"])
     counted = Counted.of(published.frequencies, frequencies, np.empty(0))
-    return Peer(CLUSTERS, {"s": seconds, "found": counted.found, "extra": counted.extra}), ""
+    return Peer(
+        CLUSTERS, {"s": seconds, "found": counted.found, "extra": counted.extra}
+    ), ""
 
 
 def ambient(report: Report, published: Published, python: str | None) -> None:
@@ -261,7 +285,9 @@ def free_beam(report: Report) -> None:
     """Hammer FRFs of a steel beam; hits off the centre line excite torsion, too, near 1.38 kHz."""
     published = np.array([177.0, 477.4, 933.1, 1535.5, 2286.9, 3162.4, 4181.2])
     start = time.process_time()
-    result = rt.identify_frfs(rt.read_frfs(DATA / "ema/free_beam/frf.npz"), fmin=100.0, fmax=4500.0)
+    result = rt.identify_frfs(
+        rt.read_frfs(DATA / "ema/free_beam/frf.npz"), fmin=100.0, fmax=4500.0
+    )
     seconds = time.process_time() - start
     counted = Counted.of(published, result.modes.frequencies, np.empty(0))
     what = "free steel beam by hammer: 7 bending modes (torsion is extra)"

@@ -94,7 +94,9 @@ def apart(mine: Any, theirs: Any) -> float:
     return float(np.abs(a - b).max(initial=0) / max(np.abs(b).max(initial=0), 1e-300))
 
 
-def same_modes(eigenvalues: tuple[Float, Float], motion: tuple[Float, Float]) -> list[Check]:
+def same_modes(
+    eigenvalues: tuple[Float, Float], motion: tuple[Float, Float]
+) -> list[Check]:
     """Ours and theirs: eigenvalues (m,), and motion of the nodes (m, n, 6)."""
     return [
         at_most("eigenvalues off", apart(*eigenvalues), SINGLE),
@@ -102,10 +104,15 @@ def same_modes(eigenvalues: tuple[Float, Float], motion: tuple[Float, Float]) ->
     ]
 
 
-def same_deck(mine: dict[int, Any], theirs: dict[int, Any], places: float) -> list[Check]:
+def same_deck(
+    mine: dict[int, Any], theirs: dict[int, Any], places: float
+) -> list[Check]:
     """Elements by number: card, nodes and property; and how far the nodes are apart, relative."""
     other = [n for n in set(mine) | set(theirs) if mine.get(n) != theirs.get(n)]
-    return [at_most("elements otherwise", len(other), 0), at_most("nodes off", places, SINGLE)]
+    return [
+        at_most("elements otherwise", len(other), 0),
+        at_most("nodes off", places, SINGLE),
+    ]
 
 
 def by_peer(python: str, script: str, *words: str) -> str:
@@ -113,7 +120,11 @@ def by_peer(python: str, script: str, *words: str) -> str:
     done = subprocess.run(
         [python, "-c", script, *words], capture_output=True, text=True, check=False
     )
-    return (done.stderr.strip().splitlines() or ["no answer"])[-1] if done.returncode else ""
+    return (
+        (done.stderr.strip().splitlines() or ["no answer"])[-1]
+        if done.returncode
+        else ""
+    )
 
 
 def elements_of(model: Model) -> dict[int, Any]:
@@ -121,12 +132,25 @@ def elements_of(model: Model) -> dict[int, Any]:
     out: dict[int, Any] = {}
     for card, table in model.tables.items():
         names = list(table.columns)
-        if names[0] != "EID" or not card.startswith("C") or card.startswith(("CONM", "CMASS")):
+        if (
+            names[0] != "EID"
+            or not card.startswith("C")
+            or card.startswith(("CONM", "CMASS"))
+        ):
             continue
-        ends = ("GA", "GB", "G", *(f"{letter}{k}" for k in range(1, 21) for letter in "GS"))
-        nodes = table.stack(*(n for n in ends if n in names and f"{card}{n}" not in _NO_NODES))
+        ends = (
+            "GA",
+            "GB",
+            "G",
+            *(f"{letter}{k}" for k in range(1, 21) for letter in "GS"),
+        )
+        nodes = table.stack(
+            *(n for n in ends if n in names and f"{card}{n}" not in _NO_NODES)
+        )
         pid = table["PID"] if "PID" in names else np.zeros(len(table), dtype=int)
-        for number, row, of in zip(table.ids.tolist(), nodes.tolist(), pid.tolist(), strict=True):
+        for number, row, of in zip(
+            table.ids.tolist(), nodes.tolist(), pid.tolist(), strict=True
+        ):
             out[number] = [card, sorted(n for n in row if n), of]
     return out
 
@@ -146,7 +170,8 @@ def op2_file(report: Report, path: Path, theirs: dict[str, Any]) -> None:
             motion = np.moveaxis(modes.motion[at], 2, 0)
             their_motion = np.array(theirs["motion"])[:, np.argsort(theirs["nodes"])]
             checks += same_modes(
-                (modes.eigenvalues, np.array(theirs["eigenvalues"])), (motion, their_motion)
+                (modes.eigenvalues, np.array(theirs["eigenvalues"])),
+                (motion, their_motion),
             )
         else:
             said.append(f"pyNastran: {theirs.get('no modes', 'no modes')}")
@@ -154,7 +179,9 @@ def op2_file(report: Report, path: Path, theirs: dict[str, Any]) -> None:
         held = {t.name + described(t) for t in read_tables(path)}
         motions = ", ".join(sorted(name for name in held if name.endswith(")")))
         said.append(f"no modes; {motions or 'no motion'}")
-        checks.append(at_most("modes by pyNastran", len(theirs.get("eigenvalues", ())), 0))
+        checks.append(
+            at_most("modes by pyNastran", len(theirs.get("eigenvalues", ())), 0)
+        )
     if "response" in theirs:
         checks += same_response(path, theirs["response"])
     checks += deck_of(path, theirs, said)
@@ -192,9 +219,15 @@ def deck_of(path: Path, theirs: dict[str, Any], said: list[str]) -> list[Check]:
         return []
     held = set(grid.ids.tolist())
     places = {int(n): v for n, v in theirs["places"].items() if int(n) in held}
-    mine = dict(zip(grid.ids.tolist(), grid.stack("X1", "X2", "X3").tolist(), strict=True))
+    mine = dict(
+        zip(grid.ids.tolist(), grid.stack("X1", "X2", "X3").tolist(), strict=True)
+    )
     off = apart([mine[n] for n in sorted(mine)], [places[n] for n in sorted(places)])
-    other = {int(n): (c, g, p) for n, (c, g, p) in theirs["elements"].items() if c != "PLOTEL"}
+    other = {
+        int(n): (c, g, p)
+        for n, (c, g, p) in theirs["elements"].items()
+        if c != "PLOTEL"
+    }
     sorted_ = {n: [c, sorted(k for k in g if k), p] for n, (c, g, p) in other.items()}
     return same_deck(elements_of(found.model), sorted_, off)
 
@@ -208,7 +241,9 @@ def printed(report: Report) -> None:
         except DataError:
             unprinted.append(path)
             continue
-        beside = [h for h in path.parent.glob("*.h5") if h.stem.lower() == path.stem.lower()]
+        beside = [
+            h for h in path.parent.glob("*.h5") if h.stem.lower() == path.stem.lower()
+        ]
         for h5 in beside:
             other = read_recorded(h5)
             pairs = (mine.eigenvalues, other.eigenvalues), (mine.motion, other.motion)
@@ -225,7 +260,12 @@ def printed(report: Report) -> None:
 def forms() -> Iterator[tuple[str, bool, str, str]]:
     """File name, binary, form and byte order of the OP4 files."""
     for form, order in itertools.product(("dense", "bigmat", "nonbigmat"), "<>"):
-        yield f"binary {form} {'little' if order == '<' else 'big'}-endian", True, form, order
+        yield (
+            f"binary {form} {'little' if order == '<' else 'big'}-endian",
+            True,
+            form,
+            order,
+        )
     for form in ("dense", "bigmat", "nonbigmat"):
         yield f"ascii {form}", False, form, "<"
 

@@ -63,7 +63,9 @@ def states_itself(error: float, estimate: float, mac: float) -> tuple[Check, Che
     states, and largest difference of subspace MAC.
     """
     return (
-        at_most("frequency off, over the stated error", error / estimate, OVER_ESTIMATE),
+        at_most(
+            "frequency off, over the stated error", error / estimate, OVER_ESTIMATE
+        ),
         at_most("MAC off a full solution", mac, MAC_MOST),
     )
 
@@ -73,7 +75,8 @@ def _mac_off(trial: Trial, full: Trial) -> float:
     their subspace at the smallest change.
     """
     one, other = (
-        dict(zip(t.pairs.pairing.a, t.pairs.pairing.mac, strict=True)) for t in (trial, full)
+        dict(zip(t.pairs.pairing.a, t.pairs.pairing.mac, strict=True))
+        for t in (trial, full)
     )
     both = one.keys() & other.keys()
     assert len(both) >= 0.9 * len(other), "pairs are lost"
@@ -86,7 +89,9 @@ def facility_study(folder: Path) -> Path:
     main = write_facility(built, folder / "deck", "Large spinning facility")
     channels = _write_sheet(folder / "sensors.csv", built)
     regions = candidates()
-    parameters = rt.ParameterSet(tuple(rt.parameter(name, *targets) for name, targets in regions))
+    parameters = rt.ParameterSet(
+        tuple(rt.parameter(name, *targets) for name, targets in regions)
+    )
     truth = np.exp(np.random.default_rng(1).normal(0, 0.2, len(regions)))
     model = rt.at_factors(rt.read_deck(main), parameters, truth)
     modes = rt.solve_modes(model, band=(0, 40)).at(channels)
@@ -128,7 +133,9 @@ def pictured(study: Path) -> tuple[dict[str, float], int]:
             cost, complaints = _visited(address)
             status = Path(f"/proc/{server.pid}/status")
             if status.exists():
-                rows = dict(r.split(":", 1) for r in status.read_text().splitlines() if ":" in r)
+                rows = dict(
+                    r.split(":", 1) for r in status.read_text().splitlines() if ":" in r
+                )
                 cost["GB"] = float(rows["VmHWM"].split()[0]) / 1e6
         finally:
             server.terminate()
@@ -145,8 +152,11 @@ def _visited(address: str) -> tuple[dict[str, float], int]:
     ):
         time.sleep(3)  # the browser's own start is no part of the page's
         for visit in ("s", "s again"):
-            page.call("Page.navigate", url="about:blank")  # a page in motion takes time to leave
-            page.until("location.href === 'about:blank' && document.readyState === 'complete'")
+            # a page in motion takes time to leave
+            page.call("Page.navigate", url="about:blank")
+            page.until(
+                "location.href === 'about:blank' && document.readyState === 'complete'"
+            )
             begin = time.perf_counter()
             page.call("Page.navigate", url=screen)
             assert page.until(drawn, 120, every=0.02), "no picture"
@@ -192,7 +202,9 @@ def main() -> None:
             # as far as an updating goes: half of the way to the bounds
             x = 0.5 * rng.uniform(low, high)
             factors = model.parameters.factors(x)
-            points.append(dict(zip(model.parameters.names, factors.tolist(), strict=True)))
+            points.append(
+                dict(zip(model.parameters.names, factors.tolist(), strict=True))
+            )
             begin = time.process_time()
             model.at(points[-1])
             spent.append(time.process_time() - begin)
@@ -202,16 +214,26 @@ def main() -> None:
         for k, point in enumerate(points[:FULL]):
             trial, full = model.at(point), model.full(point)
             off = np.abs(trial.modes.frequencies / full.modes.frequencies - 1)
-            checks = states_itself(float(off.max()), model.error(point), _mac_off(trial, full))
+            checks = states_itself(
+                float(off.max()), model.error(point), _mac_off(trial, full)
+            )
             times = {"ms": spent, "ms with J and a shape": followed}
             cost = {what: 1e3 * float(np.median(t)) for what, t in times.items()}
             cost = cost | {"s to prepare": made} if not k else {}
-            report.row(f"slider to {off.size} frequencies and MAC, factors {k + 1}", cost, checks)
+            report.row(
+                f"slider to {off.size} frequencies and MAC, factors {k + 1}",
+                cost,
+                checks,
+            )
         if chromium.find() is None:
             report.not_run("Chromium", "not installed: no picture")
         else:
             cost, complaints = pictured(study)
-            report.row("first picture", cost, [at_most("complaints of the browser", complaints, 0)])
+            report.row(
+                "first picture",
+                cost,
+                [at_most("complaints of the browser", complaints, 0)],
+            )
     report.end()
 
 

@@ -147,7 +147,9 @@ class Files:
         found.edits += max(len(documents.steps) - self.steps, 0)
         self.steps = len(documents.steps)
         try:
-            for edit in documents.steps[documents.done - 1].edits if documents.done else ():
+            for edit in (
+                documents.steps[documents.done - 1].edits if documents.done else ()
+            ):
                 edit.applied((self.study.parent / edit.name).read_text(), back=True)
         except RingtrueError as e:
             gone.append(str(e))
@@ -184,7 +186,9 @@ class Hands:
         does = rng.choices(kinds, (60, 8, 10, 8, 6, 8))[0]
         does(page)
         page.evaluate(SETTLED)
-        if not page.evaluate("location.href").startswith(self.address.partition("/?")[0]):
+        if not page.evaluate("location.href").startswith(
+            self.address.partition("/?")[0]
+        ):
             self.visit(page, self.address)
         self.found.actions += 1
         self.files.judge(self.found)
@@ -209,7 +213,9 @@ class Hands:
 
     def drag(self, page: chromium.Page) -> None:
         """From one place to another."""
-        mouse(page, *(self.place(page) for _ in range(4)), keys=self.rng.choice((0, CTRL)))
+        mouse(
+            page, *(self.place(page) for _ in range(4)), keys=self.rng.choice((0, CTRL))
+        )
 
     def press(self, page: chromium.Page) -> None:
         """Keys, among them undo and redo."""
@@ -220,16 +226,22 @@ class Hands:
 
     def type(self, page: chromium.Page) -> None:
         """A text into what has the focus, and Enter."""
-        script = "document.querySelector('.q-dialog input, .q-drawer--right input')?.focus()"
+        script = (
+            "document.querySelector('.q-dialog input, .q-drawer--right input')?.focus()"
+        )
         page.evaluate(script)
-        page.call("Input.insertText", text=self.rng.choice(("seen on site", "1.4", "ü #\"'")))
+        page.call(
+            "Input.insertText", text=self.rng.choice(("seen on site", "1.4", "ü #\"'"))
+        )
         key(page, self.rng.choice(("Enter", "Tab")))
 
     def leave(self, page: chromium.Page) -> None:
         """The page again, or another screen by its address."""
         base = self.address.partition("/?")[0]
         where = f"{base}/{self.rng.choice(SCREENS).name}"
-        self.visit(page, where if self.rng.random() < 0.7 else page.evaluate("location.href"))
+        self.visit(
+            page, where if self.rng.random() < 0.7 else page.evaluate("location.href")
+        )
         self.found.reloads += 1
 
     def edit(self, page: chromium.Page) -> None:
@@ -284,7 +296,8 @@ def clicked(folder: Path, seconds: float, seed: int) -> Clicked:
                 while time.monotonic() < begin + seconds * (life + 1) / lives:
                     hands.act()
                 if life < lives - 1:
-                    mouse(pages[0], hands.place(pages[0]))  # it is killed while it works
+                    # it is killed while it works
+                    mouse(pages[0], hands.place(pages[0]))
                     killed(server)
                     hands.found.kills += 1
                     files.judge(hands.found)

@@ -34,7 +34,8 @@ from ringtrue.study.store import Store
 STATED = ("parameters", "left out", "unseen")
 # of intervals of 90 % that must hold the truth, in the long run, where the deck has the form
 HELD_LEAST = 0.85
-FORM_LEAST = 0.75  # where it has not: an error of form that moves all modes alike cannot be seen
+# where it has not: an error of form that moves all modes alike cannot be seen
+FORM_LEAST = 0.75
 MODES, LEFT_OUT, NOISE, SHAPE_NOISE = 14, 3, 0.002, 0.01
 REGIONS = {f"columns {s}": [10 * s + k for k in range(1, 5)] for s in twin.STOREYS}
 REGIONS |= {f"floor {s}": [10 * s] for s in twin.STOREYS} | {"feet": [twin.FEET]}
@@ -54,7 +55,9 @@ left_out = {LEFT_OUT}
 def truth(rng: np.random.Generator) -> dict[str, float]:
     """Factors of two to four regions."""
     wrong = rng.choice(list(REGIONS), rng.integers(2, 5), replace=False).tolist()
-    return {name: float(rng.uniform(1.12, 1.45) ** rng.choice([-1, 1])) for name in wrong}
+    return {
+        name: float(rng.uniform(1.12, 1.45) ** rng.choice([-1, 1])) for name in wrong
+    }
 
 
 def other_form(rng: np.random.Generator) -> tuple[list[str], dict[int, float]]:
@@ -76,7 +79,9 @@ def candidates() -> str:
     """Of the study."""
     fields = {n: [f"MAT1 {i} E" for i in ids] for n, ids in REGIONS.items()}
     fields["feet"] = ["PBUSH 900 K1,K2,K3,K4,K5,K6"]
-    return "".join(f'[[candidate]]\nname = "{n}"\ntargets = {t}\n' for n, t in fields.items())
+    return "".join(
+        f'[[candidate]]\nname = "{n}"\ntargets = {t}\n' for n, t in fields.items()
+    )
 
 
 def write(
@@ -103,11 +108,15 @@ def counts(found: UncertaintyStage, true: dict[str, float]) -> Counter[str]:
     out["parameters"] = right.size
     out["parameters held"] = int(
         (
-            (found.posterior.interval[:, 0] <= right) & (right <= found.posterior.interval[:, 1])
+            (found.posterior.interval[:, 0] <= right)
+            & (right <= found.posterior.interval[:, 1])
         ).sum()
     )
     for name, those in (("right", right == 1.0), ("wrong", right != 1.0)):
-        out[name], out[f"{name} marked"] = int(those.sum()), int((found.unproven & those).sum())
+        out[name], out[f"{name} marked"] = (
+            int(those.sum()),
+            int((found.unproven & those).sum()),
+        )
     left_out = ~found.bands.used & np.isfinite(found.bands.predicted)
     out["left out"], out["left out held"] = (
         int(left_out.sum()),
@@ -140,7 +149,10 @@ def one(seed: int, form: bool) -> Counter[str]:
 def checks(n: Counter[str], form: bool) -> list[Check]:
     """Whether intervals hold what they say."""
     least = FORM_LEAST if form else HELD_LEAST
-    return [share_at_least(f"{what} held", n[f"{what} held"], n[what], least) for what in STATED]
+    return [
+        share_at_least(f"{what} held", n[f"{what} held"], n[what], least)
+        for what in STATED
+    ]
 
 
 def main() -> None:
@@ -151,11 +163,14 @@ def main() -> None:
     for form in (False, True):
         n = sum((one(seed, form) for seed in seeds), Counter())
         marked = {
-            f"of {n[w]} {w} marked not proven": float(n[f"{w} marked"]) for w in ("right", "wrong")
+            f"of {n[w]} {w} marked not proven": float(n[f"{w} marked"])
+            for w in ("right", "wrong")
         }
         name = "another form than" if form else "the form of"
         report.row(
-            f"{len(seeds)} frames of {name} the deck: intervals of 90 %", marked, checks(n, form)
+            f"{len(seeds)} frames of {name} the deck: intervals of 90 %",
+            marked,
+            checks(n, form),
         )
     report.end()
 

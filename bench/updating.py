@@ -50,10 +50,12 @@ MODES, SPARE = 6, 4  # measured; more that the model returns, so that modes may 
 PUBLISHED_START = 31.0  # s, one start of the published study
 WEAK = 1e6  # prior standard deviation: too weak to be seen
 ITERATIONS, FINISH = 15, 6  # of every start; starts that go on to the end
-APART = PairingSettings(close=0.001)  # the measured modes are apart: no rotation inside groups
+# the measured modes are apart: no rotation inside groups
+APART = PairingSettings(close=0.001)
 STEPS = 20  # of the peer
 ENRICHED, LAST = 3, 8  # times that the basis is; steps with full solutions, at most
-J_MOST = 1e-10  # at the truth: the prior, at most 0.3 of 1e6, leaves 12 (0.3e-6)² = 1e-12
+# at the truth: the prior, at most 0.3 of 1e6, leaves 12 (0.3e-6)² = 1e-12
+J_MOST = 1e-10
 FACTOR_MOST = 1e-4  # of a stiffness
 FACTOR_VERIFIED_MOST = 2e-2  # VERIFIED times the condition
 VERIFIED = 1e-4  # frequencies of basis and full model, as `solve_verified` asks
@@ -100,7 +102,11 @@ def refined(
     n = target.frequencies.size
     for _ in range(ENRICHED):
         better, truth = model.enrich(done.x, sensitivities=True)
-        error = float(np.abs(model.modes(done.x).frequencies[:n] / truth.frequencies[:n] - 1).max())
+        error = float(
+            np.abs(
+                model.modes(done.x).frequencies[:n] / truth.frequencies[:n] - 1
+            ).max()
+        )
         model = better
         done = solve(one(model, target), start=done.x)
     return solve(one(full, target), start=done.x, iterations=LAST), error
@@ -137,7 +143,10 @@ def measured(full: ObservedMatrices, truth: Float) -> Target:
     """The lowest modes at the truth, without noise."""
     t = full.modes(truth)
     return Target(
-        t.frequencies[:MODES], t.shapes[:, :MODES], np.zeros(MODES), np.ones(MODES, dtype=bool)
+        t.frequencies[:MODES],
+        t.shapes[:, :MODES],
+        np.zeros(MODES),
+        np.ones(MODES, dtype=bool),
     )
 
 
@@ -166,7 +175,9 @@ def many_starts(matrices: MatrixModel, rows: Int, seed: int, starts: int) -> Run
     model = matrices.reduced(observation, MODES + SPARE, parameters=parameters)
     low, high = parameters.bounds()
     points = rng.uniform(low, high, (starts, low.size))
-    found = multi_start(one(model, search), points, Method(), StartSettings(ITERATIONS, FINISH))
+    found = multi_start(
+        one(model, search), points, Method(), StartSettings(ITERATIONS, FINISH)
+    )
     done = refined(model, full, target, found.best.x)[0]
     seconds = time.process_time() - begin
     near = np.abs(found.ends - truth).mean(axis=1) < 0.2
@@ -182,13 +193,18 @@ def converged(done: Solution) -> bool:
 def same_modes(reduced: Float, full: Float) -> Check:
     """Frequencies of the basis at a point where it was enriched."""
     return at_most(
-        "frequencies off the full ones by", np.abs(reduced / full - 1).max(), REDUCED_MOST
+        "frequencies off the full ones by",
+        np.abs(reduced / full - 1).max(),
+        REDUCED_MOST,
     )
 
 
 def sensitivities(name: str, matrices: MatrixModel, rows: Int, report: Report) -> None:
     """Modes and sensitivities on the basis and in full."""
-    parameters, observation = matrices.parameters(0.05, 2.0, WEAK), matrices.observe(rows)
+    parameters, observation = (
+        matrices.parameters(0.05, 2.0, WEAK),
+        matrices.observe(rows),
+    )
     request = ModesRequest(MODES + SPARE)
     full = matrices.observed(observation, parameters=parameters, request=request)
     x = np.random.default_rng(0).uniform(-0.3, 0.3, len(parameters))
@@ -204,7 +220,10 @@ def sensitivities(name: str, matrices: MatrixModel, rows: Int, report: Report) -
     peer = Peer("the full model", {"ms": 1e3 * (time.process_time() - begin)})
     check = same_modes(reduced.frequencies[:MODES], exact.frequencies[:MODES])
     report.row(
-        f"{name}: modes and sensitivities on the basis", {"ms": 1e3 * seconds}, [check], [peer]
+        f"{name}: modes and sensitivities on the basis",
+        {"ms": 1e3 * seconds},
+        [check],
+        [peer],
     )
 
 
@@ -218,9 +237,13 @@ def starts(
         "s at most": max(r.seconds for r in runs),
         "% of starts end near": 100 * float(np.mean([r.near for r in runs])),
     }
-    peers = [Peer("published, one start, another machine", {"s at most": PUBLISHED_START})]
+    peers = [
+        Peer("published, one start, another machine", {"s at most": PUBLISHED_START})
+    ]
     what = f"{name}: {count} starts to each of {seeds} truths"
-    report.row(what, cost, recovered(runs), peers if name.startswith("published") else [])
+    report.row(
+        what, cost, recovered(runs), peers if name.startswith("published") else []
+    )
     sensitivities(name, matrices, rows, report)
 
 
@@ -240,22 +263,33 @@ def cost(
     """Of single updatings."""
     draws = size[0]
     rng = np.random.default_rng(0)
-    parameters, observation = matrices.parameters(0.05, 3.0, WEAK), matrices.observe(rows)
+    parameters, observation = (
+        matrices.parameters(0.05, 3.0, WEAK),
+        matrices.observe(rows),
+    )
     full = matrices.observed(
         observation, parameters=parameters, request=ModesRequest(MODES + SPARE)
     )
     made = Factorisations()
-    for off, low, high in (("up to 50 % off", 0.5, 1.5), ("0.4 to 2.5 times", 0.4, 2.5)):
+    for off, low, high in (
+        ("up to 50 % off", 0.5, 1.5),
+        ("0.4 to 2.5 times", 0.4, 2.5),
+    ):
         seconds, solutions, factorisations = list[float](), list[float](), list[float]()
         errors, factors = list[float](), list[float]()
         for _ in range(draws):
             truth = rng.uniform(low, high, len(parameters)) - 1
             target = replace(
-                measured(full, truth), weights=Weights(frequency=0.1, mac=0.05), pairing=APART
+                measured(full, truth),
+                weights=Weights(frequency=0.1, mac=0.05),
+                pairing=APART,
             )
             made.count, begin = 0, time.process_time()
             done = solve_verified(
-                one(matrices.reduced(observation, MODES + SPARE, parameters=parameters), target)
+                one(
+                    matrices.reduced(observation, MODES + SPARE, parameters=parameters),
+                    target,
+                )
             )
             seconds.append(time.process_time() - begin)
             solutions.append(1 + done.full_solutions)
@@ -267,7 +301,9 @@ def cost(
             "full solutions at most": max(solutions),
             "factorisations": float(np.median(factorisations)),
         }
-        peer = Peer(f"scipy `least_squares`, {STEPS} steps", {"s": differences(full, target)})
+        peer = Peer(
+            f"scipy `least_squares`, {STEPS} steps", {"s": differences(full, target)}
+        )
         report.row(
             f"{name}: one updating, truth {off}, {draws} draws",
             spent,
@@ -294,7 +330,9 @@ def main() -> None:
     if work is cost:
         report.end()
     if PUBLISHED.exists():
-        work("published frame", *published_frame(), report, sized(options, *SIZES[work]))
+        work(
+            "published frame", *published_frame(), report, sized(options, *SIZES[work])
+        )
     else:
         report.not_run("published frame", "its data (GPL) are not part of the project")
     report.end()

@@ -27,7 +27,13 @@ from outcome import ROOT, Check, Report, arguments, at_least, at_most, sized
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.model import Model
 from ringtrue.study.scene import make_scene
-from ringtrue.viewer.scene import asset, model_arrays, shape_arrays, to_json, viewer_module
+from ringtrue.viewer.scene import (
+    asset,
+    model_arrays,
+    shape_arrays,
+    to_json,
+    viewer_module,
+)
 
 sys.path.insert(0, str(ROOT / "tests" / "browser"))
 import chromium
@@ -93,21 +99,32 @@ class Drawn:
 
 def shells(n: int) -> Model:
     """A square of n × n nodes, in waves."""
-    x, y = (v.ravel() for v in np.meshgrid(*(2 * [np.linspace(0, 1, n)]), indexing="ij"))
+    x, y = (
+        v.ravel() for v in np.meshgrid(*(2 * [np.linspace(0, 1, n)]), indexing="ij")
+    )
     a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel() + 1
     corners = np.stack([a, a + n, a + n + 1, a + 1], axis=1)
-    return deck(np.stack([x, y, 0.05 * np.sin(9 * x)], axis=1), "CQUAD4", corners, "PSHELL,1,1,.01")
+    return deck(
+        np.stack([x, y, 0.05 * np.sin(9 * x)], axis=1),
+        "CQUAD4",
+        corners,
+        "PSHELL,1,1,.01",
+    )
 
 
 def solids(n: int) -> Model:
     """A cube of n × n × n nodes."""
-    places = np.stack(np.meshgrid(*(3 * [np.linspace(0, 1, n)]), indexing="ij"), -1).reshape(-1, 3)
+    places = np.stack(
+        np.meshgrid(*(3 * [np.linspace(0, 1, n)]), indexing="ij"), -1
+    ).reshape(-1, 3)
     at = np.arange(n**3).reshape(n, n, n)[:-1, :-1, :-1].ravel() + 1
     steps = np.array([0, n * n, n * n + n, n, 1, n * n + 1, n * n + n + 1, n + 1])
     return deck(places, "CHEXA", at[:, None] + steps, "PSOLID,1,1")
 
 
-def deck(places: np.ndarray, card: str, corners: np.ndarray, property_card: str) -> Model:
+def deck(
+    places: np.ndarray, card: str, corners: np.ndarray, property_card: str
+) -> Model:
     """The model of these nodes and elements, numbered from 1."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "d.bdf"
@@ -164,17 +181,23 @@ def shown(model: Model, folder: Path) -> tuple[Drawn, float]:
     return Drawn(frames, first, used, wanted, np.array(picked), faces), seconds
 
 
-def top_elements(arrays: dict[str, Any], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def top_elements(
+    arrays: dict[str, Any], places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Elements that are seen from above near the middle, and that of a face of each when it has
     moved.
     """
     corners = places[arrays["triangles"]]
     lowest = corners[:, :, 2].min(axis=1)
     inside = np.abs(corners.mean(axis=1) - 0.5)[:, :2].max(axis=1) < 0.02
-    above = np.flatnonzero(inside & (lowest > 0.999 if places[:, 2].max() > 0.5 else lowest > -1.0))
+    above = np.flatnonzero(
+        inside & (lowest > 0.999 if places[:, 2].max() > 0.5 else lowest > -1.0)
+    )
     few = above[np.linspace(0, above.size - 1, PICKED).astype(int)]
     size = np.linalg.norm(np.ptp(places, axis=0)) / 2
-    moved = corners[few] + 0.09 * size * motion(corners[few].reshape(-1, 3)).reshape(-1, 3, 3)
+    moved = corners[few] + 0.09 * size * motion(corners[few].reshape(-1, 3)).reshape(
+        -1, 3, 3
+    )
     return arrays["element_id"][arrays["face_element"][few]], moved.mean(axis=1)
 
 

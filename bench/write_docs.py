@@ -97,7 +97,9 @@ def run(name: str, size: str) -> bool:
     made = RESULTS / f"{name}.json.new"
     print(f"\n== {name}: {' '.join(command[1:])}", flush=True)
     environment = os.environ | dict.fromkeys(THREADS, "1")
-    done = subprocess.run([*command, "--json", str(made)], cwd=ROOT, env=environment, check=False)
+    done = subprocess.run(
+        [*command, "--json", str(made)], cwd=ROOT, env=environment, check=False
+    )
     if made.exists():
         made.replace(RESULTS / f"{name}.json")
     else:
@@ -116,7 +118,9 @@ def page(read: Callable[[str], dict[str, Any] | None]) -> str:
         names = place[1].split()
         if names == ["runs"]:
             return table(HEAD_RUNS, [run_line(s) for s in stated.values()])
-        lines = [line for name in names if name in stated for line in row_lines(stated[name])]
+        lines = [
+            line for name in names if name in stated for line in row_lines(stated[name])
+        ]
         return table(HEAD, lines)
 
     return PLACE.sub(filled, TEMPLATE.read_text(encoding="utf-8"))
@@ -130,7 +134,14 @@ def row_lines(stated: dict[str, Any]) -> list[tuple[str, ...]]:
         limit = "<br>".join(c.limit for c in row.checks)
         peers = [peer_cells(row, i) for i in range(len(row.peers))] or [("", "")]
         lines.append(
-            (row.what, costs(row.cost), *peers[0], accuracy, limit, f"`{stated['command']}`")
+            (
+                row.what,
+                costs(row.cost),
+                *peers[0],
+                accuracy,
+                limit,
+                f"`{stated['command']}`",
+            )
         )
         lines += [("", "", *cells, "", "", "") for cells in peers[1:]]
     return lines
@@ -145,13 +156,21 @@ def peer_cells(row: Row, i: int) -> tuple[str, str]:
 def run_line(stated: dict[str, Any]) -> tuple[str, ...]:
     """When and where a run was, and what it left out."""
     missing = "; ".join(f"{peer} ({why})" for peer, why in stated["not_run"].items())
-    return f"`{stated['command']}`", stated["date"], stated["commit"], stated["processor"], missing
+    return (
+        f"`{stated['command']}`",
+        stated["date"],
+        stated["commit"],
+        stated["processor"],
+        missing,
+    )
 
 
 def table(head: tuple[str, ...], lines: list[tuple[str, ...]]) -> str:
     """In Markdown."""
     rule = tuple("---" for _ in head)
-    cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *lines)]
+    cells = [
+        [cell.replace("|", "\\|") for cell in line] for line in (head, rule, *lines)
+    ]
     return "\n".join("| " + " | ".join(line) + " |" for line in cells)
 
 
@@ -170,7 +189,9 @@ def main() -> None:
         "--only", nargs="*", choices=list(RUNS), metavar="NAME", help=", ".join(RUNS)
     )
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_const", dest="size", const="--quick", default="")
+    size.add_argument(
+        "--quick", action="store_const", dest="size", const="--quick", default=""
+    )
     size.add_argument("--full", action="store_const", dest="size", const="--full")
     options = parser.parse_args()
     RESULTS.mkdir(exist_ok=True)

@@ -54,7 +54,9 @@ def section_text(head: str, section: type[BaseModel]) -> str:
     for key, field in section.model_fields.items():
         value = type_text(field.annotation)
         cells = (f"`{key}`", value + limits(field), default_text(field), meaning(field))
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        lines.append(
+            "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+        )
         for inner in sections_of(field.annotation):
             nested.append(section_text(f"[[{head.strip('[]')}.{key}]]", inner))
     return "\n".join([*lines, "", *nested])

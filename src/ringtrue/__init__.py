@@ -94,7 +94,9 @@ _SETTINGS = {  # public name -> module and the section of study.toml that it is
     "PredictSettings": ("study.config_sections", "PredictSection"),
     "UpdateSettings": ("study.config_update", "UpdateSection"),
 }
-_WHERE = {name: (module, name) for module, names in _PLACES.items() for name in names.split()}
+_WHERE = {
+    name: (module, name) for module, names in _PLACES.items() for name in names.split()
+}
 _WHERE |= _SETTINGS
 
 __all__ = [

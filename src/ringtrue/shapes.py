@@ -14,7 +14,8 @@ from ringtrue.core.modes import ModeSet, Norm
 from ringtrue.errors import InputError
 
 Mass = Any_ | sparse.csr_array
-RANK = 1e-8  # relative singular value below which the shapes at the channels count as dependent
+# relative singular value below which the shapes at the channels count as dependent
+RANK = 1e-8
 
 
 def _weighted(mass: Mass, shapes: Any_) -> Any_:
@@ -35,7 +36,9 @@ def modal_mass(shapes: Any_, mass: Mass) -> Float:
     mass : (n, n) float64, dense or sparse, symmetric
     """
     shapes = np.asarray(shapes)
-    return np.asarray((shapes.conj() * _weighted(mass, shapes)).sum(axis=0).real, dtype=np.float64)
+    return np.asarray(
+        (shapes.conj() * _weighted(mass, shapes)).sum(axis=0).real, dtype=np.float64
+    )
 
 
 def mass_normalised(shapes: Any_, mass: Mass) -> Any_:
@@ -65,7 +68,8 @@ def cross_orthogonality(a: Any_, b: Any_, mass: Mass) -> Float:
     b = np.asarray(b)
     right = _weighted(mass, mass_normalised(b, mass))
     return np.asarray(
-        np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0), dtype=np.float64
+        np.abs(mass_normalised(a, mass).conj().T @ right).clip(0.0, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -99,7 +103,8 @@ def read_orthogonality(
     scale = modal_mass(shapes, mass)
     relative = error**2 / np.where(scale > 0, scale, np.inf)
     square = (
-        np.abs(phi.conj().T @ weighed) ** 2 + (np.abs(seen) ** 2).sum(axis=0)[:, None] * relative
+        np.abs(phi.conj().T @ weighed) ** 2
+        + (np.abs(seen) ** 2).sum(axis=0)[:, None] * relative
     )
     return np.asarray(np.sqrt(square / (1 + own * relative)).clip(0.0, 1.0))
 
@@ -130,7 +135,11 @@ def pseudo_inverse(shapes: Any_) -> Float:
             f"{phi.shape[0]} channels distinguish {rank} of {phi.shape[1]} shapes; take fewer "
             "modes or more channels"
         )
-    return np.asarray(linalg.solve_triangular(r, q.T)) if phi.size else np.zeros(phi.shape[::-1])
+    return (
+        np.asarray(linalg.solve_triangular(r, q.T))
+        if phi.size
+        else np.zeros(phi.shape[::-1])
+    )
 
 
 def mpc(shapes: Any_) -> Float:
@@ -145,7 +154,8 @@ def mpc(shapes: Any_) -> Float:
     p = np.asarray(shapes)
     energy = (np.abs(p) ** 2).sum(axis=0)
     return np.asarray(
-        np.abs((p * p).sum(axis=0)) ** 2 / np.where(energy > 0, energy, 1.0) ** 2, dtype=np.float64
+        np.abs((p * p).sum(axis=0)) ** 2 / np.where(energy > 0, energy, 1.0) ** 2,
+        dtype=np.float64,
     )
 
 
@@ -279,7 +289,9 @@ def mac(a: Any_, b: Any_) -> Float:
     a = np.asarray(a)
     b = np.asarray(b)
     _same_rows(a, b)
-    return np.asarray(np.minimum(np.abs(unit(a).conj().T @ unit(b)) ** 2, 1.0), dtype=np.float64)
+    return np.asarray(
+        np.minimum(np.abs(unit(a).conj().T @ unit(b)) ** 2, 1.0), dtype=np.float64
+    )
 
 
 def auto_mac(a: Any_) -> Float:
@@ -302,7 +314,8 @@ def paired_mac(a: Any_, b: Any_) -> Float:
     b = np.asarray(b)
     _same_rows(a, b)
     return np.asarray(
-        np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0), dtype=np.float64
+        np.minimum(np.abs((unit(a).conj() * unit(b)).sum(axis=0)) ** 2, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -381,7 +394,9 @@ def gaps(ascending: Float) -> Float:
     return np.diff(ascending) / np.maximum(np.abs(ascending[1:]), NIL)
 
 
-def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tuple[int, ...], ...]:
+def close_groups(
+    frequencies: Float, close: float, largest: int = 4
+) -> tuple[tuple[int, ...], ...]:
     """Positions of modes closer than `close` (relative) to their neighbour, as groups of at most
     `largest`.
 
@@ -402,7 +417,9 @@ def close_groups(frequencies: Float, close: float, largest: int = 4) -> tuple[tu
     order = np.argsort(f, kind="stable")
     ends = [0, *(np.flatnonzero(gaps(f[order]) >= close) + 1).tolist(), f.size]
     modes = tuple(order.tolist())
-    return tuple(g for a, b in pairwise(ends) if a < b for g in _split(modes[a:b], f, largest))
+    return tuple(
+        g for a, b in pairwise(ends) if a < b for g in _split(modes[a:b], f, largest)
+    )
 
 
 def _split(chain: tuple[int, ...], f: Float, largest: int) -> list[tuple[int, ...]]:

@@ -16,7 +16,11 @@ RESIDUAL = 1e-5  # an external program prints or stores single precision
 
 
 def check_modal_solver(
-    solver: ModalSolver, model: Model, *, count: int = 6, parameters: ParameterSet | None = None
+    solver: ModalSolver,
+    model: Model,
+    *,
+    count: int = 6,
+    parameters: ParameterSet | None = None,
 ) -> ModesResult:
     """Check what every backend owes; returns the modes for further checks.
 
@@ -33,17 +37,23 @@ def check_modal_solver(
     AssertionError
         Saying which duty is not met.
     """
-    assert isinstance(solver, ModalSolver), f"{type(solver).__name__} has no name or open()"
+    assert isinstance(solver, ModalSolver), (
+        f"{type(solver).__name__} has no name or open()"
+    )
     assert solver.name, "the solver has no name"
     with solver.open(model) as analysis:
-        assert isinstance(analysis, Analysis), f"{type(analysis).__name__} is not an Analysis"
+        assert isinstance(analysis, Analysis), (
+            f"{type(analysis).__name__} is not an Analysis"
+        )
         unknown = set(analysis.capabilities) - KNOWN
         assert "modes" in analysis.capabilities, "'modes' is not among the capabilities"
         assert not unknown, f"unknown capabilities {sorted(unknown)}"
         result = analysis.modes(ModesRequest(count))
         _check_modes(analysis, result, count)
         again = analysis.modes(ModesRequest(count)).modes
-        same = np.allclose(again.frequencies, result.modes.frequencies, rtol=1e-09, atol=1e-09)
+        same = np.allclose(
+            again.frequencies, result.modes.frequencies, rtol=1e-09, atol=1e-09
+        )
         assert same, "the same request gave other frequencies"
         _check_band(analysis, result)
         if parameters is not None and "derivatives" in analysis.capabilities:
@@ -66,7 +76,9 @@ def _check_modes(analysis: Analysis, result: ModesResult, count: int) -> None:
     assert result.residuals.shape == (count,), (
         f"residuals {result.residuals.shape}; must be ({count},)"
     )
-    assert not (result.residuals > RESIDUAL).any(), f"a residual of {result.residuals.max():.1e}"
+    assert not (result.residuals > RESIDUAL).any(), (
+        f"a residual of {result.residuals.max():.1e}"
+    )
     assert result.proof, "no word about what was counted"
     nodes, sizes = np.unique(analysis.dofs.node, return_counts=True)
     assert np.isin(sizes, (1, 6)).all(), (
@@ -83,13 +95,17 @@ def _check_band(analysis: Analysis, result: ModesResult) -> None:
     high = (elastic[-2] + elastic[-1]) / 2
     band = analysis.modes(ModesRequest(band=(float(low), float(high)))).modes
     want = f[(f >= low) & (f <= high)]
-    assert len(band) == want.size, f"{want.size} modes in the band, {len(band)} returned"
+    assert len(band) == want.size, (
+        f"{want.size} modes in the band, {len(band)} returned"
+    )
     assert np.allclose(band.frequencies, want, rtol=1e-6), (
         "a band request gives other frequencies than a count"
     )
 
 
-def _check_derivatives(analysis: Analysis, result: ModesResult, parameters: ParameterSet) -> None:
+def _check_derivatives(
+    analysis: Analysis, result: ModesResult, parameters: ParameterSet
+) -> None:
     modes = result.modes
     d_lambda, d_phi = analysis.derivatives(modes, parameters)
     m = len(modes)

@@ -23,19 +23,28 @@ SRC = Path(__file__).parents[2] / "src" / "ringtrue"
 BUDGETS = Path(__file__).with_name("budgets.toml")
 
 SHORT_MODULE = 60  # code lines: below, a module with one importer is a fragment of it
-SHORT_FUNCTION = 6  # lines: up to them, a private function that is called once is one of its caller
+# lines: up to them, a private function that is called once is one of its caller
+SHORT_FUNCTION = 6
 MOST_PARAMETERS = 6
 MOST_POSITIONAL = 5
 MOST_FIELDS = 12
 MOST_CONSTANTS = 8
 TOKEN_STEP = 500  # of the budgets of tokens
 
-LAYOUT = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+LAYOUT = {
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
 PRIVATE_WORDS = re.compile(
     r"\b(told|tells|sure|beside|apart|alike|lent|listened|lacking|claims|hardly|desk)\b"
 )
 READS_TEXT = {"startswith", "endswith", "partition", "rpartition"}
-SENTENCE = re.compile(r"\b(note|notes|reason|reasons|why|message|messages|sentence)\b|str\(")
+SENTENCE = re.compile(
+    r"\b(note|notes|reason|reasons|why|message|messages|sentence)\b|str\("
+)
 
 
 @dataclass(frozen=True)
@@ -69,11 +78,16 @@ class Module:
         """Numbers of the lines of docstrings."""
         lines: set[int] = set()
         for node in ast.walk(self.tree):
-            if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) or not node.body:
+            if (
+                not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+                or not node.body
+            ):
                 continue
             first = node.body[0]
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                lines.update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+                lines.update(
+                    range(first.lineno, (first.end_lineno or first.lineno) + 1)
+                )
         return lines
 
     @cached_property
@@ -82,7 +96,9 @@ class Module:
         every = tokenize.generate_tokens(io.StringIO(self.text).readline)
         skipped = LAYOUT | {tokenize.COMMENT}
         return [
-            t for t in every if t.type not in skipped and t.start[0] not in self.docstring_lines
+            t
+            for t in every
+            if t.type not in skipped and t.start[0] not in self.docstring_lines
         ]
 
     @cached_property
@@ -132,11 +148,15 @@ def measured(every: list[Module]) -> dict[str, dict[str, int]]:
         "files": len(every),
         "tokens": tokens.total(),
         "tokens in ten code lines": round(10 * tokens.total() / max(lines, 1)),
-        "width of nine lines in ten": widths[int(0.9 * (len(widths) - 1))] if widths else 0,
+        "width of nine lines in ten": widths[int(0.9 * (len(widths) - 1))]
+        if widths
+        else 0,
         "short modules with one importer": len(fragments(every)),
         "short private functions called once": sum(len(called_once(m)) for m in every),
         "functions of many parameters": sum(len(many_parameters(m)) for m in every),
-        "calls with many positional arguments": sum(len(many_positional(m)) for m in every),
+        "calls with many positional arguments": sum(
+            len(many_positional(m)) for m in every
+        ),
         "dataclasses of many fields": sum(len(many_fields(m)) for m in every),
         "numeric constants": sum(by_module),
         "modules of many numeric constants": sum(n > MOST_CONSTANTS for n in by_module),
@@ -210,9 +230,12 @@ def constants(module: Module) -> int:
     count = 0
     for node in module.tree.body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
-            values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+            values = (
+                node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+            )
             count += sum(
-                isinstance(v, ast.Constant) and type(v.value) in (int, float) for v in values
+                isinstance(v, ast.Constant) and type(v.value) in (int, float)
+                for v in values
             )
     return count
 
@@ -223,14 +246,18 @@ def sentences_read(module: Module) -> list[int]:
     for node in ast.walk(module.tree):
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
             continue
-        if node.func.attr in READS_TEXT and SENTENCE.search(ast.unparse(node.func.value)):
+        if node.func.attr in READS_TEXT and SENTENCE.search(
+            ast.unparse(node.func.value)
+        ):
             found.append(node.lineno)
     return found
 
 
 def defined_twice(every: list[Module]) -> list[str]:
     """Names of classes of the top of modules that stand in two."""
-    names = Counter(n.name for m in every for n in m.tree.body if isinstance(n, ast.ClassDef))
+    names = Counter(
+        n.name for m in every for n in m.tree.body if isinstance(n, ast.ClassDef)
+    )
     return sorted(name for name, count in names.items() if count > 1)
 
 
@@ -305,9 +332,7 @@ def rounded(tokens: int) -> int:
 
 def written(values: dict[str, dict[str, int]]) -> str:
     """The file of budgets."""
-    head = (
-        "# What tests/architecture/measures.py counts may be at most this; see CONTRIBUTING.md.\n"
-    )
+    head = "# What tests/architecture/measures.py counts may be at most this; see CONTRIBUTING.md.\n"
     parts = []
     for part, figures in values.items():
         rows = "".join(f'"{name}" = {figure}\n' for name, figure in figures.items())

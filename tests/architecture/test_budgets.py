@@ -78,7 +78,11 @@ def test_comments_and_docstrings_cost_nothing(tmp_path: Path) -> None:
 
 
 def test_modules_that_import_each_other(tmp_path: Path) -> None:
-    ring = {"a": "from house.b import x\n", "b": "import house.c\n", "c": "from house import a\n"}
+    ring = {
+        "a": "from house.b import x\n",
+        "b": "import house.c\n",
+        "c": "from house import a\n",
+    }
     typed = "if TYPE_CHECKING:\n    from house.d import y\n"
     counts = package(tmp_path, **ring, d="from house.e import z\n", e=typed)
     assert counts["modules in cycles"] == 3

@@ -41,7 +41,8 @@ THIRD_PARTY = {  # above numpy and scipy, which every floor may use
     "eigen": {"pymklpardiso", "rslab"},
     "signal": {"h5py"},
     "virtual": {"h5py"},
-    "solvers": {"mpi4py", "petsc4py", "slepc4py", "wire"},  # wire: without ringtrue, by its file
+    # wire: without ringtrue, by its file
+    "solvers": {"mpi4py", "petsc4py", "slepc4py", "wire"},
     "study": {"h5py", "pydantic"},
     "plots": {"plotly"},
     "viewer": {"anywidget", "traitlets"},
@@ -79,7 +80,9 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-FILES = [p for p in sorted(SRC.rglob("*.py")) if p.name != "__init__.py" or p.parent != SRC]
+FILES = [
+    p for p in sorted(SRC.rglob("*.py")) if p.name != "__init__.py" or p.parent != SRC
+]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
@@ -92,10 +95,14 @@ def test_imports_point_down(path: Path) -> None:
                 continue
             there = parts[1]
             ok = floor(there) < floor(here) or (here, there) in SIDEWAYS
-            assert ok, f"{path.relative_to(SRC)} imports {name}: {here} may not see {there}"
+            assert ok, (
+                f"{path.relative_to(SRC)} imports {name}: {here} may not see {there}"
+            )
         else:
             ok = parts[0] in STDLIB_OK or parts[0] in THIRD_PARTY.get(here, set())
-            assert ok, f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
+            assert ok, (
+                f"{path.relative_to(SRC)} imports {name}: not allowed on this floor"
+            )
 
 
 @pytest.mark.parametrize(
@@ -108,7 +115,9 @@ def test_the_studio_is_thin(path: Path) -> None:
     results may be named.
     """
     module = next(m for m in measures.modules() if m.path == path)
-    below = {name.split(".")[1] for name in module.imports if name.startswith("ringtrue.")}
+    below = {
+        name.split(".")[1] for name in module.imports if name.startswith("ringtrue.")
+    }
     deep = below - SHALLOW - {"studio", "__version__"} - PUBLIC
     assert not deep, f"{path.relative_to(SRC)} imports {deep}"
 
@@ -123,10 +132,16 @@ def test_one_door_leads_upward() -> None:
         if package_of(p) == "core" and "import_module(" in p.read_text()
     ]
     assert by_name == ["core/display.py"]
-    assert 'DRAWINGS = "ringtrue.plots.results"' in (SRC / "core/display.py").read_text()
+    assert (
+        'DRAWINGS = "ringtrue.plots.results"' in (SRC / "core/display.py").read_text()
+    )
 
 
-LARGE = [d for d in (SRC, *sorted(SRC.rglob("*/"))) if d != SRC and len(list(d.glob("*.py"))) > 20]
+LARGE = [
+    d
+    for d in (SRC, *sorted(SRC.rglob("*/")))
+    if d != SRC and len(list(d.glob("*.py"))) > 20
+]
 
 
 @pytest.mark.parametrize("package", LARGE, ids=lambda p: str(p.relative_to(SRC)))
@@ -135,6 +150,7 @@ def test_a_large_package_tells_where_each_module_has_its_place(package: Path) ->
         p.parent.name for p in package.glob("*/__init__.py")
     }
     told = re.findall(
-        r"`(\w+)`", ast.get_docstring(ast.parse((package / "__init__.py").read_text())) or ""
+        r"`(\w+)`",
+        ast.get_docstring(ast.parse((package / "__init__.py").read_text())) or "",
     )
     assert sorted(told) == sorted(modules - {"__init__"})

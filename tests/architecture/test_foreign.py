@@ -28,18 +28,38 @@ CALLS = {
     "json": {"load", "loads", "JSONDecoder"},
     "h5py": {"File", "is_hdf5"},
     "numpy": {"load", "loadtxt", "genfromtxt", "fromfile"},
-    "scipy.io": {"loadmat", "mmread", "hb_read", "netcdf_file", "readsav", "whosmat", "wavfile"},
+    "scipy.io": {
+        "loadmat",
+        "mmread",
+        "hb_read",
+        "netcdf_file",
+        "readsav",
+        "whosmat",
+        "wavfile",
+    },
     "scipy.sparse": {"load_npz"},
 }
 ALLOWED = {
     ("report/build.py", "json.loads"): "text that plotly made a line above",
     ("study/run.py", "json.loads"): "text that json made in the same line",
-    ("solvers/wire.py", "json.loads"): "runs without ringtrue; a pipe of its parent or child",
+    (
+        "solvers/wire.py",
+        "json.loads",
+    ): "runs without ringtrue; a pipe of its parent or child",
     ("solvers/wire.py", "numpy.load"): "runs without ringtrue; a file of its own",
-    ("solvers/slepc.py", "pickle"): "writes what its ranks read, in a folder of its own",
-    ("core/side_by_side.py", "pickle"): "what this process and its workers have written",
+    (
+        "solvers/slepc.py",
+        "pickle",
+    ): "writes what its ranks read, in a folder of its own",
+    (
+        "core/side_by_side.py",
+        "pickle",
+    ): "what this process and its workers have written",
     ("solvers/slepc_share.py", "pickle"): "files of its parent, in a folder of that",
-    ("io/delimited.py", "numpy.loadtxt"): "lines of text that the reader has taken apart",
+    (
+        "io/delimited.py",
+        "numpy.loadtxt",
+    ): "lines of text that the reader has taken apart",
 }
 FILES = [p for p in sorted(SRC.rglob("*.py")) if DOOR not in p.parents]
 
@@ -50,7 +70,9 @@ def names_of(tree: ast.AST) -> dict[str, str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {
-                a.asname or a.name.split(".")[0]: a.name if a.asname else a.name.split(".")[0]
+                a.asname or a.name.split(".")[0]: a.name
+                if a.asname
+                else a.name.split(".")[0]
                 for a in node.names
             }
         elif isinstance(node, ast.ImportFrom):
@@ -91,7 +113,9 @@ def foreign_calls(text: str) -> set[str]:
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
 def test_nobody_reads_past_the_door(path: Path) -> None:
     name = path.relative_to(SRC).as_posix()
-    past = {call for call in foreign_calls(path.read_text()) if (name, call) not in ALLOWED}
+    past = {
+        call for call in foreign_calls(path.read_text()) if (name, call) not in ALLOWED
+    }
     assert not past, f"{name} reads by {past}: use ringtrue.io.foreign"
 
 

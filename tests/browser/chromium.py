@@ -14,7 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+NAMES = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+)
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
@@ -44,9 +50,9 @@ class Page:
         self.buffer = bytearray() if buffer is None else buffer  # of all tabs
         self.events: list[dict[str, Any]] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
-            "sessionId"
-        ]
+        self.session = self.call(
+            "Target.attachToTarget", targetId=target, flatten=True
+        )["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -100,12 +106,17 @@ class Page:
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression."""
         answer = self.call(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+            "Runtime.evaluate",
+            expression=expression,
+            returnByValue=True,
+            awaitPromise=True,
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, expression: str, seconds: float = PATIENCE, *, every: float = 0.2) -> bool:
+    def until(
+        self, expression: str, seconds: float = PATIENCE, *, every: float = 0.2
+    ) -> bool:
         """Whether the expression becomes true in time; asked `every` so many seconds."""
         end = time.monotonic() + seconds
         while not self.evaluate(expression):
@@ -121,7 +132,10 @@ class Page:
             p = e.get("params", {})
             if e.get("method") == "Runtime.exceptionThrown":
                 out.append(json.dumps(p["exceptionDetails"])[:500])
-            elif e.get("method") == "Runtime.consoleAPICalled" and p["type"] in ("error", "assert"):
+            elif e.get("method") == "Runtime.consoleAPICalled" and p["type"] in (
+                "error",
+                "assert",
+            ):
                 out.append(json.dumps(p["args"])[:500])
             elif e.get("method") == "Log.entryAdded" and p["entry"]["level"] == "error":
                 out.append(p["entry"]["text"])
@@ -129,7 +143,11 @@ class Page:
 
     def requests(self) -> list[str]:
         """Addresses asked for."""
-        sent = [e["params"] for e in self.events if e.get("method") == "Network.requestWillBeSent"]
+        sent = [
+            e["params"]
+            for e in self.events
+            if e.get("method") == "Network.requestWillBeSent"
+        ]
         return [p["request"]["url"] for p in sent]
 
 

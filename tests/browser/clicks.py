@@ -54,7 +54,12 @@ MEMBER = """((id) => {
 
 def mouse(page: chromium.Page, *places: tuple[float, float], keys: int = 0) -> None:
     """A click at a place; a drag from the first place to the last one."""
-    kinds = ["mouseMoved", "mousePressed", *["mouseMoved"] * (len(places) - 1), "mouseReleased"]
+    kinds = [
+        "mouseMoved",
+        "mousePressed",
+        *["mouseMoved"] * (len(places) - 1),
+        "mouseReleased",
+    ]
     for kind, at in zip(kinds, [places[0], *places, places[-1]], strict=True):
         page.mouse(kind, at, keys, held=kind == "mousePressed" or len(places) > 1)
 
@@ -69,7 +74,9 @@ def found(page: chromium.Page, script: str, seconds: float = PATIENCE) -> Any:
             return value
         last = value
         time.sleep(0.15)
-    raise AssertionError(f"not there in {seconds:g} s: {script[-200:]}\n{text_of(page)}")
+    raise AssertionError(
+        f"not there in {seconds:g} s: {script[-200:]}\n{text_of(page)}"
+    )
 
 
 def text_of(page: chromium.Page) -> str:
@@ -85,7 +92,9 @@ def press(page: chromium.Page, text: str) -> None:
 def go(page: chromium.Page, title: str, name: str) -> None:
     """Open a screen by a click on the list of screens."""
     press(page, title)
-    assert page.until(f"location.pathname === '/{name}'", PATIENCE), f"{title} does not open"
+    assert page.until(f"location.pathname === '/{name}'", PATIENCE), (
+        f"{title} does not open"
+    )
 
 
 def write(page: chromium.Page, button: str, label: str, text: str) -> None:
@@ -103,7 +112,9 @@ def write(page: chromium.Page, button: str, label: str, text: str) -> None:
 
 def see(page: chromium.Page, text: str, seconds: float = PATIENCE) -> None:
     """Wait for a text, whatever its case."""
-    there = f"document.body?.innerText?.toLowerCase().includes({json.dumps(text.lower())})"
+    there = (
+        f"document.body?.innerText?.toLowerCase().includes({json.dumps(text.lower())})"
+    )
     found(page, there, seconds)
 
 
@@ -153,7 +164,11 @@ def studio(
     with (
         log.open("a") as said,
         subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=said, text=True, env=surroundings(python)
+            command,
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+            env=surroundings(python),
         ) as server,
     ):
         assert server.stdout is not None

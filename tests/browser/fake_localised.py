@@ -18,7 +18,10 @@ RNG = np.random.default_rng(11)
 
 def parameters(names: Sequence[str]) -> ParameterSet:
     return ParameterSet(
-        tuple(Parameter(n, (CardField("MAT1", i + 1, "E"),), 0.2, 5.0) for i, n in enumerate(names))
+        tuple(
+            Parameter(n, (CardField("MAT1", i + 1, "E"),), 0.2, 5.0)
+            for i, n in enumerate(names)
+        )
     )
 
 
@@ -76,7 +79,9 @@ def localise(regions: Sequence[str], names: Sequence[str]) -> r.LocaliseStage:
         ),
         r.CandidateEffects(
             parameters=parameters(names),
-            what=tuple(f"Young's modulus 2.1e+11 Pa of {7 * i + 4} CHEXA" for i in range(p)),
+            what=tuple(
+                f"Young's modulus 2.1e+11 Pa of {7 * i + 4} CHEXA" for i in range(p)
+            ),
             elements=tuple(regions[i % g] for i in range(p)),
             effect=RNG.uniform(0.1, 30, p),
             others_known=RNG.uniform(0.02, 0.9, p),
@@ -87,9 +92,20 @@ def localise(regions: Sequence[str], names: Sequence[str]) -> r.LocaliseStage:
         _proposal(names),
         members=(
             MissingMember(
-                "brace", "axial", ((39, 78), (48, 87)), 2.1e9, 4e8, 0.6, 0.31, 0.31, 12.4, (2, 5)
+                "brace",
+                "axial",
+                ((39, 78), (48, 87)),
+                2.1e9,
+                4e8,
+                0.6,
+                0.31,
+                0.31,
+                12.4,
+                (2, 5),
             ),
-            MissingMember("support", "3", ((7, 0),), 4e7, 2e7, 1.0, 0.12, 0.02, -4.0, (0,)),
+            MissingMember(
+                "support", "3", ((7, 0),), 4e7, 2e7, 1.0, 0.12, 0.02, -4.0, (0,)
+            ),
         ),
     )
 
@@ -109,7 +125,14 @@ def uncertainty(
     fold = np.where(used, np.cumsum(used) % 5, -1)
     held = np.where(used, found * 1.002, np.nan)
     known = Held(
-        test, held, np.where(used, 0.96, np.nan), parts[:, 0], parts[:, 1], parts[:, 2], fold, True
+        test,
+        held,
+        np.where(used, 0.96, np.nan),
+        parts[:, 0],
+        parts[:, 1],
+        parts[:, 2],
+        fold,
+        True,
     )
     factor = RNG.uniform(0.6, 2.4, p)
     std = np.full(p, 0.06)
@@ -140,7 +163,14 @@ def uncertainty(
         np.array([0.012, 0.033]),
         np.array([0.01, 0.05]),
         known,
-        (Flag(names[0], "prior", 2.4, f"{names[0]}: factor 2.4 is 2.1 prior standard deviations"),),
+        (
+            Flag(
+                names[0],
+                "prior",
+                2.4,
+                f"{names[0]}: factor 2.4 is 2.1 prior standard deviations",
+            ),
+        ),
         r.PosteriorChains(
             draws=factor * np.exp(0.06 * RNG.standard_normal((80, p))),
             sampled=interval * 1.01,

@@ -104,12 +104,19 @@ class _Mesh:
         at = self.nodes(xyz.reshape(-1, 3)).reshape(xyz.shape[:2])
         a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
         tri = np.concatenate(
-            [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+            [
+                np.stack([a, b, c], -1).reshape(-1, 3),
+                np.stack([a, c, d], -1).reshape(-1, 3),
+            ]
         )
         self.tri.append((tri, group))
 
     def box(
-        self, low: tuple[float, ...], high: tuple[float, ...], n: tuple[int, ...], group: int
+        self,
+        low: tuple[float, ...],
+        high: tuple[float, ...],
+        n: tuple[int, ...],
+        group: int,
     ) -> None:
         grid = [np.linspace(l, h, k + 1) for l, h, k in zip(low, high, n, strict=True)]
         for axis in range(3):
@@ -120,7 +127,9 @@ class _Mesh:
                 xyz[..., i], xyz[..., j], xyz[..., axis] = u, v, side
                 self.patch(xyz, group)
 
-    def beam(self, a: tuple[float, ...], b: tuple[float, ...], n: int, group: int) -> None:
+    def beam(
+        self, a: tuple[float, ...], b: tuple[float, ...], n: int, group: int
+    ) -> None:
         at = self.nodes(np.linspace(a, b, n + 1))
         self.line.append((np.stack([at[:-1], at[1:]], 1), group))
 
@@ -137,11 +146,20 @@ def scene() -> r.Scene:
         m.beam((-8, y, 6), (8, y, 6), 24, 2)
         for x in (-8, 0):
             m.beam((x, y, 0), (x + 4, y, 6), 6, 3)
-    t, x = np.meshgrid(np.linspace(0, 2 * np.pi, 33), np.linspace(-7, 7, 24), indexing="ij")
+    t, x = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 33), np.linspace(-7, 7, 24), indexing="ij"
+    )
     m.patch(np.stack([x, 2.8 * np.cos(t), 3.2 + 2.8 * np.sin(t)], -1), 4)
     for end in (-7.0, 7.0):
-        t, rad = np.meshgrid(np.linspace(0, 2 * np.pi, 33), np.linspace(0.4, 2.8, 6), indexing="ij")
-        m.patch(np.stack([np.full_like(t, end), rad * np.cos(t), 3.2 + rad * np.sin(t)], -1), 4)
+        t, rad = np.meshgrid(
+            np.linspace(0, 2 * np.pi, 33), np.linspace(0.4, 2.8, 6), indexing="ij"
+        )
+        m.patch(
+            np.stack(
+                [np.full_like(t, end), rad * np.cos(t), 3.2 + rad * np.sin(t)], -1
+            ),
+            4,
+        )
     for x0 in (-5.0, 5.0):
         for y in (-2.2, 2.2):
             m.beam((x0, y, 0), (x0, y, 1.4), 2, 5)
@@ -172,7 +190,14 @@ def field(xyz: np.ndarray, k: int, wrong: float = 0.0) -> np.ndarray:
     x, y, z = (xyz / 10).T
     o, one = np.zeros_like(x), np.ones_like(x)
     if k < 6:
-        rigid = ((one, o, o), (o, one, o), (-y, x, o), (o, o, one), (o, -z, y), (z, o, -x))
+        rigid = (
+            (one, o, o),
+            (o, one, o),
+            (-y, x, o),
+            (o, o, one),
+            (o, -z, y),
+            (z, o, -x),
+        )
         return np.stack(rigid[k], 1)
     n = k - 4
     q = 0.9 * n * x + 0.3 * k + wrong * np.sin(3 * x + k)
@@ -200,8 +225,12 @@ def _fe_modes(s: r.Scene, f: np.ndarray, wrong: float) -> ModeSet:
 
 def test_model() -> TestModel:
     """52 points, 150 channels, wireframe."""
-    base = [(x, y, z) for x in np.linspace(-12, 12, 7) for y in (-5, 5) for z in (-4, 0)]
-    frame = [(x, y, z) for x in np.linspace(-8, 8, 5) for y in (-4.2, 4.2) for z in (3, 6)]
+    base = [
+        (x, y, z) for x in np.linspace(-12, 12, 7) for y in (-5, 5) for z in (-4, 0)
+    ]
+    frame = [
+        (x, y, z) for x in np.linspace(-8, 8, 5) for y in (-4.2, 4.2) for z in (3, 6)
+    ]
     top = [(-2, 0, 8), (1, 0, 8), (3, 0, 7.6), (2, 0.8, 7)]
     xyz = np.array([*base, *frame, *top], dtype=float)
     number = np.arange(101, 101 + len(xyz))
@@ -210,22 +239,39 @@ def test_model() -> TestModel:
     pick = [(p, d) for p in range(len(xyz)) for d in range(3)][:150]
     at = number[[p for p, _ in pick]]
     channels = [f"{a}+{'XYZ'[d]}" for a, (_, d) in zip(at, pick, strict=True)]
-    part = ["foundation"] * len(base) + ["frame"] * len(frame) + ["drivetrain"] * len(top)
+    part = (
+        ["foundation"] * len(base) + ["frame"] * len(frame) + ["drivetrain"] * len(top)
+    )
     axes = np.eye(3)[[d for _, d in pick]]
     return TestModel(
-        number, xyz, tuple(channels), at, axes, np.stack([number[i], number[j]], 1), tuple(part)
+        number,
+        xyz,
+        tuple(channels),
+        at,
+        axes,
+        np.stack([number[i], number[j]], 1),
+        tuple(part),
     )
 
 
 def _seen(
-    test: TestModel, f: np.ndarray, wrong: float, noise: float, first: int = 0, damping: float = 0.0
+    test: TestModel,
+    f: np.ndarray,
+    wrong: float,
+    noise: float,
+    first: int = 0,
+    damping: float = 0.0,
 ) -> ModeSet:
     xyz = test.channel_xyz()
     shapes = np.stack(
         [(field(xyz, k + first, wrong) * test.axes).sum(1) for k in range(f.size)], 1
     ).astype(complex)
     shapes = shapes / 1e3
-    shapes += 1e-3 * noise * (RNG.normal(size=shapes.shape) + 1j * RNG.normal(size=shapes.shape))
+    shapes += (
+        1e-3
+        * noise
+        * (RNG.normal(size=shapes.shape) + 1j * RNG.normal(size=shapes.shape))
+    )
     zeta = np.full(f.size, damping) * RNG.uniform(0.6, 1.6, f.size)
     confidence = RNG.uniform(0.45, 1, f.size)
     return ModeSet(
@@ -241,7 +287,9 @@ def _seen(
 
 def _mac(a: ModeSet, b: ModeSet) -> np.ndarray:
     top = np.abs(a.shapes.conj().T @ b.shapes) ** 2
-    return top / np.outer((np.abs(a.shapes) ** 2).sum(0), (np.abs(b.shapes) ** 2).sum(0))
+    return top / np.outer(
+        (np.abs(a.shapes) ** 2).sum(0), (np.abs(b.shapes) ** 2).sum(0)
+    )
 
 
 def correlation(
@@ -252,10 +300,15 @@ def correlation(
     one, two, mac = np.arange(n) + first, np.arange(n), _mac(a, b)
     f, g = a.frequencies, b.frequencies
     lone = np.setdiff1d(np.arange(len(a)), one), np.setdiff1d(np.arange(len(b)), two)
-    why = [("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size for x in lone]
+    why = [
+        ("no FE mode within 30 % has MAC >= 60 %: best FE 20 with 31 %",) * x.size
+        for x in lone
+    ]
     close = np.isin(two, (16, 17))
     error = (g[two] - f[one]) / f[one]
-    pairing = Pairing(one, two, mac[one, two], error, close, lone[0], why[0], lone[1], why[1])
+    pairing = Pairing(
+        one, two, mac[one, two], error, close, lone[0], why[0], lone[1], why[1]
+    )
     return CorrelationTable(
         pairing, f[one], g[two], 2e-4 * f[one], ~np.isin(one, left_out), mac, f, g
     )
@@ -270,7 +323,9 @@ def evidence(a: ModeSet, b: ModeSet, table: CorrelationTable) -> r.Evidence:
         orthogonality=OrthogonalityTest(mass=np.eye(len(a.channels)), name="IRS"),
         std=(2e-4 * a.frequencies, float("nan")),
     )
-    said = "reads with the opposite sign in all modes; turned: mean MAC 91.2 % -> 93.0 %"
+    said = (
+        "reads with the opposite sign in all modes; turned: mean MAC 91.2 % -> 93.0 %"
+    )
     suspect = Suspect("103+Y", "reversed", said, "", -1.0, 0.912, 0.93)
     return r.Evidence(replace(found, suspects=(suspect,)), _mac(a, a))
 
@@ -279,7 +334,9 @@ def _compared(frfs: FrfSet) -> r.FrfEvidence:
     one, two = (replace(frfs, data=frfs.data[::step] * 1.05) for step in (-1, 1))
     rows = [x.data[::20].reshape(80, -1) for x in (frfs, one, two)]
     maps = [fdac(rows[0], x) for x in rows[1:]]
-    return r.FrfEvidence(compare_frfs(frfs, one), compare_frfs(frfs, two), frfs.freqs[::20], *maps)
+    return r.FrfEvidence(
+        compare_frfs(frfs, one), compare_frfs(frfs, two), frfs.freqs[::20], *maps
+    )
 
 
 def _unsure(modes: ModeSet) -> Uncertainty:
@@ -296,19 +353,31 @@ def _diagram(modes: ModeSet, low: float, high: float) -> StableDiagram:
     for n in range(4, 82, 2):
         for k, x in enumerate(f):
             if RNG.random() < 0.25 + 0.75 * n / 80:
-                order.append(n), freq.append(x * (1 + 2e-3 * RNG.normal())), which.append(k)
+                (
+                    order.append(n),
+                    freq.append(x * (1 + 2e-3 * RNG.normal())),
+                    which.append(k),
+                )
         for x in RNG.uniform(low, high, n // 4):
-            order.append(n), freq.append(x), which.append(-1 if RNG.random() < 0.8 else -2)
+            (
+                order.append(n),
+                freq.append(x),
+                which.append(-1 if RNG.random() < 0.8 else -2),
+            )
     cluster = np.array(which)
     pole = 2 * np.pi * np.array(freq) * (-0.012 + 1j)
     nan = np.full(pole.size, np.nan)
     poles = PoleSet(np.array(order), pole, np.ones((3, pole.size), complex), nan, nan)
     grid = np.linspace(low, high, 1200)
-    level = 10 * np.log10(1e-3 + (1 / ((grid[:, None] / f - 1) ** 2 + 1e-4)).sum(1)) + RNG.normal(
-        size=1200
-    )
+    level = 10 * np.log10(
+        1e-3 + (1 / ((grid[:, None] / f - 1) ** 2 + 1e-4)).sum(1)
+    ) + RNG.normal(size=1200)
     return StableDiagram(
-        poles, cluster != -1, np.maximum(cluster, -1), grid, level - np.array([[0], [8], [15]])
+        poles,
+        cluster != -1,
+        np.maximum(cluster, -1),
+        grid,
+        level - np.array([[0], [8], [15]]),
     )
 
 
@@ -353,10 +422,14 @@ def _frfs(test: TestModel, modes: ModeSet, inputs: list[int]) -> FrfSet:
     phi = modes.shapes.real
     poly = (s**2)[:, None] / ((s**2)[:, None] + 2 * 0.015 * w * s[:, None] + w**2)
     data = np.einsum("fm,om,im->foi", poly, phi, phi[inputs], optimize=True)
-    data = data + 2e-8 * (RNG.normal(size=data.shape) + 1j * RNG.normal(size=data.shape))
+    data = data + 2e-8 * (
+        RNG.normal(size=data.shape) + 1j * RNG.normal(size=data.shape)
+    )
     outs = tuple(Channel(c, "acceleration", "m/s^2") for c in test.channels)
     ins = tuple(Channel(test.channels[i], "force", "N") for i in inputs)
-    return FrfSet(data, f, outs, ins, np.full(data.shape, 0.98), np.full(len(inputs), 5.0))
+    return FrfSet(
+        data, f, outs, ins, np.full(data.shape, 0.98), np.full(len(inputs), 5.0)
+    )
 
 
 def _model_stage(s: r.Scene, modes: ModeSet) -> r.ModelStage:
@@ -379,7 +452,10 @@ def _model_stage(s: r.Scene, modes: ModeSet) -> r.ModelStage:
         "PSHELL": 7,
         "EIGRL": 1,
     }
-    findings = ("PSHELL 12 is not used", "CONM2 9003 stands 0.41 m from its node: offset kept")
+    findings = (
+        "PSHELL 12 is not used",
+        "CONM2 9003 stands 0.41 m from its node: offset kept",
+    )
     return r.ModelStage(
         "Large spinning facility, as designed",
         ("lsf.bdf", "foundation.bdf", "frame.bdf", "vessel.bdf"),
@@ -441,7 +517,12 @@ def damped() -> r.DampingStage:
     natures = ("material", "material", "joint", "dashpot")
     regions = r.DampedRegions(
         ("concrete", "steel", "vessel mounts", "air springs, vertical"),
-        ("MAT1 1 GE", "MAT1 11 GE; MAT1 12 GE; MAT1 13 GE; 4 more", "PBUSH 54 GE", "PBUSH 60 B3"),
+        (
+            "MAT1 1 GE",
+            "MAT1 11 GE; MAT1 12 GE; MAT1 13 GE; 4 more",
+            "PBUSH 54 GE",
+            "PBUSH 60 B3",
+        ),
         natures,
         np.array([0.012, 0.003, 0.0, 2.0e4]),
         np.diag([0.003, 0.001, 0.068, 2.7e3]) ** 2,
@@ -464,9 +545,18 @@ def damped() -> r.DampingStage:
         error,
         0.7 * error,
     )
-    told = ("the test says little about vessel mounts: their values are those expected, or zero",)
+    told = (
+        "the test says little about vessel mounts: their values are those expected, or zero",
+    )
     return r.DampingStage(
-        "", regions, modes, 1.2, "0.65 % for all modes, the median of the test", told, (), ()
+        "",
+        regions,
+        modes,
+        1.2,
+        "0.65 % for all modes, the median of the test",
+        told,
+        (),
+        (),
     )
 
 
@@ -481,7 +571,11 @@ def predicted() -> r.PredictStage:
         ]
     )
     curve *= np.array([[1e-4], [1e4], [3e3]])
-    names = ("rotor, node 9001", "bearings, largest in one of 2", "bearings, sum along X")
+    names = (
+        "rotor, node 9001",
+        "bearings, largest in one of 2",
+        "bearings, sum along X",
+    )
     peak = curve.max(axis=1)
     at = np.full(3, 38.0)
     run = RunUp(
@@ -498,7 +592,15 @@ def predicted() -> r.PredictStage:
         ParameterSet((Parameter("k"),)), np.zeros(1), np.eye(1), np.eye(1), np.ones(1)
     )
     return r.PredictStage(
-        9001, "X", Unbalance(2500.0, 2.5, 50.0), run, known, 0.02, "by region", 0.01, ("k: a flag",)
+        9001,
+        "X",
+        Unbalance(2500.0, 2.5, 50.0),
+        run,
+        known,
+        0.02,
+        "by region",
+        0.01,
+        ("k: a flag",),
     )
 
 
@@ -512,7 +614,9 @@ def study() -> dict[str, object]:
     f_mid = f_test * np.concatenate(
         [[0.9, 0.91, 0.95, 0.93, 0.96, 0.9], np.linspace(0.76, 0.94, 20)]
     )
-    f_end = f_test * (1 + np.concatenate([0.008 * RNG.normal(size=6), 0.013 * RNG.normal(size=20)]))
+    f_end = f_test * (
+        1 + np.concatenate([0.008 * RNG.normal(size=6), 0.013 * RNG.normal(size=20)])
+    )
     fe, end = _fe_modes(s, f_fe, 0.4), _fe_modes(s, f_end, 0.05)
     rigid = _seen(test, RIGID, 0.0, 0.01, damping=0.04)
     elastic = _seen(test, np.append(ELASTIC, 93.7), 0.0, 0.06, first=6, damping=0.015)
@@ -524,7 +628,9 @@ def study() -> dict[str, object]:
         for n in ("frequencies", "damping")
     )
     reference = ModeSet(freqs, damping, both, test.channels, source="made up")
-    seen = [_seen(test, f, w, 0.0) for f, w in ((f_fe, 0.4), (f_mid, 0.25), (f_end, 0.05))]
+    seen = [
+        _seen(test, f, w, 0.0) for f, w in ((f_fe, 0.4), (f_mid, 0.25), (f_end, 0.05))
+    ]
     left_out = (9, 13, 17, 20, 23)
     tables = [correlation(reference, m, left_out=left_out) for m in seen]
     refs = [2, 40, 90]
@@ -532,8 +638,17 @@ def study() -> dict[str, object]:
     records = (
         _record("a1", "(a) ambient, foundation", "ambient only", 24, 100, 1800),
         _record("a2", "(a) ambient, foundation", "three people jumping", 24, 100, 900),
-        _record("b1", "(b) ambient, foundation and frame", "ambient only", 48, 200, 1200),
-        _record("b2", "(b) ambient, foundation and frame", "30 kg weight from 1.5 m", 48, 200, 900),
+        _record(
+            "b1", "(b) ambient, foundation and frame", "ambient only", 48, 200, 1200
+        ),
+        _record(
+            "b2",
+            "(b) ambient, foundation and frame",
+            "30 kg weight from 1.5 m",
+            48,
+            200,
+            900,
+        ),
         _record("c1", "(c) hammer, all parts", "5.4 kg sledge", 52, 512, 2400),
     )
     found = [
@@ -548,7 +663,9 @@ def study() -> dict[str, object]:
     ]
     identify = r.IdentifyStage(
         test,
-        r.IdentifiedModes(ambient, _unsure(ambient), ("found in 4 of 4 records",) * len(ambient)),
+        r.IdentifiedModes(
+            ambient, _unsure(ambient), ("found in 4 of 4 records",) * len(ambient)
+        ),
         r.IdentifiedModes(
             hammer,
             _unsure(hammer),
@@ -560,9 +677,17 @@ def study() -> dict[str, object]:
         frfs=frfs,
         hits=(
             ImpactReport(
-                "point 112+Z", "112+Z", 41.0, 880.0, 4e-3, False, ("double hit at 0.18 s",)
+                "point 112+Z",
+                "112+Z",
+                41.0,
+                880.0,
+                4e-3,
+                False,
+                ("double hit at 0.18 s",),
             ),
-            ImpactReport("point 131+X", "131+X", 8.0, 910.0, 4e-3, False, ("overload on 141+Y",)),
+            ImpactReport(
+                "point 131+X", "131+X", 8.0, 910.0, 4e-3, False, ("overload on 141+Y",)
+            ),
         ),
         synthesis_error=RNG.uniform(0.03, 0.2, (150, 3)),
     )
@@ -626,7 +751,9 @@ def study() -> dict[str, object]:
             seen[1],
             told[0],
             told[1],
-            r.Remodelling("A diagonal brace in bay 3 was missing; two bars added.", diff, ()),
+            r.Remodelling(
+                "A diagonal brace in bay 3 was missing; two bars added.", diff, ()
+            ),
         ),
         "localise": fake_localised.localise(REGIONS, CANDIDATES),
         "uncertainty": fake_localised.uncertainty(
@@ -647,14 +774,22 @@ def study() -> dict[str, object]:
             "The set of six has the lowest criterion that keeps every identifiability below 0.9.",
             dict.fromkeys(sets[0].parameters, 2.1e11),
             dict(zip(sets[0].parameters, 2.1e11 * sets[0].factor, strict=True)),
-            {name: (k,) for name, k in zip(sets[0].parameters, (0, 1, 2, 3, 4, 5), strict=True)},
+            {
+                name: (k,)
+                for name, k in zip(sets[0].parameters, (0, 1, 2, 3, 4, 5), strict=True)
+            },
         ),
         "tune": r.TuneStage(
-            *rigid_rows, {"vertical": 1.21, "lateral": 1.17}, {"vertical": 0.01, "lateral": 0.014}
+            *rigid_rows,
+            {"vertical": 1.21, "lateral": 1.17},
+            {"vertical": 0.01, "lateral": 0.014},
         ),
         "final": r.FinalStage(
             ("lsf.bdf", "frame.bdf"),
-            tuple(f"frame.bdf:{12 + k} PBUSH {31 + k} K3 1.2e9 -> 2.9e9" for k in range(24)),
+            tuple(
+                f"frame.bdf:{12 + k} PBUSH {31 + k} K3 1.2e9 -> 2.9e9"
+                for k in range(24)
+            ),
             tables[2],
             rigid_rows[1],
             end,
@@ -679,7 +814,10 @@ def study() -> dict[str, object]:
             "Linux x86_64, 2 cores",
             1,
             "2024-05-02 10:15",
-            {f"{n}.bdf": f"{k:x}" * 64 for k, n in enumerate(("lsf", "foundation", "frame"))},
+            {
+                f"{n}.bdf": f"{k:x}" * 64
+                for k, n in enumerate(("lsf", "foundation", "frame"))
+            },
             "[study]\nseed = 1\n",
             {
                 "model": 12.1,

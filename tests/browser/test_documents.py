@@ -14,7 +14,15 @@ from ringtrue.errors import SolverMissing
 from ringtrue.report import documents
 from ringtrue.report.build import Report, assemble
 from ringtrue.report.documents import ROOM, columns, print_page, write_word
-from ringtrue.report.parts import Columns, Fold, Picture, Plot, ReportTable, Scene3D, Tabs
+from ringtrue.report.parts import (
+    Columns,
+    Fold,
+    Picture,
+    Plot,
+    ReportTable,
+    Scene3D,
+    Tabs,
+)
 from ringtrue.study.config_sections import StudyInfo
 
 try:
@@ -26,7 +34,8 @@ needs_docx = pytest.mark.skipif(
     docx is None, reason="no python-docx: documents of Word are NOT tested"
 )
 needs_browser = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: printing is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: printing is NOT tested",
 )
 
 
@@ -117,20 +126,33 @@ def test_a_page_is_printed(part: Report, tmp_path: Path) -> None:
     assert raw.count(b"/Type /Page\n") > 10
 
 
-def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("RINGTRUE_CHROMIUM", raising=False)
-    with pytest.raises(SolverMissing, match=r"no Chromium: install .* RINGTRUE_CHROMIUM"):
+    with pytest.raises(
+        SolverMissing, match=r"no Chromium: install .* RINGTRUE_CHROMIUM"
+    ):
         print_page("", tmp_path / "r.pdf")
     monkeypatch.setenv("RINGTRUE_CHROMIUM", "nothing-there")
-    with pytest.raises(SolverMissing, match="RINGTRUE_CHROMIUM=nothing-there: no program there"):
+    with pytest.raises(
+        SolverMissing, match="RINGTRUE_CHROMIUM=nothing-there: no program there"
+    ):
         print_page("", tmp_path / "r.pdf")
     assert not (tmp_path / "r.pdf").exists()
 
 
 def test_numbers_and_words_of_a_table_stand_in_one_line() -> None:
     heads = ["#", "Change, %", "|Reason"]
-    rows = [heads, ["1", "−28.00", "the two shapes are turned into each other by the springs " * 3]]
+    rows = [
+        heads,
+        [
+            "1",
+            "−28.00",
+            "the two shapes are turned into each other by the springs " * 3,
+        ],
+    ]
     shares, size = columns(rows, [False, False, True])
     letters = shares * ROOM.line - ROOM.margin
     assert size == 1

@@ -21,18 +21,24 @@ def test_a_cell_that_ends_with_a_plot_shows_the_viewer(tmp_path: Path) -> None:
     module and the block of bytes; a mode pair is shown likewise.
     """
     nbformat = pytest.importorskip("nbformat")
-    nbclient = pytest.importorskip("nbclient", reason="the extra `test` is not installed")
+    nbclient = pytest.importorskip(
+        "nbclient", reason="the extra `test` is not installed"
+    )
     cells = [
         "import ringtrue as rt\nfe = rt.solve_modes(rt.read_deck(rt.example_deck()), band=(0, 100))\nfe.plot()",
         "names = ['2+X', '3+X']\ntest = rt.modes_of_test([2.2, 6.4], fe.at(names).shapes[:, :2], names)\n"
         "rt.correlate(test, fe).plot(shapes=True)",
     ]
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
-    client = nbclient.NotebookClient(book, kernel_name="python3", store_widget_state=True)
+    client = nbclient.NotebookClient(
+        book, kernel_name="python3", store_widget_state=True
+    )
     done = client.execute()
     outputs = [cell.outputs[-1]["data"] for cell in done.cells]
     assert all(WIDGET in data and len(data["text/html"]) < 100 for data in outputs)
-    states = done.metadata["widgets"]["application/vnd.jupyter.widget-state+json"]["state"]
+    states = done.metadata["widgets"]["application/vnd.jupyter.widget-state+json"][
+        "state"
+    ]
     for data, modes in zip(outputs, (3, 2), strict=True):
         held = states[data[WIDGET]["model_id"]]
         (block,) = [b for b in held["buffers"] if b["path"] == ["drawn"]]
@@ -42,7 +48,9 @@ def test_a_cell_that_ends_with_a_plot_shows_the_viewer(tmp_path: Path) -> None:
         assert "export default { render }" in held["state"]["_esm"]
 
 
-@pytest.mark.skipif(chromium.find() is None, reason="no Chromium: the widget is NOT tested")
+@pytest.mark.skipif(
+    chromium.find() is None, reason="no Chromium: the widget is NOT tested"
+)
 def test_the_widget_is_drawn_and_follows_its_state(tmp_path: Path) -> None:
     """Its module in a browser, with a model as anywidget gives it."""
     fe = rt.solve_modes(rt.read_deck(rt.example_deck(), units="SI"), band=(0, 100))
@@ -63,7 +71,8 @@ def test_the_widget_is_drawn_and_follows_its_state(tmp_path: Path) -> None:
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=path.as_uri())
         assert page.until(
-            "window.end !== undefined && document.querySelector('.stage canvas').width > 0", 30
+            "window.end !== undefined && document.querySelector('.stage canvas').width > 0",
+            30,
         )
         assert (
             page.evaluate("document.querySelectorAll('select')[1].options[0].text")

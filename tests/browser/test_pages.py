@@ -40,9 +40,15 @@ def diagram() -> StableDiagram:
     order = np.arange(2, 22, 2)
     f = np.linspace(2.9, 3.1, 10)
     pole = 2 * np.pi * f * (-0.01 + 1j)
-    poles = PoleSet(order, pole, np.ones((2, 10), complex), np.full(10, 1e-3), np.full(10, np.nan))
+    poles = PoleSet(
+        order, pole, np.ones((2, 10), complex), np.full(10, 1e-3), np.full(10, np.nan)
+    )
     return StableDiagram(
-        poles, order > 8, np.where(order > 14, 0, -1), np.linspace(2, 4, 50), np.zeros((3, 50))
+        poles,
+        order > 8,
+        np.where(order > 14, 0, -1),
+        np.linspace(2, 4, 50),
+        np.zeros((3, 50)),
     )
 
 
@@ -53,7 +59,9 @@ def shown(*, geometry: bool = False) -> IdentificationDiagram:
     def set_of(f: float, shape: list[float]) -> ModeSet:
         return ModeSet(np.array([f]), np.array([0.01]), np.array([shape]).T, channels)
 
-    std = Uncertainty.independent(np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01))
+    std = Uncertainty.independent(
+        np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01)
+    )
     note = Note("candidate orders", "information", "3.5 Hz", {"orders": 3, "tried": 10})
     others = OtherCandidates(set_of(3.5, [1.0, -0.8]), std, ("doubtful",), (note,))
     peak = SpectrumPeak(3.8, 0.05, 2, 12.0)
@@ -67,7 +75,12 @@ def mast() -> TestModel:
     places = np.array([[0.0, 0, 1], [0, 0, 2]])
     axes = np.array([[1.0, 0, 0], [1, 0, 0]])
     return TestModel(
-        points, places, ("1+X", "2+X"), at=points, axes=axes, lines=np.zeros((0, 2), np.int64)
+        points,
+        places,
+        ("1+X", "2+X"),
+        at=points,
+        axes=axes,
+        lines=np.zeros((0, 2), np.int64),
     )
 
 
@@ -88,13 +101,16 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
         taken = page.evaluate(CHOICE)
         page.evaluate(CLICK % 1)
         back = page.evaluate(CHOICE)
-        for about in ("1", "0", "0", "[6, 2]"):  # the natural one is first shown, then out
+        # the natural one is first shown, then out
+        for about in ("1", "0", "0", "[6, 2]"):
             page.evaluate(CLICK % about)
         text = page.evaluate(CHOICE)
         named = page.evaluate(
             "document.getElementById('figure-0')._fullData.map((t) => [t.name, t._length])"
         )
-        rows = page.evaluate("[...document.querySelectorAll('#rows tr')].map((r) => r.innerText)")
+        rows = page.evaluate(
+            "[...document.querySelectorAll('#rows tr')].map((r) => r.innerText)"
+        )
         bars = page.evaluate("document.getElementById('shape').data[0].y")
         assert page.complaints() == []
         assert all(u.startswith(("file:", "data:", "blob:")) for u in page.requests())
@@ -163,10 +179,14 @@ def test_modes_through_time_are_drawn(tmp_path: Path) -> None:
     rng, n = np.random.default_rng(0), 30
     t = np.linspace(5, 25, n)
     f = 3 - 0.01 * (t - 15) + 0.003 * rng.standard_normal(n)
-    std = Uncertainty.independent(np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01))
+    std = Uncertainty.independent(
+        np.array([0.003]), np.array([0.001]), np.full((2, 1), 0.01)
+    )
     sets = [
         Stretch(
-            float(k), ModeSet(f[[k]], np.array([0.01]), np.array([[1.0], [0.5]]), ("a", "b")), std
+            float(k),
+            ModeSet(f[[k]], np.array([0.01]), np.array([[1.0], [0.5]]), ("a", "b")),
+            std,
         )
         for k in range(n)
         if k != 4
@@ -191,7 +211,9 @@ def test_mode_shapes_move_in_a_page_and_in_a_notebook(tmp_path: Path) -> None:
     cell = tmp_path / "cell.html"
     cell.write_text(f"<!doctype html><body>{view._repr_html_()}</body>")
     listed = "[...(document.querySelectorAll('select')[1]?.options ?? [])].map((o) => o.text)"
-    framed = listed.replace("document", "document.querySelector('iframe')?.contentDocument?")
+    framed = listed.replace(
+        "document", "document.querySelector('iframe')?.contentDocument?"
+    )
     with chromium.page(tmp_path / "profile") as page:
         for path, names in ((alone, listed), (cell, framed)):
             page.call("Page.navigate", url=path.as_uri())

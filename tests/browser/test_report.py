@@ -63,7 +63,9 @@ def full(stages: dict[str, object], tmp_path_factory: pytest.TempPathFactory) ->
     ).write(folder / "report.html")
 
 
-def test_has_every_section_and_stays_small(full: Path, stages: dict[str, object]) -> None:
+def test_has_every_section_and_stays_small(
+    full: Path, stages: dict[str, object]
+) -> None:
     want = (
         "conclusion summary survey model plan signals frfs identification diagrams tests initial "
         "remodelled localisation sensitivities"
@@ -125,13 +127,17 @@ def test_a_test_without_a_model_starts_with_its_modes_of_all_classes(
     assert isinstance(identify, IdentifyStage)
     ambient = identify.ambient
     one = ambient.modes.take([0])
-    note = Note("candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10})
+    note = Note(
+        "candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10}
+    )
     std = ambient.uncertainty.take([0])
     others = OtherCandidates(one, std, ("doubtful",), (note,))
     first = identify.records[0]
     many = tuple(replace(first, name=f"h{k:02}") for k in range(62))
     stage = replace(identify, ambient=replace(ambient, others=others), records=many)
-    page = assemble({"identify": stage}, info=StudyInfo(title="mast")).write(tmp_path / "r.html")
+    page = assemble({"identify": stage}, info=StudyInfo(title="mast")).write(
+        tmp_path / "r.html"
+    )
     order = ids(page)
     assert order[:4] == ["summary", "identification", "shapes", "diagrams"]
     assert order[-1] == "signals"
@@ -149,13 +155,19 @@ def test_natural_modes_have_the_same_numbers_in_matrix_and_table(
     identify = stages["identify"]
     assert isinstance(identify, IdentifyStage)
     ambient = identify.ambient
-    note = Note("candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10})
+    note = Note(
+        "candidate orders", "information", "0.52 Hz", {"orders": 3, "tried": 10}
+    )
     others = OtherCandidates(
         ambient.modes.take([0]), ambient.uncertainty.take([0]), ("doubtful",), (note,)
     )
     shown = replace(ambient, others=others).diagram
     names = auto_mac(shown).data[0].y
-    natural = [name for name, kind in zip(names, shown.classes, strict=True) if kind == "natural"]
+    natural = [
+        name
+        for name, kind in zip(names, shown.classes, strict=True)
+        if kind == "natural"
+    ]
     assert natural == labels(ambient.modes.frequencies)
     assert len(set(names)) == len(natural) + 1
 
@@ -168,7 +180,11 @@ def test_a_test_without_scatter_is_not_called_exact(
     parts = s.bands.parts.copy()
     parts[:, 1] = 0.0
     silent = {"uncertainty": replace(s, bands=replace(s.bands, parts=parts))}
-    page = assemble(silent, info=StudyInfo(title="silent")).write(tmp_path / "r.html").read_text()
+    page = (
+        assemble(silent, info=StudyInfo(title="silent"))
+        .write(tmp_path / "r.html")
+        .read_text()
+    )
     assert "is the discrepancy of the model" in page
     assert "times more exact" not in page
 
@@ -182,7 +198,9 @@ def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
 ) -> None:
     hammer = InstrumentSection(name="Hammer 5.5 kg", serial="123", channels=["F:1+Z"])
     sensor = InstrumentSection(name="Accelerometer", calibrated="2026-03-02, K 17")
-    info = StudyInfo(title="named", names={"2": "first bending"}, instrument=[hammer, sensor])
+    info = StudyInfo(
+        title="named", names={"2": "first bending"}, instrument=[hammer, sensor]
+    )
     page = assemble(stages, info=info).write(tmp_path / "r.html").read_text()
     tables = re.findall(r"<table>.*?</table>", page, re.DOTALL)
     assert sum("first bending" in t for t in tables) >= 3  # hammer test, initial, final
@@ -191,12 +209,16 @@ def test_names_of_modes_stand_in_tables_and_views_and_instruments_are_listed(
     assert "2026-03-02, K 17" in listed
     assert listed.count("not stated") == 1
     with pytest.raises(ConfigError, match=r"names: no test mode 99; there are \d+"):
-        assemble(stages, info=StudyInfo(names={"99": "lost"})).write(tmp_path / "r.html")
+        assemble(stages, info=StudyInfo(names={"99": "lost"})).write(
+            tmp_path / "r.html"
+        )
     with pytest.raises(ValueError, match="no number of a test mode"):
         StudyInfo(names={"first": "bending"})
 
 
-def test_refuses_what_it_does_not_know(stages: dict[str, object], tmp_path: Path) -> None:
+def test_refuses_what_it_does_not_know(
+    stages: dict[str, object], tmp_path: Path
+) -> None:
     out = tmp_path / "r.html"
     with pytest.raises(InputError, match="no such file"):
         assemble(
@@ -235,20 +257,30 @@ def test_packs_overlaid_curves_within_a_line_width() -> None:
     t = np.linspace(0, 1, 300)
     y = np.sin(np.outer(np.arange(1, 40), t))
     fig = go.Figure(
-        go.Scatter(**dict(zip("xy", joined(t, y), strict=True)), meta={"overlay": y.shape[0]})
+        go.Scatter(
+            **dict(zip("xy", joined(t, y), strict=True)), meta={"overlay": y.shape[0]}
+        )
     )
     text = figure_json(fig)
     assert len(text) < 0.3 * len(str(fig.to_json()))
     meta = json.loads(text)["data"][0]["meta"]
-    back = np.frombuffer(base64.b64decode(meta["q"]), "<i2").reshape(y.shape) * meta["peak"] / 32767
+    back = (
+        np.frombuffer(base64.b64decode(meta["q"]), "<i2").reshape(y.shape)
+        * meta["peak"]
+        / 32767
+    )
     np.testing.assert_allclose(
         back, y, atol=2e-5
     )  # half a step of 16 bits; a line is 1/300 of the height
-    np.testing.assert_allclose(np.frombuffer(base64.b64decode(meta["x"]), "<f4"), t, atol=1e-6)
+    np.testing.assert_allclose(
+        np.frombuffer(base64.b64decode(meta["x"]), "<f4"), t, atol=1e-6
+    )
 
 
 @pytest.fixture(scope="module")
-def page(full: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
+def page(
+    full: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[chromium.Page]:
     with chromium.page(tmp_path_factory.mktemp("profile")) as opened:
         opened.call("Page.navigate", url=full.as_uri())
         yield opened
@@ -287,7 +319,11 @@ def test_draws_a_figure_as_it_comes_near_and_every_one_to_print(
     page.evaluate("document.querySelector('nav a[href=\"#shapes\"]').click()")
     assert page.until("document.querySelector('#shapes details').open")
     assert page.complaints() == []
-    outside = [u for u in page.requests() if not u.startswith(("data:", "blob:", full.as_uri()))]
+    outside = [
+        u
+        for u in page.requests()
+        if not u.startswith(("data:", "blob:", full.as_uri()))
+    ]
     assert outside == []
 
 
@@ -337,7 +373,9 @@ def test_shows_and_moves_the_mode_shapes(page: chromium.Page) -> None:
     colors = page.evaluate(COLORS)
     assert len(colors) == 5
     assert min(colors) > 20
-    page.evaluate("document.getElementById('shapes').scrollIntoView({behavior: 'instant'})")
+    page.evaluate(
+        "document.getElementById('shapes').scrollIntoView({behavior: 'instant'})"
+    )
     image = "document.querySelector('#shapes canvas').toDataURL().slice(-4000)"
     first = page.evaluate(image)
     assert page.until(f"({image}) !== {first!r}")
@@ -418,9 +456,13 @@ def test_the_modes_of_the_deck_are_listed_as_far_as_they_were_correlated(
 ) -> None:
     """Without an fmax the first modes end before anything is known of the test."""
     model, correlated = stages["model"], stages["correlate"]
-    early = replace(model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2])
+    early = replace(
+        model, modes=model.modes.take([0, 1]), residuals=model.residuals[:2]
+    )
     page = (
-        assemble({"model": early, "correlate": correlated}, info=StudyInfo(title="Short"))
+        assemble(
+            {"model": early, "correlate": correlated}, info=StudyInfo(title="Short")
+        )
         .write(tmp_path / "r.html")
         .read_text()
     )
@@ -436,10 +478,15 @@ def test_orthogonality_is_judged_only_where_the_mass_keeps_the_modes_of_the_mode
     """Too few channels: a verdict on the test would be one on the channels."""
     final = stages["final"]
     measures = final.evidence.measures
-    kinds = [replace(c, verdict=replace(c.verdict, passed=apart)) for c in measures.checks]
+    kinds = [
+        replace(c, verdict=replace(c.verdict, passed=apart)) for c in measures.checks
+    ]
     evidence = replace(final.evidence, measures=replace(measures, checks=tuple(kinds)))
     page = (
-        assemble({"final": replace(final, evidence=evidence)}, info=StudyInfo(title="Few channels"))
+        assemble(
+            {"final": replace(final, evidence=evidence)},
+            info=StudyInfo(title="Few channels"),
+        )
         .write(tmp_path / "r.html")
         .read_text()
     )

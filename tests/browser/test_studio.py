@@ -24,7 +24,8 @@ from ringtrue.demos import frame
 from ringtrue.io.choices import read_choice
 
 pytestmark = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the studio is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the studio is NOT tested",
 )
 
 POLE = """(() => {
@@ -40,13 +41,17 @@ POLE = """(() => {
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
     """The folder of a study with hammer records, and the address of its studio."""
     folder = tmp_path_factory.mktemp("frame")
-    study = frame.write_study(folder, frame.MODEL + frame.TEST + frame.SETTINGS, ambient=False)
+    study = frame.write_study(
+        folder, frame.MODEL + frame.TEST + frame.SETTINGS, ambient=False
+    )
     rt.run_study(study, until="identify")
     command = [sys.executable, "-m", "ringtrue", "studio", str(study), "--no-browser"]
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     # a server that a test has started is none in a test
     own = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")} | one
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=own) as server:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env=own
+    ) as server:
         assert server.stdout is not None
         yield folder, server.stdout.readline().split()[-1]
         server.terminate()
@@ -60,7 +65,9 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
         urllib.request.urlopen(bare)
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=address.replace("/?", "/poles?"))
-        assert page.until("!!document.querySelector('.js-plotly-plot')?._fullData?.length")
+        assert page.until(
+            "!!document.querySelector('.js-plotly-plot')?._fullData?.length"
+        )
         place = page.evaluate(POLE)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             page.mouse(kind, (place["x"], place["y"]), held=kind == "mousePressed")
@@ -68,9 +75,15 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
         assert page.until("document.body.innerText.includes('picked')", 30)
         # the cookie is enough; the pick is shown again
         page.call("Page.navigate", url=f"{bare}poles")
-        assert page.until("document.body?.innerText.includes('order " + str(place["order"]) + "')")
+        assert page.until(
+            "document.body?.innerText.includes('order " + str(place["order"]) + "')"
+        )
         assert page.complaints() == []
-        elsewhere = [u for u in page.requests() if not u.startswith((bare, "data:", "blob:", "ws"))]
+        elsewhere = [
+            u
+            for u in page.requests()
+            if not u.startswith((bare, "data:", "blob:", "ws"))
+        ]
         assert elsewhere == []
     (pick,) = read_choice(folder / "choice.toml").picks
     assert pick.order == place["order"]
@@ -94,7 +107,12 @@ def test_a_mode_that_is_drawn_onto_another_is_merged_with_it(
     with chromium.page(tmp_path / "profile") as page:
         page.call("Page.navigate", url=address.replace("/?", "/poles?"))
         one, other = found(page, MODES)
-        for kind, mark in (("Moved", one), ("Pressed", one), ("Moved", other), ("Released", other)):
+        for kind, mark in (
+            ("Moved", one),
+            ("Pressed", one),
+            ("Moved", other),
+            ("Released", other),
+        ):
             page.mouse(f"mouse{kind}", tuple(mark["at"]), held=kind != "Moved")
             page.until("new Promise((done) => setTimeout(() => done(true), 300))")
         fill(page, "Reason", "one mode, split in two")

@@ -43,7 +43,8 @@ from ringtrue.io.sheets import read_sensor_sheet
 from ringtrue.study.config import parse_config
 
 pytestmark = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the studio is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the studio is NOT tested",
 )
 PYTHON = os.environ.get("RINGTRUE_PYTHON", sys.executable)
 REVERSED = "203+X"
@@ -82,7 +83,9 @@ def began(page: chromium.Page, folder: Path) -> None:
 def two_poles(page: chromium.Page, folder: Path) -> None:
     """Two poles of the diagram are picked with the mouse."""
     for count, near in enumerate((2.5, 9.4), 1):
-        place = found(page, f"{POINT}('.js-plotly-plot', 'pole of a candidate mode', {near})")
+        place = found(
+            page, f"{POINT}('.js-plotly-plot', 'pole of a candidate mode', {near})"
+        )
         mouse(page, tuple(place["at"]))
         see(page, f"picked {place['x']:.5g} Hz, order {place['y']}")
         picks = read_choice(folder / "choice.toml").picks
@@ -153,7 +156,9 @@ def reported(page: chromium.Page, folder: Path) -> None:
     fill(page, "1: 1.7286 Hz", NAME)
     press(page, "Write the report anew")
     up_to_date(page, "Verdict and report")
-    inside = "document.querySelector('iframe.rt-report')?.contentDocument?.body?.innerText"
+    inside = (
+        "document.querySelector('iframe.rt-report')?.contentDocument?.body?.innerText"
+    )
     found(page, f"{inside}?.includes({json.dumps(NAME)})")
 
 
@@ -168,7 +173,15 @@ def test_a_campaign_by_clicks_alone(tmp_path: Path) -> None:
     folder = tmp_path / "campaign"
     deck = written(folder)
     log = tmp_path / "log"
-    steps = (began, two_poles, sensor_repaired, pair_locked, two_regions, updated, reported)
+    steps = (
+        began,
+        two_poles,
+        sensor_repaired,
+        pair_locked,
+        two_regions,
+        updated,
+        reported,
+    )
     with (
         studio(deck, log, PYTHON) as (_, address),
         chromium.page(tmp_path / "profile", NO_NETWORK) as page,
@@ -178,11 +191,19 @@ def test_a_campaign_by_clicks_alone(tmp_path: Path) -> None:
             step(page, folder)
         assert page.complaints() == []
         bare = address.partition("?")[0]
-        assert all(u.startswith((bare, "data:", "blob:", "ws")) for u in page.requests())
+        assert all(
+            u.startswith((bare, "data:", "blob:", "ws")) for u in page.requests()
+        )
     assert "Traceback" not in log.read_text()
 
     copied = tmp_path / "copy"
-    made = ("study.h5", "summary.json", "report.html", "updated", ".ringtrue-studio.json")
+    made = (
+        "study.h5",
+        "summary.json",
+        "report.html",
+        "updated",
+        ".ringtrue-studio.json",
+    )
     shutil.copytree(folder, copied, ignore=shutil.ignore_patterns(*made))
     subprocess.run(
         [PYTHON, "-m", "ringtrue", "run", "study.toml"],

@@ -29,7 +29,8 @@ from ringtrue.viewer.scene import (
 )
 
 pytestmark = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the 3D viewer is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the 3D viewer is NOT tested",
 )
 TOP = {"az": -np.pi / 2, "el": np.pi / 2}
 
@@ -46,9 +47,16 @@ def plate(folder: Path) -> dict[str, Any]:
         for a in (1 + i + 5 * j,)
     ]
     rest = ["GRID,90,,4.,1.6,1.", "CBAR,31,3,15,90,1.,0.,0.", "CELAS2,32,1.+6,1,3"]
-    cards = ["PSHELL,1,7,.01", "PSHELL,2,8,.01", "PBAR,3,7,1.-3,1.-6,1.-6", "MAT1,7,2.+11,,.3"]
+    cards = [
+        "PSHELL,1,7,.01",
+        "PSHELL,2,8,.01",
+        "PBAR,3,7,1.-3,1.-6,1.-6",
+        "MAT1,7,2.+11,,.3",
+    ]
     deck = folder / "plate.bdf"
-    deck.write_text("\n".join(["BEGIN BULK", *nodes, *shells, *rest, *cards, "MAT1,8,7.+10,,.3"]))
+    deck.write_text(
+        "\n".join(["BEGIN BULK", *nodes, *shells, *rest, *cards, "MAT1,8,7.+10,,.3"])
+    )
     model = read_deck(deck)
     at = np.array([1, 15])
     test = TestModel(
@@ -112,7 +120,9 @@ def drawn(
     page.evaluate("heard.length = 0")
     page.mouse("mousePressed", a, keys)
     for s in (0.5, 1.0):
-        page.mouse("mouseMoved", (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1])), keys)
+        page.mouse(
+            "mouseMoved", (a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1])), keys
+        )
     page.mouse("mouseReleased", b, keys)
     return page.evaluate("heard.at(-1)")
 
@@ -150,8 +160,12 @@ def test_a_rectangle_has_what_is_seen_inside(page: chromium.Page) -> None:
     page.evaluate("view.show({hide: null})")
 
 
-@pytest.mark.parametrize("what", ["{element: [22]}", "{material: [8]}", "{group: ['property 2']}"])
-def test_the_rest_of_what_is_isolated_is_not_there(page: chromium.Page, what: str) -> None:
+@pytest.mark.parametrize(
+    "what", ["{element: [22]}", "{material: [8]}", "{group: ['property 2']}"]
+)
+def test_the_rest_of_what_is_isolated_is_not_there(
+    page: chromium.Page, what: str
+) -> None:
     page.evaluate(f"view.show({{isolate: {what}}})")
     assert clicked(page, 1.5, 1.5)["id"] == 22
     assert clicked(page, 1.5, 0.5) is None
@@ -173,15 +187,22 @@ def test_a_sensor_is_moved_to_the_node_where_it_is_dropped(page: chromium.Page) 
     assert clicked(page, 2.12, 1.0)["id"] == "15+X"
 
 
-def test_views_move_on_one_clock_and_are_coloured_by_fields(page: chromium.Page) -> None:
+def test_views_move_on_one_clock_and_are_coloured_by_fields(
+    page: chromium.Page,
+) -> None:
     """Both views at the largest deflection of a shape that lifts one edge; then a field."""
-    shape = shape_arrays(np.outer(np.arange(16) == 15, [0.0, 0.0, 2.0]))  # the bar's upper end
+    # the bar's upper end
+    shape = shape_arrays(np.outer(np.arange(16) == 15, [0.0, 0.0, 2.0]))
     image = "[view, other].map((v) => v.canvas.toDataURL())"
-    page.evaluate(f"for (const v of [view, other]) {{ v.shapes('1', {to_json(shape)}); }}; 0")
+    page.evaluate(
+        f"for (const v of [view, other]) {{ v.shapes('1', {to_json(shape)}); }}; 0"
+    )
     page.evaluate(
         "for (const v of [view, other]) v.show({mode: '1', camera: {az: -1, el: 0.4}}); 0"
     )
-    still = page.evaluate(f"new Promise((done) => setTimeout(() => done({image}), 300))")
+    still = page.evaluate(
+        f"new Promise((done) => setTimeout(() => done({image}), 300))"
+    )
     page.evaluate("clock.play()")
     assert page.until(f"{image}.every((v, k) => v !== {json.dumps(still)}[k])")
     page.evaluate("clock.set(Math.PI)")
@@ -189,11 +210,19 @@ def test_views_move_on_one_clock_and_are_coloured_by_fields(page: chromium.Page)
     values = {"of": "element", "ids": [11, 24], "values": [1, 3], "unit": "Hz"}
     page.evaluate(f"view.field('f', {json.dumps(values)}); view.show({{field: 'f'}})")
     assert page.evaluate("view.scale.innerText.split('\\n')") == ["f, Hz", "1", "3"]
-    page.evaluate("view.show({labels: {node: [90], sensor: ['1+Z']}, field: null, theme: 'dark'})")
-    assert page.evaluate("[...view.marks.children].map((e) => e.textContent)") == ["90", "1+Z"]
+    page.evaluate(
+        "view.show({labels: {node: [90], sensor: ['1+Z']}, field: null, theme: 'dark'})"
+    )
+    assert page.evaluate("[...view.marks.children].map((e) => e.textContent)") == [
+        "90",
+        "1+Z",
+    ]
     png = page.evaluate("view.snapshot().then((b) => b.type)")
     page.evaluate("other.destroy()")
-    assert (png, page.evaluate("document.getElementById('b').children.length")) == ("image/png", 0)
+    assert (png, page.evaluate("document.getElementById('b').children.length")) == (
+        "image/png",
+        0,
+    )
 
 
 def test_without_webgl_the_view_says_what_it_needs(page: chromium.Page) -> None:

@@ -21,7 +21,8 @@ from test_viewer import TOP, plate, where
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
 pytestmark = pytest.mark.skipif(
-    chromium.find() is None, reason="no Chromium on this machine: the 3D viewer is NOT tested"
+    chromium.find() is None,
+    reason="no Chromium on this machine: the 3D viewer is NOT tested",
 )
 
 
@@ -55,7 +56,13 @@ def serve(port: int, folder: Path) -> None:
         for name, state in changes.items():
             ui.button(name, on_click=lambda s=state: viewer.show(**s)).classes(name)
 
-    ui.run(host="127.0.0.1", port=port, show=False, reload=False, uvicorn_logging_level="error")
+    ui.run(
+        host="127.0.0.1",
+        port=port,
+        show=False,
+        reload=False,
+        uvicorn_logging_level="error",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +81,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Page]:
             with chromium.page(folder / "profile") as page:
                 page.call("Page.navigate", url=f"http://127.0.0.1:{port}/")
                 ready = "[...document.querySelectorAll('.view')].every((e) => e.parentElement.ringtrueView?.drawn)"
-                assert page.until(f"document.querySelectorAll('.view').length === 2 && {ready}", 60)
+                assert page.until(
+                    f"document.querySelectorAll('.view').length === 2 && {ready}", 60
+                )
                 page.evaluate(
                     "window.view = document.querySelector('.view').parentElement.ringtrueView; 0"
                 )
@@ -96,7 +105,9 @@ def heard(page: chromium.Page, *places: tuple[float, float], keys: int = 0) -> A
 
     page.evaluate("window.before = document.querySelector('.heard').textContent; 0")
     at = [where(page, *p) for p in places]
-    left, top = page.evaluate("(({x, y}) => [x, y])(view.canvas.getBoundingClientRect())")
+    left, top = page.evaluate(
+        "(({x, y}) => [x, y])(view.canvas.getBoundingClientRect())"
+    )
     at = [(x + left, y + top) for x, y in at]
     page.mouse("mousePressed", at[0], keys)
     for p in at[1:]:
@@ -116,7 +127,12 @@ def shown(page: chromium.Page, name: str, until: str) -> None:
 
 def test_python_hears_the_mouse_and_changes_what_is_shown(page: chromium.Page) -> None:
     name, found = heard(page, (2.5, 1.5))
-    assert (name, found["kind"], found["id"], found["material"]) == ("pick", "element", 23, 8)
+    assert (name, found["kind"], found["id"], found["material"]) == (
+        "pick",
+        "element",
+        23,
+        8,
+    )
     name, box = heard(page, (0.9, 0.4), (1.5, 1.5), (2.2, 2.3), keys=2)
     assert (name, sorted(box["element"])) == ("box", [11, 12, 13, 21, 22, 23])
     name, moved = heard(page, (4.1, 2.0), (3.0, 1.0), (2.1, 1.05))

@@ -23,7 +23,10 @@ from ringtrue.testing import check_modal_solver
 @pytest.mark.parametrize("clamped", [False, True])
 def test_embedded_meets_the_contract(clamped):
     result = check_modal_solver(
-        EmbeddedSolver(), shell(6, 4, clamped=clamped), count=10, parameters=parameters()
+        EmbeddedSolver(),
+        shell(6, 4, clamped=clamped),
+        count=10,
+        parameters=parameters(),
     )
     assert result.complete
     rigid = np.abs(result.modes.frequencies) < 1e-2
@@ -45,7 +48,11 @@ def test_other_solvers_meet_the_contract(name, clamped):
     result = check_modal_solver(solver(name), model, count=10, parameters=parameters())
     rigid = np.abs(result.modes.frequencies) < 1e-2
     assert rigid.sum() == (0 if clamped else 6)
-    assert result.complete or "not proved" in result.proof or "no Sturm count" in result.proof
+    assert (
+        result.complete
+        or "not proved" in result.proof
+        or "no Sturm count" in result.proof
+    )
 
 
 def test_registry():
@@ -63,7 +70,11 @@ def test_static_and_frf_agree_at_zero_frequency():
         at, sign = analysis.dofs.align(tip)
         u = analysis.static(load)[at, 0] * sign
         h = analysis.frf(
-            tip, DofSet.parse(["35+Z"]), np.array([0.0, 1.0]), ModesRequest(20), damping=0.01
+            tip,
+            DofSet.parse(["35+Z"]),
+            np.array([0.0, 1.0]),
+            ModesRequest(20),
+            damping=0.01,
         )
     assert h.shape == (2, 3, 1)
     assert u[0] < 0 < u[1]

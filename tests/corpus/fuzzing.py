@@ -30,7 +30,8 @@ from ringtrue.errors import RingtrueError
 from ringtrue.io.foreign import door
 
 HANG_S = 20.0  # of one input
-ADDRESSES = 8 << 30  # bytes, of a process, so that a fault does not take the machine down
+# bytes, of a process, so that a fault does not take the machine down
+ADDRESSES = 8 << 30
 # for a parser in its own process, which users give 5 s: damaged files hang in HDF5 by the thousand
 PARSER_S = 0.3
 BATCH = 20_000  # inputs of one process at most: its memory is that of few
@@ -115,7 +116,9 @@ def fuzz(job: Job, count: float, seconds: float = math.inf) -> Figures:
             shutil.copy(folder / f"input{job.ending}", kept)
             done += 1
         shutil.rmtree(folder, ignore_errors=True)
-        figures += Figures(done, accepted, refused, how == "hang", how == "killed", peak)
+        figures += Figures(
+            done, accepted, refused, how == "hang", how == "killed", peak
+        )
         first += max(done, 1) if how else size
     if job.faults.exists():
         figures.tracebacks = Counter(
@@ -196,7 +199,9 @@ class _Reader:
         mine = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         its = _children_mb() if self.done % _LOOKED_AT == 0 else 0.0
         self.peak = max(self.peak, mine, its)
-        self.shared[:] = _COUNTERS.pack(self.done, self.accepted, self.refused, begun, self.peak)
+        self.shared[:] = _COUNTERS.pack(
+            self.done, self.accepted, self.refused, begun, self.peak
+        )
 
     def _write_down(self, exc: Exception, data: bytes) -> None:
         frames = [
@@ -204,7 +209,9 @@ class _Reader:
             for f in traceback.extract_tb(exc.__traceback__)
             if f"{os.sep}ringtrue{os.sep}" in f.filename
         ]
-        place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
+        place = (
+            f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
+        )
         name = f"{type(exc).__name__} in {place}"
         self.faults[name] += 1
         if self.faults.total() <= _FAULTS:

@@ -136,7 +136,19 @@ def _change(data: bytearray, rng: random.Random, others: Sequence[bytes]) -> Non
         at = rng.randrange(min(len(data), 256))  # the head says what all the rest is
     text = b"\0" not in data[:512]
     choice = rng.choice(
-        ("byte", "bit", "cut", "end", "double", "splice", "value", "value", "value", "line", "line")
+        (
+            "byte",
+            "bit",
+            "cut",
+            "end",
+            "double",
+            "splice",
+            "value",
+            "value",
+            "value",
+            "line",
+            "line",
+        )
     )
     if choice == "byte":
         data[at] = rng.randrange(256)
@@ -178,5 +190,9 @@ def _change_line(data: bytearray, rng: random.Random) -> None:
     elif how == 2:
         lines[i], lines[j] = lines[j], lines[i]
     else:
-        lines[i] = rng.choice(_WORDS).encode().join(lines[i].split(rng.choice((b",", b" ", b"="))))
+        lines[i] = (
+            rng.choice(_WORDS)
+            .encode()
+            .join(lines[i].split(rng.choice((b",", b" ", b"="))))
+        )
     data[:] = b"\n".join(lines)

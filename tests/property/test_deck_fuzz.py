@@ -99,7 +99,10 @@ CBUSH1D,14,14,3,4
 PBUSH1D,14,1.+4
 """,
 }
-TOP = {"surfaces": "CEND\nSPC=1\nNSM=9\nBEGIN BULK\n", "joints": "CEND\nSPC=1\nMPC=5\nBEGIN BULK\n"}
+TOP = {
+    "surfaces": "CEND\nSPC=1\nNSM=9\nBEGIN BULK\n",
+    "joints": "CEND\nSPC=1\nMPC=5\nBEGIN BULK\n",
+}
 COUNT = 25  # decks a kind
 VALUES = (
     *(

@@ -47,14 +47,18 @@ def test_eight_characters_are_the_nearest_of_their_form(x: float) -> None:
 
 
 @given(st.floats(1e-3, 9e4), st.sampled_from([8, 16]), st.sampled_from([1, -1]))
-def test_usual_reals_keep_all_digits_that_fit(size: float, width: int, sign: int) -> None:
+def test_usual_reals_keep_all_digits_that_fit(
+    size: float, width: int, sign: int
+) -> None:
     """No decimal number of as many characters is nearer."""
     x = sign * size
     text = format_real(x, width)
     whole = len(str(int(size))) if size >= 1 else 0
     decimals = width - (sign < 0) - 1 - whole
     assert len(text) <= width
-    assert abs(float(text) - x) <= 0.5 * 10.0**-decimals * (1 + 1e-9) + 2 * np.spacing(size)
+    assert abs(float(text) - x) <= 0.5 * 10.0**-decimals * (1 + 1e-9) + 2 * np.spacing(
+        size
+    )
 
 
 @given(st.integers(-(10**7) + 1, 10**8 - 1))
@@ -65,7 +69,9 @@ def test_integers_are_exact(i: int) -> None:
 
 
 @given(
-    st.decimals(allow_nan=False, allow_infinity=False, places=5, min_value=-9999, max_value=9999)
+    st.decimals(
+        allow_nan=False, allow_infinity=False, places=5, min_value=-9999, max_value=9999
+    )
 )
 def test_short_decimals_are_exact(x: object) -> None:
     assert real(format_real(float(str(x)), 16)) == float(str(x))
@@ -74,7 +80,10 @@ def test_short_decimals_are_exact(x: object) -> None:
 @settings(max_examples=30, deadline=None)
 @given(
     st.lists(
-        st.tuples(ids, plain, plain, plain), min_size=1, max_size=20, unique_by=lambda r: r[0]
+        st.tuples(ids, plain, plain, plain),
+        min_size=1,
+        max_size=20,
+        unique_by=lambda r: r[0],
     ),
     st.booleans(),
 )
@@ -84,7 +93,10 @@ def test_cards_read_back_as_written(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bdf"
         path.write_text(
-            "".join(format_card("GRID", [i, None, x, y, z], large=large) for i, x, y, z in rows)
+            "".join(
+                format_card("GRID", [i, None, x, y, z], large=large)
+                for i, x, y, z in rows
+            )
         )
         grid = read_deck(path)["GRID"]
     np.testing.assert_array_equal(grid.ids, [r[0] for r in rows])
@@ -108,22 +120,32 @@ CARD = {
     st.sampled_from(sorted(CARD)),
     st.dictionaries(st.sampled_from(FIELDS), plain, min_size=1, max_size=6),
 )
-def test_edits_read_back_and_leave_the_rest(style: str, values: dict[str, float]) -> None:
+def test_edits_read_back_and_leave_the_rest(
+    style: str, values: dict[str, float]
+) -> None:
     before, after = "$ head, $ $\nMAT1,1,2.+11,,.3\n", "$ tail\nFORCE,1,1,,1.,1.\n"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bdf"
         path.write_text(before + CARD[style] + after)
         old = read_deck(path)
         written = edit_fields(
-            old, [FieldChange("PBAR", 1, f, v) for f, v in values.items()], Path(folder) / "new"
+            old,
+            [FieldChange("PBAR", 1, f, v) for f, v in values.items()],
+            Path(folder) / "new",
         )
         text, new = written[0].read_text(), read_deck(written[0])
     assert text.startswith(before)
     assert text.endswith(after)
     width = 16 if style == "large" else 8
     for name in FIELDS:
-        want = real(format_real(values[name], width)) if name in values else old["PBAR"][name][0]
-        np.testing.assert_array_equal(new["PBAR"][name][0], want, err_msg=f"{name} in {text}")
+        want = (
+            real(format_real(values[name], width))
+            if name in values
+            else old["PBAR"][name][0]
+        )
+        np.testing.assert_array_equal(
+            new["PBAR"][name][0], want, err_msg=f"{name} in {text}"
+        )
 
 
 SEED = (
@@ -147,7 +169,9 @@ MUTATION = st.tuples(
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(MUTATION, min_size=1, max_size=6))
-def test_a_mangled_deck_is_read_or_refused(changes: list[tuple[float, int, str]]) -> None:
+def test_a_mangled_deck_is_read_or_refused(
+    changes: list[tuple[float, int, str]],
+) -> None:
     text = SEED
     for where, gone, new in changes:
         at = int(where * len(text))

@@ -84,7 +84,10 @@ def write_inputs(folder: Path) -> Path:
     (folder / "truth.bdf").unlink()
     test = small_study.test_model()
     damped = type(seen)(
-        seen.frequencies, np.full(len(seen), small_study.DAMPING), seen.shapes, seen.labels
+        seen.frequencies,
+        np.full(len(seen), small_study.DAMPING),
+        seen.shapes,
+        seen.labels,
     )
     write_modes(folder / "modes.json", damped)
     write_sheet(folder / "sensors.csv", test, test.channels)
@@ -118,12 +121,15 @@ def whole_run(study: Path) -> None:
 
 def _known(target: Path, folder: Path) -> Write:
     count, own = (
-        len(set(Store(f).stages()) - {"provenance"}) for f in (folder / "study.h5", folder / SETS)
+        len(set(Store(f).stages()) - {"provenance"})
+        for f in (folder / "study.h5", folder / SETS)
     )
     return str(target.relative_to(folder)), count, own
 
 
-def _at_each_write(told: Callable[[Path, Path], None], done: Callable[[Path], None]) -> None:
+def _at_each_write(
+    told: Callable[[Path, Path], None], done: Callable[[Path], None]
+) -> None:
     """Call `told` with the temporary file and the target before it gets into its place, `done`
     after.
     """
@@ -146,7 +152,9 @@ def writes_of(study: Path) -> list[Write]:
 
     def work() -> None:
         found: list[Write] = []
-        _at_each_write(lambda _, target: found.append(_known(target, study.parent)), lambda _: None)
+        _at_each_write(
+            lambda _, target: found.append(_known(target, study.parent)), lambda _: None
+        )
         whole_run(study)
         log.write_text(json.dumps(found))
 
@@ -203,7 +211,8 @@ def results(study: Path) -> dict[str, object]:
     """All that a run leaves: stages, decks and summary; times are those of the run."""
     folder = study.parent
     decks = {
-        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.b[dl][fk]"))
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in sorted(folder.rglob("*.b[dl][fk]"))
     }
     summary = json.loads((folder / "summary.json").read_text())
     summary.pop("timings_s")
@@ -248,7 +257,9 @@ def read_anew(path: Path) -> dict[str, str]:
 
 
 def _digest_of(result: object) -> str:
-    with h5py.File("result", "w", driver="core", backing_store=False, libver="latest") as file:
+    with h5py.File(
+        "result", "w", driver="core", backing_store=False, libver="latest"
+    ) as file:
         group = file.create_group("x")
         hdf5.save(group, result)
         return digest(group)

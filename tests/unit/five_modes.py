@@ -23,7 +23,9 @@ def motion() -> np.ndarray:
     for phi, f, z in zip(PHI.T, F, Z, strict=True):
         s = 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2))
         q = lfilter(
-            [1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(y.shape[1]).astype(complex)
+            [1.0],
+            [1.0, -np.exp(s / RATE)],
+            rng.standard_normal(y.shape[1]).astype(complex),
         )
         y += np.outer(phi, (s * q).imag)
     return y + 0.03 * y.std() * rng.standard_normal(y.shape)
@@ -31,5 +33,8 @@ def motion() -> np.ndarray:
 
 def record(y: np.ndarray) -> TimeHistory:
     return TimeHistory(
-        y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+        y,
+        RATE,
+        tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))),
+        "made",
     )

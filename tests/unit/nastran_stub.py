@@ -46,7 +46,9 @@ def request(deck: list[list[str]]) -> ModesRequest:
     fields = next(c for c in deck if c[0] == "EIGRL")
     assert fields[8] == "MASS"
     if fields[3]:
-        return ModesRequest(band=(real(fields[2]) if fields[2] else -1.0, real(fields[3])))
+        return ModesRequest(
+            band=(real(fields[2]) if fields[2] else -1.0, real(fields[3]))
+        )
     return ModesRequest(int(fields[4]))
 
 
@@ -71,10 +73,16 @@ def changed(model: Model, deck: list[list[str]], x: np.ndarray) -> Model:
     ):
         pairs = [p for p in pairs if p]
         terms = zip(pairs[::2], pairs[1::2], strict=True)
-        value = (real(spare) if spare else 0.0) + sum(real(c) * x[int(v) - 1] for v, c in terms)
+        value = (real(spare) if spare else 0.0) + sum(
+            real(c) * x[int(v) - 1] for v, c in terms
+        )
         assert name == {"P": "DVPREL1", "M": "DVMREL1"}.get(card[0], "DVCREL1")
-        model = model.with_values(card, field, np.array([int(target)]), np.array([value]))
-    for _, variable, node, frame, factor, *vector in (c[:8] for c in deck if c[0] == "DVGRID"):
+        model = model.with_values(
+            card, field, np.array([int(target)]), np.array([value])
+        )
+    for _, variable, node, frame, factor, *vector in (
+        c[:8] for c in deck if c[0] == "DVGRID"
+    ):
         assert frame in ("", "0")
         n = Shape((int(node),), (tuple(real(v or "0.") for v in vector),))  # type: ignore[arg-type]
         model = moved(model, n, real(factor) * (x[int(variable) - 1] - 1))
@@ -96,7 +104,9 @@ def sensitivities(
             here = changed(model, deck, x)
             modes = solve(here, wanted)
             turn = np.sign(np.einsum("dm,dm->m", reference.shapes, modes.shapes))
-            ends.append(((2 * np.pi * modes.frequencies) ** 2, local(here, modes) * turn))
+            ends.append(
+                ((2 * np.pi * modes.frequencies) ** 2, local(here, modes) * turn)
+            )
         slopes.append([(a - b) / (2 * STEP) for a, b in zip(*ends, strict=True)])
     at = {int(n): i for i, n in enumerate(model["GRID"].ids)}
     columns, values = [], []
@@ -114,7 +124,11 @@ def sensitivities(
 
 
 def write(
-    out: Path, kind: str, model: Model, modes: ModeSet, design: tuple[np.ndarray, np.ndarray] | None
+    out: Path,
+    kind: str,
+    model: Model,
+    modes: ModeSet,
+    design: tuple[np.ndarray, np.ndarray] | None,
 ) -> None:
     nodes, motion = model["GRID"].ids, local(model, modes)
     lam = np.sign(modes.frequencies) * (2 * np.pi * modes.frequencies) ** 2
@@ -140,7 +154,9 @@ def printed(lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> str:
     text = "    R E A L   E I G E N V A L U E S\n"
     for k, v in enumerate(lam):
         text += (
-            f"{k + 1:9d}{k + 1:10d}" + "".join(f"{x:20.6E}" for x in (v, 0.0, 0.0, 1.0, v)) + "\n"
+            f"{k + 1:9d}{k + 1:10d}"
+            + "".join(f"{x:20.6E}" for x in (v, 0.0, 0.0, 1.0, v))
+            + "\n"
         )
     for k in range(lam.size):
         text += (
@@ -152,7 +168,9 @@ def printed(lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> str:
     return text
 
 
-def write_h5(path: Path, lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray) -> None:
+def write_h5(
+    path: Path, lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray
+) -> None:
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
     shapes = np.zeros(
         nodes.size * lam.size,
@@ -165,7 +183,9 @@ def write_h5(path: Path, lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray)
     for c, name in enumerate(names):
         shapes[name] = motion[:, c].T.ravel()
     ints = ("ID", "SUBCASE", "ANALYSIS", "MODE", "SE")
-    domains = np.zeros(lam.size, dtype=[(n, "i8") for n in ints] + [("TIME_FREQ_EIGR", "f8")])
+    domains = np.zeros(
+        lam.size, dtype=[(n, "i8") for n in ints] + [("TIME_FREQ_EIGR", "f8")]
+    )
     domains["ID"], domains["MODE"], domains["TIME_FREQ_EIGR"] = (
         np.arange(lam.size) + 2,
         np.arange(lam.size) + 1,
@@ -173,7 +193,10 @@ def write_h5(path: Path, lam: np.ndarray, nodes: np.ndarray, motion: np.ndarray)
     )
     domains["SUBCASE"], domains["ANALYSIS"] = 1, 2
     with h5py.File(path, "w") as file:
-        file["NASTRAN/RESULT/NODAL/EIGENVECTOR"], file["NASTRAN/RESULT/DOMAINS"] = shapes, domains
+        file["NASTRAN/RESULT/NODAL/EIGENVECTOR"], file["NASTRAN/RESULT/DOMAINS"] = (
+            shapes,
+            domains,
+        )
 
 
 def main() -> int:
@@ -191,7 +214,11 @@ def main() -> int:
         return 0
     deck = cards(path)
     model, wanted = read_deck(path), request(deck)
-    design = sensitivities(model, deck, wanted) if path.read_text().startswith("SOL 200") else None
+    design = (
+        sensitivities(model, deck, wanted)
+        if path.read_text().startswith("SOL 200")
+        else None
+    )
     write(path, kind, model, solve(model, wanted), design)
     if behaviour in ("full", "cut"):
         for ending in (".op2", ".h5"):

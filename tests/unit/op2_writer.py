@@ -20,7 +20,8 @@ class Op2Writer:
     order: str = "<"
     word: int = 4
     enhanced: bool = (
-        False  # six words after label and names, as PARAM,POST,1 of MSC Nastran writes them
+        # six words after label and names, as PARAM,POST,1 of MSC Nastran writes them
+        False
     )
     out: bytearray = field(default_factory=bytearray)
 
@@ -34,7 +35,11 @@ class Op2Writer:
     def pack(self, words: Sequence[Any]) -> bytes:
         i, f = ("i", "f") if self.word == 4 else ("q", "d")
         kinds = "".join(
-            f"{self.word}s" if isinstance(w, bytes) else f if isinstance(w, float) else i
+            f"{self.word}s"
+            if isinstance(w, bytes)
+            else f
+            if isinstance(w, float)
+            else i
             for w in words
         )
         padded = [w.ljust(self.word) if isinstance(w, bytes) else w for w in words]
@@ -83,8 +88,11 @@ class Op2Writer:
         text = name.ljust(8).encode()
         self.row(2, [text[:4], text[4:]])
         for k, words in enumerate(records):
-            half = max(len(words) // 2, 1)  # a logical record may stand in several blocks
-            self.row(k + 3, *(part for part in (words[:half], words[half:]) if len(part)))
+            # a logical record may stand in several blocks
+            half = max(len(words) // 2, 1)
+            self.row(
+                k + 3, *(part for part in (words[:half], words[half:]) if len(part))
+            )
         self.end(len(records) + 3)
 
     def matrix(self, name: str, values: np.ndarray) -> None:
@@ -112,14 +120,24 @@ class Op2Writer:
         rows: list[Any] = []
         for k, (lam, m) in enumerate(zip(eigenvalues, mass, strict=True)):
             w = float(np.sqrt(abs(lam)))
-            rows += [k + 1, k + 1, float(lam), w, w / (2 * np.pi), float(m), float(lam * m)]
+            rows += [
+                k + 1,
+                k + 1,
+                float(lam),
+                w,
+                w / (2 * np.pi),
+                float(m),
+                float(lam * m),
+            ]
         self.table("LAMA", [[21, 6, *[0] * 144], rows])
         records: list[list[Any]] = []
         for k, lam in enumerate(eigenvalues):
             ident: list[Any] = [21, 7, 0, 1, k + 1, float(lam), 0.0, 0, 1, 8]
             records.append(ident + [0] * (146 - len(ident)))
             body: list[Any] = []
-            for node, values in zip(nodes.tolist(), motion[:, :, k].tolist(), strict=True):
+            for node, values in zip(
+                nodes.tolist(), motion[:, :, k].tolist(), strict=True
+            ):
                 body += [10 * node + 1, 1, *values]
             records.append(body)
         self.table(name, records)
@@ -156,8 +174,20 @@ class Op2Writer:
             numbers = numbers.transpose(2, 1, 0)
         records: list[list[Any]] = []
         for k, first in enumerate(outer):
-            ident: list[Any] = [10 * approach + 1, code, 0, 1, first, 0.0, 0.0, 0, form, width]
-            records.append([*ident, *[0] * 40, *[b"    "] * 96])  # title, subtitle and label
+            ident: list[Any] = [
+                10 * approach + 1,
+                code,
+                0,
+                1,
+                first,
+                0.0,
+                0.0,
+                0,
+                form,
+                width,
+            ]
+            # title, subtitle and label
+            records.append([*ident, *[0] * 40, *[b"    "] * 96])
             rows = zip(inner, numbers[:, :, k].tolist(), strict=True)
             records.append([word for second, six in rows for word in (second, 1, *six)])
         self.table(name, records)

@@ -91,7 +91,9 @@ class RigidBody:
         arms = _motion(self.at - self.cg)
         stiff = np.einsum("sai,sa,saj->ij", arms, k, arms)
         cross = _cross(c)
-        heavy = np.block([[m * np.eye(3), -m * cross], [m * cross, j - m * cross @ cross]])
+        heavy = np.block(
+            [[m * np.eye(3), -m * cross], [m * cross, j - m * cross @ cross]]
+        )
         return stiff, heavy
 
     def _dense(self, x: Float) -> DenseModel:
@@ -100,9 +102,17 @@ class RigidBody:
         k, m = self.matrices(a)
         h = 1e-30
         steps = [self.matrices(a + 1j * h * e) for e in np.eye(a.size)]
-        dk = np.array([s[0].imag / h for s in steps]).reshape(-1, 6, 6) * slope[:, None, None]
-        dm = np.array([s[1].imag / h for s in steps]).reshape(-1, 6, 6) * slope[:, None, None]
-        linear = ParameterSet(tuple(replace(p, scale="linear") for p in self.parameters.parameters))
+        dk = (
+            np.array([s[0].imag / h for s in steps]).reshape(-1, 6, 6)
+            * slope[:, None, None]
+        )
+        dm = (
+            np.array([s[1].imag / h for s in steps]).reshape(-1, 6, 6)
+            * slope[:, None, None]
+        )
+        linear = ParameterSet(
+            tuple(replace(p, scale="linear") for p in self.parameters.parameters)
+        )
         seen = np.einsum("ca,cai->ci", self.directions, _motion(self.points - self.cg))
         return DenseModel(k.real, m.real, dk, dm, seen, linear, 6)
 
@@ -116,7 +126,8 @@ class RigidBody:
     def modes(self, x: Float) -> Linearisation:
         """Modes at x (p,)."""
         return replace(
-            self._dense(x).modes(np.zeros(len(self.parameters))), x=np.asarray(x, dtype=np.float64)
+            self._dense(x).modes(np.zeros(len(self.parameters))),
+            x=np.asarray(x, dtype=np.float64),
         )
 
 
@@ -129,7 +140,9 @@ def _scaled(j: Any_, r: int, s: int, a: Any_) -> Any_:
 
 def _cross(c: Any_) -> Any_:
     """c× as a matrix (3, 3)."""
-    return np.array([[0 * c[0], -c[2], c[1]], [c[2], 0 * c[0], -c[0]], [-c[1], c[0], 0 * c[0]]])
+    return np.array(
+        [[0 * c[0], -c[2], c[1]], [c[2], 0 * c[0], -c[0]], [-c[1], c[0], 0 * c[0]]]
+    )
 
 
 def _motion(r: Float) -> Float:

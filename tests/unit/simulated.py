@@ -50,7 +50,9 @@ ENDDATA
 
 
 def visit(
-    session: StudioSession, scenario: Callable[[User], Awaitable[None]], address: str = "/"
+    session: StudioSession,
+    scenario: Callable[[User], Awaitable[None]],
+    address: str = "/",
 ) -> None:
     """Open a page of a session as a user who then does something."""
 
@@ -76,6 +78,8 @@ def opened(ran: Path, tmp_path: Path) -> StudioSession:
     return StudioSession(folder / "study.toml")
 
 
-def on(screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]) -> None:
+def on(
+    screen: str, session: StudioSession, scenario: Callable[[User], Awaitable[None]]
+) -> None:
     """Open a screen as a user who then does something."""
     visit(session, scenario, f"/{screen}")

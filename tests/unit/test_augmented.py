@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ringtrue.identification.frf.refinement import augmented_form, pseudo_inverse, real_form
+from ringtrue.identification.frf.refinement import (
+    augmented_form,
+    pseudo_inverse,
+    real_form,
+)
 
 ROUNDING = 1e-12
 
@@ -26,5 +30,7 @@ def test_inverse_is_that_of_the_complex_matrix(rank: int) -> None:
     v, w = augmented_form(pseudo_inverse(real_form(h[:k, :k], h[:k, k:]), 1e-8))
     want = np.linalg.pinv(h, rcond=1e-8, hermitian=True)
     np.testing.assert_allclose(
-        np.block([[v, w], [w.conj(), v.conj()]]), want, atol=ROUNDING * np.abs(want).max()
+        np.block([[v, w], [w.conj(), v.conj()]]),
+        want,
+        atol=ROUNDING * np.abs(want).max(),
     )

@@ -52,7 +52,9 @@ def installed() -> None:
         ),
     ],
 )
-def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...]) -> None:
+def test_against_recorded_msc_results(
+    deck: str, frequencies: tuple[float, ...]
+) -> None:
     if not (DATA / deck).is_file():
         pytest.skip(f"reference data not found: {DATA / deck}")
     with MystranSolver().open(read_deck(DATA / deck)) as analysis:
@@ -65,7 +67,9 @@ def test_against_recorded_msc_results(deck: str, frequencies: tuple[float, ...])
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("place", ["", ",0.5", ",0.25", ",,0,1.,2.,3."])
-def test_bushes_between_nodes_apart_have_their_place(tmp_path: Path, place: str) -> None:
+def test_bushes_between_nodes_apart_have_their_place(
+    tmp_path: Path, place: str
+) -> None:
     """Three in a row of 10 each, with their springs half way, at a quarter, or where S1 to S3
     say.
     """
@@ -73,7 +77,9 @@ def test_bushes_between_nodes_apart_have_their_place(tmp_path: Path, place: str)
     lines = [f"GRID,{i + 1},,0.,0.,{10.0 * i}\n" for i in range(4)]
     lines += [f"CBUSH,{i},1,{i},{i + 1},1.,0.,0.\n{place}\n" for i in (1, 2, 3)]
     lines += [f"CONM2,{10 + i},{i},,1.\n,1.,,1.,,,1.\n" for i in (2, 3, 4)]
-    path.write_text("".join(lines) + "PBUSH,1,K,100.,200.,300.,400.,500.,600.\nSPC1,1,123456,1\n")
+    path.write_text(
+        "".join(lines) + "PBUSH,1,K,100.,200.,300.,400.,500.,600.\nSPC1,1,123456,1\n"
+    )
     found = []
     for engine in (EmbeddedSolver(), MystranSolver()):
         with engine.open(read_deck(path)) as analysis:
@@ -120,7 +126,10 @@ def test_springs_to_the_ground_get_a_second_node(tmp_path: Path) -> None:
     (tmp_path / "bar.bdf").write_text(GROUNDED)
     model = read_deck(tmp_path / "bar.bdf")
     with MystranSolver().open(model) as analysis, EmbeddedSolver().open(model) as own:
-        found, want = analysis.modes(ModesRequest(5)).modes, own.modes(ModesRequest(5)).modes
+        found, want = (
+            analysis.modes(ModesRequest(5)).modes,
+            own.modes(ModesRequest(5)).modes,
+        )
     assert found.labels.node.tolist() == want.labels.node.tolist()
     np.testing.assert_allclose(
         found.frequencies, want.frequencies, rtol=1e-3
@@ -139,7 +148,10 @@ def test_solids_get_their_integration_written_out(name: str) -> None:
     solid = elements(kind(name)[0], nodes)
     m = Model({t.card: t for t in (grid(xyz, PS=clamped), solid, psolid(), steel())})
     with MystranSolver().open(m) as analysis, EmbeddedSolver().open(m) as own:
-        found, want = analysis.modes(ModesRequest(2)).modes, own.modes(ModesRequest(2)).modes
+        found, want = (
+            analysis.modes(ModesRequest(2)).modes,
+            own.modes(ModesRequest(2)).modes,
+        )
     np.testing.assert_allclose(
         found.frequencies, want.frequencies, rtol=0.04
     )  # other elements, six along the beam
@@ -150,7 +162,9 @@ def test_solids_get_their_integration_written_out(name: str) -> None:
 def test_a_free_shell_with_drilling_and_a_mass_by_its_place() -> None:
     """MYSTRAN holds rotations to the ground by K6ROT, and knows no CID -1 of a CONM2."""
     m = shell(5, 3)
-    mass = cards("CONM2", EID=[900], G=[2], CID=[-1], M=[30.0], X1=[0.3], X2=[0.5], X3=[0.4])
+    mass = cards(
+        "CONM2", EID=[900], G=[2], CID=[-1], M=[30.0], X1=[0.3], X2=[0.5], X3=[0.4]
+    )
     m = Model({**m.tables, "CONM2": mass}, {"K6ROT": 100.0})
     own, handed = assemble(m), assemble(MystranSolver().adapted(m))
     assert abs(own.mass - handed.mass).max() < 1e-12
@@ -164,7 +178,10 @@ def test_a_free_shell_with_drilling_and_a_mass_by_its_place() -> None:
 def test_a_fatal_deck_is_an_error_although_it_exits_with_0() -> None:
     lost = shell(3, 2)
     lost = Model(
-        {**lost.tables, "PSHELL": lost["PSHELL"].with_column("MID1", np.array([1, 2, 99]))}
+        {
+            **lost.tables,
+            "PSHELL": lost["PSHELL"].with_column("MID1", np.array([1, 2, 99])),
+        }
     )
     with MystranSolver().open(shell(3, 2)) as analysis:
         deck = modes_deck(lost, ModesRequest(3), MystranSolver())
@@ -179,16 +196,21 @@ def test_its_two_files_agree(tmp_path: Path) -> None:
         analysis.modes(ModesRequest(4))
     run = tmp_path / "run1"
     f06, op2 = (
-        read_nastran_modes(run / f"model.{e}", mass_normalised=True) for e in ("F06", "OP2")
+        read_nastran_modes(run / f"model.{e}", mass_normalised=True)
+        for e in ("F06", "OP2")
     )
     np.testing.assert_allclose(op2.frequencies, f06.frequencies, rtol=1e-6)
-    np.testing.assert_allclose(op2.shapes, f06.shapes, atol=1e-6 * np.abs(f06.shapes).max())
+    np.testing.assert_allclose(
+        op2.shapes, f06.shapes, atol=1e-6 * np.abs(f06.shapes).max()
+    )
 
 
 @pytest.mark.solver
 @pytest.mark.usefixtures("installed")
 def test_a_missing_deck_does_not_wait_for_the_keyboard(tmp_path: Path) -> None:
-    done = run_program([find_mystran(), "no.bdf"], tmp_path, name="mystran", timeout=20.0)
+    done = run_program(
+        [find_mystran(), "no.bdf"], tmp_path, name="mystran", timeout=20.0
+    )
     assert not done.files(".op2")
 
 

@@ -38,20 +38,30 @@ STUB = Path(__file__).with_name("nastran_stub.py")
 
 
 def stub(behaviour: str = "success", kind: str = "op2", **more) -> NastranSolver:
-    return NastranSolver(command=f"{sys.executable} {STUB} {behaviour} {kind} {{deck}}", **more)
+    return NastranSolver(
+        command=f"{sys.executable} {STUB} {behaviour} {kind} {{deck}}", **more
+    )
 
 
 def turned(model: Model) -> Model:
     """The model with nodes 3 and 20 in a skew displacement frame."""
-    grid = model["GRID"].with_column("CD", np.where(np.isin(model["GRID"].ids, (3, 20)), 5, 0))
+    grid = model["GRID"].with_column(
+        "CD", np.where(np.isin(model["GRID"].ids, (3, 20)), 5, 0)
+    )
     points = {"A": (0, 0, 0), "B": (1, 2, 3), "C": (1, -1, 0)}
     frame = table(
         "CORD2R",
         CID=[5],
         RID=[0],
-        **{f"{p}{i}": [float(v)] for p, x in points.items() for i, v in zip("123", x, strict=True)},
+        **{
+            f"{p}{i}": [float(v)]
+            for p, x in points.items()
+            for i, v in zip("123", x, strict=True)
+        },
     )
-    return Model({**model.tables, "GRID": grid, "CORD2R": frame}, model.params, model.case)
+    return Model(
+        {**model.tables, "GRID": grid, "CORD2R": frame}, model.params, model.case
+    )
 
 
 @pytest.mark.parametrize("kind", ["h5", "op2", "f06"])
@@ -65,10 +75,14 @@ def test_contract(kind: str) -> None:
     digits = {"h5": 1e-8, "op2": 1e-6, "f06": 1e-6}[
         kind
     ]  # as good as λ, single precision, seven figures
-    np.testing.assert_allclose(result.modes.frequencies, ours.frequencies, rtol=10 * digits)
+    np.testing.assert_allclose(
+        result.modes.frequencies, ours.frequencies, rtol=10 * digits
+    )
     sign = np.sign(np.einsum("dm,dm->m", result.modes.shapes, ours.shapes))
     np.testing.assert_allclose(
-        result.modes.shapes * sign, ours.shapes, atol=1e2 * digits * np.abs(ours.shapes).max()
+        result.modes.shapes * sign,
+        ours.shapes,
+        atol=1e2 * digits * np.abs(ours.shapes).max(),
     )
 
 
@@ -115,14 +129,18 @@ def test_derivatives_to_places_of_nodes_by_sol_200() -> None:
         column = grid[name].copy()
         column[at] = value
         grid = grid.with_column(name, column)
-    model = Model({**model.tables, "GRID": grid, "CORD2C": polar}, model.params, model.case)
+    model = Model(
+        {**model.tables, "GRID": grid, "CORD2C": polar}, model.params, model.case
+    )
     bump = Shape((8, 13), ((0.02, 0.01, 0.05), (0.0, 0.0, 0.04)))
     radius = (
         CardField("GRID", 17, "X1", step=0.1),
         CardField("GRID", 17, "X2", step=5.0),
         CardField("PSHELL", 1, "T"),
     )
-    chosen = ParameterSet((Parameter("bump", shapes=(bump,)), Parameter("radius", radius)))
+    chosen = ParameterSet(
+        (Parameter("bump", shapes=(bump,)), Parameter("radius", radius))
+    )
     with EmbeddedSolver().open(model) as analysis:
         modes = analysis.modes(ModesRequest(4)).modes
         ours = analysis.derivatives(modes, chosen)
@@ -170,7 +188,10 @@ def test_the_time_limit_of_the_command_line(
         "PBAR,1,1,1.-4,1.-8,1.-8,2.-8\nMAT1,1,2.+11,,.3,7800.\nENDDATA\n"
     )
     start = time.monotonic()
-    assert run(["modes", str(deck), "-n", "2", "--solver", "nastran", "--time-limit", "2"]) == 1
+    assert (
+        run(["modes", str(deck), "-n", "2", "--solver", "nastran", "--time-limit", "2"])
+        == 1
+    )
     assert time.monotonic() - start < 60
     told = capsys.readouterr().err
     assert (
@@ -179,7 +200,10 @@ def test_the_time_limit_of_the_command_line(
     )
     assert run(["modes", str(deck), "--time-limit", "2"]) == 2
     told = capsys.readouterr().err
-    assert "'embedded' has no time limit; those that have one: mystran, nastran, slepc" in told
+    assert (
+        "'embedded' has no time limit; those that have one: mystran, nastran, slepc"
+        in told
+    )
     assert run(["modes", str(deck), "--solver", "nastran", "--time-limit", "nan"]) == 2
     assert time_limits() == {"mystran": 3600.0, "nastran": 86400.0, "slepc": 86400.0}
 
@@ -265,7 +289,9 @@ def test_fields_that_sol_200_has_not() -> None:
         (CardField("PSHELL", 1, "NSM"), "is 0"),
     ):
         with pytest.raises(UnsupportedError, match=why):
-            sensitivity_deck(model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids)
+            sensitivity_deck(
+                model, stub(), ParameterSet((Parameter("p", (target,)),)), 3, grids
+            )
 
 
 POINTS = {"A": (-1.0, -1.0, 0.0), "B": (-1.0, -1.0, 1.0), "C": (0.0, -1.0, 0.0)}
@@ -316,7 +342,9 @@ def test_names_of_design_fields(tmp_path: Path, target: CardField, head: str) ->
     _, cards = design_cards(
         read_deck(tmp_path / "m.bdf"), ParameterSet((Parameter("p", (target,)),))
     )
-    relation = next(line for line in cards.splitlines() if line.startswith("DV") and "REL1" in line)
+    relation = next(
+        line for line in cards.splitlines() if line.startswith("DV") and "REL1" in line
+    )
     assert " ".join(relation.replace("*", " ").split()) == head
 
 

@@ -25,7 +25,13 @@ from ringtrue.core.parameters import CardField, Parameter, ParameterSet
 from ringtrue.correlation.sensor_mapping import at_dofs
 from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.eigen.shift import low_shift
-from ringtrue.errors import ConfigError, DeckError, SolverFailed, SolverMissing, UnsupportedError
+from ringtrue.errors import (
+    ConfigError,
+    DeckError,
+    SolverFailed,
+    SolverMissing,
+    UnsupportedError,
+)
 from ringtrue.fem.assembly import Sum
 from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.parametrisation.derivatives import quadratic_forms
@@ -49,7 +55,8 @@ from ringtrue.testing import check_modal_solver
 
 DEBIAN = "/usr/bin/python3"
 CANDIDATES = "".join(
-    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
+    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n'
+    for i in small_study.TRUTH
 )
 
 
@@ -61,7 +68,8 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PYTHON, os.environ.get(PYTHON, DEBIAN))
     monkeypatch.delenv("PETSC_DIR", raising=False)
     monkeypatch.delenv("SLEPC_DIR", raising=False)
-    for asked in ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM"):  # of Open MPI, in containers
+    # of Open MPI, in containers
+    for asked in ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM"):
         monkeypatch.setenv(f"OMPI_{asked}", "1")
     monkeypatch.setenv("OMPI_MCA_rmaps_base_oversubscribe", "1")
     try:
@@ -80,7 +88,9 @@ def test_two_ranks_of_a_launcher() -> None:
     assert "2 ranks" in result.proof
     with EmbeddedSolver().open(model) as analysis:
         ours = analysis.modes(ModesRequest(10)).modes
-    np.testing.assert_allclose(result.modes.frequencies, ours.frequencies, rtol=1e-7, atol=2e-3)
+    np.testing.assert_allclose(
+        result.modes.frequencies, ours.frequencies, rtol=1e-7, atol=2e-3
+    )
     assert result.residuals.max() < 1e-7
 
 
@@ -106,7 +116,9 @@ def test_modes_assembled_on_ranks_are_those_of_the_whole_matrices(plate: Model) 
     gram = phi.T @ (M @ phi)
     np.testing.assert_allclose(gram, np.eye(12), atol=1e-10)
     np.testing.assert_allclose(phi.T @ (K @ phi), np.diag(lam), atol=1e-10 * lam[-1])
-    np.testing.assert_allclose(full, found.modes.shapes, atol=1e-12 * np.abs(full).max())
+    np.testing.assert_allclose(
+        full, found.modes.shapes, atol=1e-12 * np.abs(full).max()
+    )
     inside = found.modes.frequencies[(found.modes.frequencies > 20) & (lam < lam[-1])]
     inside = inside[inside < 100]
     np.testing.assert_allclose(band.modes.frequencies, inside, rtol=1e-9)
@@ -146,13 +158,17 @@ def test_an_updating_is_linearised_through_it(plate: Model) -> None:
     observation = at_dofs(("14+Z", "33+Z", "50+Z", "902+X"), mesh(plate).dofs)
     x = np.linspace(-0.2, 0.2, len(parameters))
     asked = ModesRequest(6)
-    theirs = FullModel(plate, parameters, observation, asked, SlepcSolver(ranks=2)).linearise(x)
+    theirs = FullModel(
+        plate, parameters, observation, asked, SlepcSolver(ranks=2)
+    ).linearise(x)
     ours = FullModel(plate, parameters, observation, asked).linearise(x)
     np.testing.assert_allclose(theirs.d_lambda, ours.d_lambda, rtol=1e-6, atol=1e-3)
     sign = np.sign(np.sum(theirs.shapes * ours.shapes, axis=0))
     assert np.abs(ours.d_shapes).max() > 0
     np.testing.assert_allclose(
-        theirs.d_shapes * sign[:, None], ours.d_shapes, atol=1e-6 * np.abs(ours.d_shapes).max()
+        theirs.d_shapes * sign[:, None],
+        ours.d_shapes,
+        atol=1e-6 * np.abs(ours.d_shapes).max(),
     )
 
 
@@ -181,7 +197,9 @@ def test_a_model_is_reduced_where_its_matrices_are() -> None:
         d_shapes = a.d_shapes * sign[:, None]
         for got, want in ((a.d_lambda, b.d_lambda), (d_shapes, b.d_shapes)):
             size = np.abs(want[..., 6:, :]).max()
-            np.testing.assert_allclose(got[..., 6:, :], want[..., 6:, :], atol=1e-6 * size)
+            np.testing.assert_allclose(
+                got[..., 6:, :], want[..., 6:, :], atol=1e-6 * size
+            )
     _, phi = ours.vectors(zero)
     changes = quadratic_forms(model, parameters.parameters, system, phi)
     for got, want in zip(found, changes, strict=True):
@@ -209,7 +227,9 @@ def test_localise_on_ranks_is_that_of_the_embedded_solver(
     assert ours.proposal.members
     assert theirs.candidates.parameters.names == ours.candidates.parameters.names
     assert theirs.pool.dropped == ours.pool.dropped
-    np.testing.assert_allclose(theirs.candidates.effect, ours.candidates.effect, rtol=1e-5)
+    np.testing.assert_allclose(
+        theirs.candidates.effect, ours.candidates.effect, rtol=1e-5
+    )
     for a, b in zip(theirs.proposal.members, ours.proposal.members, strict=True):
         assert a.name == b.name
         assert a.factor == pytest.approx(b.factor, rel=1e-5)
@@ -222,11 +242,15 @@ def test_localise_on_ranks_is_that_of_the_embedded_solver(
 def test_an_updating_makes_no_matrix_in_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deck, study, test = (tmp_path / name for name in ("frame.bdf", "study.toml", "test.json"))
+    deck, study, test = (
+        tmp_path / name for name in ("frame.bdf", "study.toml", "test.json")
+    )
     deck.write_text(small_study.deck())
     study.write_text(f'[model]\ndeck = "frame.bdf"\n{CANDIDATES}')
     ours = open_model(read_deck(deck))
-    seen = rt.solve_modes(ours.model, count=9).at([f"{i}+X" for i in ours.model["GRID"].ids[::3]])
+    seen = rt.solve_modes(ours.model, count=9).at(
+        [f"{i}+X" for i in ours.model["GRID"].ids[::3]]
+    )
     write_modes(test, replace(seen, damping=np.full(9, 0.01)))
 
     def linearised(opened: Opened) -> Linearisation:
@@ -235,7 +259,9 @@ def test_an_updating_makes_no_matrix_in_this_process(
         return problem.evaluate(np.full(3, 0.1)).points[0].now
 
     want = linearised(ours)
-    monkeypatch.setattr(Sum, "__init__", lambda *_: pytest.fail("a matrix of the model"))
+    monkeypatch.setattr(
+        Sum, "__init__", lambda *_: pytest.fail("a matrix of the model")
+    )
     found = linearised(replace(ours, engine=SlepcSolver(ranks=2)))
     np.testing.assert_allclose(found.frequencies[:9], want.frequencies[:9], rtol=1e-6)
     np.testing.assert_allclose(found.d_lambda[:9], want.d_lambda[:9], rtol=1e-4)
@@ -255,7 +281,10 @@ def test_a_time_limit_ends_the_ranks(plate: Model) -> None:
 @pytest.mark.usefixtures("installed")
 def test_errors_of_the_model_are_those_of_the_embedded_solver(plate: Model) -> None:
     held = replace(
-        plate, tables={k: t for k, t in plate.tables.items() if k not in ("PSHELL", "RBE2", "RBE3")}
+        plate,
+        tables={
+            k: t for k, t in plate.tables.items() if k not in ("PSHELL", "RBE2", "RBE3")
+        },
     )
     missing = "CQUAD4 [0-9]+: PSHELL [12] is not in the deck"
     with pytest.raises(DeckError, match=missing):
@@ -268,7 +297,9 @@ def test_errors_of_the_model_are_those_of_the_embedded_solver(plate: Model) -> N
     assert told.value.line
     moving = ParameterSet((Parameter("x", (CardField("GRID", 902, "X1"),)),))
     with SlepcSolver(ranks=2).open(plate) as analysis:
-        modes = ModeSet(np.ones(1), np.zeros(1), np.zeros((len(analysis.dofs), 1)), analysis.dofs)
+        modes = ModeSet(
+            np.ones(1), np.zeros(1), np.zeros((len(analysis.dofs), 1)), analysis.dofs
+        )
         with pytest.raises(UnsupportedError, match="moves nodes"):
             analysis.derivatives(modes, moving)
 

@@ -86,9 +86,15 @@ def clipped(rows: Any) -> Change:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (put(2, 1.5), "channel 3+Z: at 1.5, with 0 changes of its value: a dead sensor; left out"),
+        (
+            put(2, 1.5),
+            "channel 3+Z: at 1.5, with 0 changes of its value: a dead sensor; left out",
+        ),
         (put((2, 1000), np.nan), "channel 3+Z: missing samples interpolated: 1"),
-        (put(2, np.linspace(0, 5, N)), "channel 3+Z: a straight line: no signal; left out"),
+        (
+            put(2, np.linspace(0, 5, N)),
+            "channel 3+Z: a straight line: no signal; left out",
+        ),
         (
             scaled(1, 1e3),
             "channel 2+Z: 9.5e+02 of the typical level of its quantity: unit or sensitivity?",
@@ -98,8 +104,12 @@ def clipped(rows: Any) -> Change:
             "channel 2+Z: 1.0e-03 of the typical level of its quantity: unit or sensitivity?",
         ),
         (lambda y: y[[0, 1, 2, 2, 4, 5]], "channel 4+Z: the same samples as 3+Z"),
-        (lambda y: np.round(y / y.std()), "channel 1+Z: coarse: 9 different values only"),
-        (lambda y: y[[1, 0, 2, 3, 4, 5]], ""),  # swapped: only a model or another record can tell
+        (
+            lambda y: np.round(y / y.std()),
+            "channel 1+Z: coarse: 9 different values only",
+        ),
+        # swapped: only a model or another record can tell
+        (lambda y: y[[1, 0, 2, 3, 4, 5]], ""),
     ],
 )
 def test_modes_are_found_and_the_fault_is_said(change: Change, told: str) -> None:
@@ -129,7 +139,9 @@ def test_what_drifts_below_the_band_loses_no_mode(drift: Change, rows: slice) ->
         return y
 
     still, r = found(lambda y: y), found(drifting)
-    np.testing.assert_allclose(r.modes.frequencies[:4], still.modes.frequencies[:4], rtol=1e-4)
+    np.testing.assert_allclose(
+        r.modes.frequencies[:4], still.modes.frequencies[:4], rtol=1e-4
+    )
     np.testing.assert_allclose(r.modes.damping[:4], still.modes.damping[:4], rtol=0.02)
 
 
@@ -197,9 +209,9 @@ def test_modes_of_a_clipped_record_are_no_machines(rows: Any) -> None:
     assert r.modes.frequencies[:4] == pytest.approx(F, rel=TOLERANCE)
     assert (r.modes.confidence[:4] > 0.7).all()
     assert any(n.startswith("channel 3+Z: clipped at ") for n in r.notes)
-    assert ("every channel is clipped: machines are not distinguished from modes" in r.notes) == (
-        rows != 2
-    )
+    assert (
+        "every channel is clipped: machines are not distinguished from modes" in r.notes
+    ) == (rows != 2)
 
 
 @pytest.mark.parametrize(
@@ -208,11 +220,15 @@ def test_modes_of_a_clipped_record_are_no_machines(rows: Any) -> None:
         lambda rng: rng.standard_normal((6, N)),
         lambda rng: lfilter([1], [1, -0.95], rng.standard_normal((6, N)), axis=1),
         lambda rng: np.cumsum(rng.standard_normal((6, N)), axis=1),
-        lambda rng: np.outer(np.arange(1, 7), np.sin(2 * np.pi * 5 * np.arange(N) / RATE)),
+        lambda rng: np.outer(
+            np.arange(1, 7), np.sin(2 * np.pi * 5 * np.arange(N) / RATE)
+        ),
     ],
     ids=["white", "coloured", "walk", "sine"],
 )
-def test_nothing_is_invented(signal: Callable[[np.random.Generator], np.ndarray]) -> None:
+def test_nothing_is_invented(
+    signal: Callable[[np.random.Generator], np.ndarray],
+) -> None:
     r = identify_ambient(wrap(signal(np.random.default_rng(3))), QUICK)
     assert len(r.modes) == 0
     assert any("no mode found" in n for n in r.notes)
@@ -232,7 +248,9 @@ def test_nothing_is_invented(signal: Callable[[np.random.Generator], np.ndarray]
         (lambda y: y[:, :20], "is empty"),
         (lambda y: 0 * y, "a dead sensor"),
         (
-            lambda y: np.outer(np.ones(6), np.sin(14.6 * np.pi * np.arange(40_000) / RATE)),
+            lambda y: np.outer(
+                np.ones(6), np.sin(14.6 * np.pi * np.arange(40_000) / RATE)
+            ),
             "nothing but steady lines at",
         ),
     ],
@@ -249,9 +267,9 @@ def test_files_with_a_bad_channel(ending: str, tmp_path: Path, capsys: Capture) 
     not.
     """
     path = tmp_path / f"bad{ending}"
-    y = put((1, 5000), np.nan)(put((2, slice(N // 3)), np.nan)(put(4, 2.5)(made().copy())))[
-        :, : N // 2
-    ]
+    y = put((1, 5000), np.nan)(
+        put((2, slice(N // 3)), np.nan)(put(4, 2.5)(made().copy()))
+    )[:, : N // 2]
     if ending == ".npy":
         np.save(path, y.T)
     else:
@@ -261,7 +279,9 @@ def test_files_with_a_bad_channel(ending: str, tmp_path: Path, capsys: Capture) 
     assert f"channel {dead} is constant: a dead sensor; leave it out" in refused(
         capsys, "oma", path, *rate
     )
-    good = parsed(capsys, "oma", path, *rate, "--fmin", 7, "--fmax", 11, "--leave-out", dead)
+    good = parsed(
+        capsys, "oma", path, *rate, "--fmin", 7, "--fmax", 11, "--leave-out", dead
+    )
     assert len(good["channels"]) == 4
     assert bad not in good["channels"]
     assert min(abs(m["frequency_hz"] - 9.3) for m in good["modes"]) < 0.05
@@ -271,7 +291,9 @@ def test_files_with_a_bad_channel(ending: str, tmp_path: Path, capsys: Capture) 
 
 
 @pytest.mark.parametrize("rate", ["1e-9", "1e12", "nan", "0"])
-def test_a_rate_that_cannot_be_right(rate: str, tmp_path: Path, capsys: Capture) -> None:
+def test_a_rate_that_cannot_be_right(
+    rate: str, tmp_path: Path, capsys: Capture
+) -> None:
     np.save(tmp_path / "r.npy", made().T)
     assert "rate" in refused(capsys, "oma", tmp_path / "r.npy", "--rate", rate)
 
@@ -283,7 +305,9 @@ def test_values_that_no_unit_makes(
     command: tuple[object, ...], tmp_path: Path, capsys: Capture
 ) -> None:
     np.save(tmp_path / "r.npy", made().T * (1e308 / np.abs(made()).max()))
-    assert "no unit makes that" in refused(capsys, command[0], tmp_path / "r.npy", *command[1:])
+    assert "no unit makes that" in refused(
+        capsys, command[0], tmp_path / "r.npy", *command[1:]
+    )
 
 
 def test_a_name_twice(tmp_path: Path, capsys: Capture) -> None:
@@ -306,7 +330,8 @@ def test_drop_outs_and_spikes_are_listed(tmp_path: Path, capsys: Capture) -> Non
     status, out, _ = call(capsys, "oma", tmp_path / "d.npy", "--rate", RATE)
     assert status == 0
     assert (
-        "channel ch2: lost stretches: 1 (a value is held), the first at 125 s, 15.6 s in all" in out
+        "channel ch2: lost stretches: 1 (a value is held), the first at 125 s, 15.6 s in all"
+        in out
     )
     assert "channel ch3: spikes, 1 in all, the first at 78.12 s" in out
 
@@ -314,7 +339,9 @@ def test_drop_outs_and_spikes_are_listed(tmp_path: Path, capsys: Capture) -> Non
 # --- machines
 
 
-def line(f: float, wander: float, seconds: float = SECONDS, size: float = 0.6) -> np.ndarray:
+def line(
+    f: float, wander: float, seconds: float = SECONDS, size: float = 0.6
+) -> np.ndarray:
     """A sine of steady amplitude whose speed wanders by `wander` (relative, 1 sigma) in some 30 s,
     (6, sample).
     """
@@ -375,7 +402,10 @@ def test_a_channel_that_stands_still_but_for_a_digit_is_dead() -> None:
     data[2, 4321] = 0.01
     r = identify_ambient(wrap(data), QUICK)
     assert r.modes.frequencies == pytest.approx(F, rel=TOLERANCE)
-    assert any("at 0, with 2 changes of its value: a dead sensor; left out" in n for n in r.notes)
+    assert any(
+        "at 0, with 2 changes of its value: a dead sensor; left out" in n
+        for n in r.notes
+    )
 
 
 def test_channels_are_compared_with_those_of_their_quantity() -> None:
@@ -384,7 +414,9 @@ def test_channels_are_compared_with_those_of_their_quantity() -> None:
     ids = [Channel(f"{i}", "acceleration") for i in range(3)] + [
         Channel(f"F{i}", "force") for i in range(3)
     ]
-    history = TimeHistory(y * np.array([1, 1, 1, 1e3, 1e3, 1e3])[:, None], RATE, tuple(ids))
+    history = TimeHistory(
+        y * np.array([1, 1, 1, 1e3, 1e3, 1e3])[:, None], RATE, tuple(ids)
+    )
     assert check_channels(history) == ()
 
 
@@ -418,14 +450,20 @@ def _h(frf: Callable[..., Path], change: Callable[[Any], Any]) -> Path:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (put((slice(None), 1), 0.0), "response out2 is the same at all lines: a dead channel"),
+        (
+            put((slice(None), 1), 0.0),
+            "response out2 is the same at all lines: a dead channel",
+        ),
         (put((slice(None), 1), 3.0), "response out2 is the same at all lines"),
         (put(1, 0.0), "reference in2 is the same at all lines"),
         (
             put((slice(None), slice(None), slice(300, 320)), 0.0),
             "20 lines between 16 and 16.95 Hz are zero",
         ),
-        (put((1, slice(None), slice(300, 320)), 0.0), "20 lines between 16 and 16.95 Hz are zero"),
+        (
+            put((1, slice(None), slice(300, 320)), 0.0),
+            "20 lines between 16 and 16.95 Hz are zero",
+        ),
         (lambda h: 0 * h, "no unit makes that"),
         (lambda h: 1e200 * h, "is no measured value"),
         (np.abs, "amplitudes without phase"),
@@ -440,7 +478,10 @@ def test_frfs_that_cannot_be_identified(
 def test_frfs_of_the_other_sign_of_time_have_the_same_modes(
     frf: Callable[..., Path], capsys: Capture
 ) -> None:
-    given = [parsed(capsys, "ema", _h(frf, change))["modes"] for change in (lambda h: h, np.conj)]
+    given = [
+        parsed(capsys, "ema", _h(frf, change))["modes"]
+        for change in (lambda h: h, np.conj)
+    ]
     one, other = ([(m["frequency_hz"], m["damping"]) for m in modes] for modes in given)
     np.testing.assert_allclose(other, one, rtol=1e-6)
 
@@ -450,7 +491,10 @@ def test_noise_has_no_modes(frf: Callable[..., Path], capsys: Capture) -> None:
     told = refused(
         capsys,
         "ema",
-        _h(frf, lambda h: rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)),
+        _h(
+            frf,
+            lambda h: rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape),
+        ),
     )
     assert "no pole is stable over the orders" in told
 
@@ -500,14 +544,19 @@ def test_a_response_that_does_not_follow_the_force(
 ) -> None:
     coherence = np.full((2, 4, 780), 0.98)
     coherence[:, 0], coherence[:, 2] = 0.2, 0.1
-    status, out, _ = call(capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35)
+    status, out, _ = call(
+        capsys, "ema", frf(coherence=coherence), "--fmin", 2, "--fmax", 35
+    )
     assert status == 0
-    assert "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: does not move" in " ".join(
-        out.split()
+    assert (
+        "channel out1 out3: coherence 0.20, 0.10, 0.98 of the others: does not move"
+        in " ".join(out.split())
     )
 
 
-def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsys: Capture) -> None:
+def test_a_reference_that_does_not_excite_a_mode(
+    frf: Callable[..., Path], capsys: Capture
+) -> None:
     """One reference at the node of the second mode: the other still shows it; at the node of both
     it is not there.
     """
@@ -516,7 +565,9 @@ def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsy
         f = file["freq"]
     w, w0 = 2 * np.pi * f[:, None], 2 * np.pi * np.array([8.0, 15.0, 27.0])
     gain = -(w**2) / (w0**2 - w**2 + 2j * 0.01 * w0 * w)
-    shapes = np.array([[1.0, 1.0, 0.5], [0.6, -0.9, 1.0], [0.9, 0.3, -1.0], [0.2, 0.8, 0.9]])
+    shapes = np.array(
+        [[1.0, 1.0, 0.5], [0.6, -0.9, 1.0], [0.9, 0.3, -1.0], [0.2, 0.8, 0.9]]
+    )
     rng = np.random.default_rng(1)
     for blind, expected in (([1, 0, 1], [8.0, 15.0, 27.0]), ([0, 0, 0], [8.0, 27.0])):
         refs = shapes[:2] * np.array([[1.0, 0.0, 1.0], [1.0, float(blind[0]), 1.0]])
@@ -529,12 +580,24 @@ def test_a_reference_that_does_not_excite_a_mode(frf: Callable[..., Path], capsy
         modes = parsed(capsys, "ema", frf(H1=h), "--fmin", 2, "--fmax", 35)["modes"]
         assert [m["frequency_hz"] for m in modes] == pytest.approx(expected, rel=1e-3)
     one = parsed(
-        capsys, "ema", frf(), "--fmin", 2, "--fmax", 35, "--leave-out", "in2", "--leave-out", "out3"
+        capsys,
+        "ema",
+        frf(),
+        "--fmin",
+        2,
+        "--fmax",
+        35,
+        "--leave-out",
+        "in2",
+        "--leave-out",
+        "out3",
     )
     assert len(one["channels"]) == 3
 
 
-def test_a_band_without_modes_says_so(frf: Callable[..., Path], capsys: Capture) -> None:
+def test_a_band_without_modes_says_so(
+    frf: Callable[..., Path], capsys: Capture
+) -> None:
     status, out, _ = call(capsys, "ema", frf(), "--fmin", 31, "--fmax", 38)
     assert status == 1
     assert "no mode of this band has a confidence above the limit" in out

@@ -101,7 +101,9 @@ RECORD = ambient_families.Outcome(
 CLICKED = studio_clicks.Clicked(actions=30, edits=3, outside=2, reloads=2, kills=1)
 STATED = np.linspace(0.0, 1.0, 500)
 PICTURE = viewer.Drawn(20.0, 0.5, 300.0, np.arange(40), np.arange(40), 12)
-FOUND = records.Counted.of(np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0))
+FOUND = records.Counted.of(
+    np.array([1.0, 2.0]), np.array([1.001, 2.01, 5.0]), np.zeros(0)
+)
 
 
 def right(checks: Check | Sequence[Check]) -> bool:
@@ -157,7 +159,12 @@ def test_a_wrong_answer_is_the_status_and_stands_in_the_file(
     options = outcome.arguments("").parse_args(["--json", str(tmp_path / "x.json")])
     report = Report(options)
     report.row("a", {"s": 1.0}, [at_most("x", 0.0, 1.0)])
-    report.row("|b|", {"s": 2.0, "GB": 1.0}, [at_most("x", value, 1.0)], [Peer("p", {"s": 6.0})])
+    report.row(
+        "|b|",
+        {"s": 2.0, "GB": 1.0},
+        [at_most("x", value, 1.0)],
+        [Peer("p", {"s": 6.0})],
+    )
     report.not_run("q", "not installed")
     with pytest.raises(SystemExit) as end:
         report.end()
@@ -170,7 +177,9 @@ def test_a_wrong_answer_is_the_status_and_stands_in_the_file(
     lines = write_docs.row_lines(stated)
     assert lines[1][2:4] == ("p: 6 s", "3")
     assert ("**wrong**" in lines[1][4]) == (status == 1)
-    assert "| \\|b\\| | 2 s, 1 GB | p: 6 s | 3 |" in write_docs.table(write_docs.HEAD, lines)
+    assert "| \\|b\\| | 2 s, 1 GB | p: 6 s | 3 |" in write_docs.table(
+        write_docs.HEAD, lines
+    )
 
 
 def test_no_answer_is_a_wrong_one() -> None:
@@ -183,13 +192,18 @@ def test_no_answer_is_a_wrong_one() -> None:
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.name)
-def test_every_script_states_what_is_right_and_needs_nothing_beside_the_clone(path: Path) -> None:
+def test_every_script_states_what_is_right_and_needs_nothing_beside_the_clone(
+    path: Path,
+) -> None:
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
     called = {ast.unparse(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
     assert "report.end" in called
     assert "shared/" not in text
-    assert any(command.split()[0] == f"bench/{path.name}" for command in write_docs.RUNS.values())
+    assert any(
+        command.split()[0] == f"bench/{path.name}"
+        for command in write_docs.RUNS.values()
+    )
 
 
 def test_the_published_frame_is_not_needed() -> None:
@@ -203,15 +217,21 @@ def test_the_published_frame_is_not_needed() -> None:
 def test_the_page_is_what_the_scripts_stated() -> None:
     named = [
         n
-        for place in write_docs.PLACE.findall(write_docs.TEMPLATE.read_text(encoding="utf-8"))
+        for place in write_docs.PLACE.findall(
+            write_docs.TEMPLATE.read_text(encoding="utf-8")
+        )
         for n in place.split()
     ]
     assert sorted(named) == sorted([*write_docs.RUNS, "runs"])
     assert {p.stem for p in write_docs.RESULTS.glob("*.json")} <= set(write_docs.RUNS)
-    assert write_docs.page(write_docs.stored) == write_docs.PAGE.read_text(encoding="utf-8")
+    assert write_docs.page(write_docs.stored) == write_docs.PAGE.read_text(
+        encoding="utf-8"
+    )
 
 
-def score(off: float = 0.0, missing: int = 0, extra: int = 0, mac: float = 1.0) -> system.Score:
+def score(
+    off: float = 0.0, missing: int = 0, extra: int = 0, mac: float = 1.0
+) -> system.Score:
     """Of 15 modes, all off by so many per cent."""
     f = np.full(15, 1.0) * off
     f[:missing] = np.nan
@@ -220,21 +240,31 @@ def score(off: float = 0.0, missing: int = 0, extra: int = 0, mac: float = 1.0) 
 
 def record(**what: Any) -> identification_ambient.Record:
     """Errors of 0.05 % of frequency and 0.5 % of damping are those of the floor."""
-    return identification_ambient.Record(1.0, score(**what), np.full(15, 0.05), np.full(15, 0.5))
+    return identification_ambient.Record(
+        1.0, score(**what), np.full(15, 0.05), np.full(15, 0.5)
+    )
 
 
-def errors(count: int, scale: float = 1.0, extra: int = 0) -> list[identification_ambient.Errors]:
+def errors(
+    count: int, scale: float = 1.0, extra: int = 0
+) -> list[identification_ambient.Errors]:
     """Of records whose stated deviations are 0.01."""
     out = []
     for seed in range(count):
         found = np.random.default_rng(seed).standard_normal((3, 10)) * 0.01 * scale
         stated = np.full((2, 10), 0.01)
-        out.append(identification_ambient.Errors(found[:2], stated, found[2] / 0.01, extra))
+        out.append(
+            identification_ambient.Errors(found[:2], stated, found[2] / 0.01, extra)
+        )
     return out
 
 
-def peer_run(frequencies: np.ndarray, std: float = 0.003) -> identification_peers.Measured:
-    return identification_peers.Measured(1.0, 1.0, frequencies, std * np.sqrt(frequencies))
+def peer_run(
+    frequencies: np.ndarray, std: float = 0.003
+) -> identification_peers.Measured:
+    return identification_peers.Measured(
+        1.0, 1.0, frequencies, std * np.sqrt(frequencies)
+    )
 
 
 def square(joined: int = 0, moved: float = 0.0) -> deck_reading.Square:
@@ -248,7 +278,10 @@ def drawn(scale: float = 1.0, found: int = 4) -> list[dict[str, np.ndarray]]:
     """Errors over deviations of 40 sets of four modes."""
     rng = np.random.default_rng(3)
     return [
-        {k: scale * rng.standard_normal(found) for k in ("frequency", "damping", "shapes")}
+        {
+            k: scale * rng.standard_normal(found)
+            for k in ("frequency", "damping", "shapes")
+        }
         for _ in range(40)
     ]
 
@@ -284,14 +317,23 @@ HARD = hard_facility.HardSeed(
 SUMMARY: dict[str, Any] = {
     "initial": [],
     "final": [
-        {"frequency_test_hz": 5.0, "frequency_fe_hz": 5.1, "mac_percent": 97.0, "used": True}
+        {
+            "frequency_test_hz": 5.0,
+            "frequency_fe_hz": 5.1,
+            "mac_percent": 97.0,
+            "used": True,
+        }
     ],
     "ambient_vs_hammer": [],
     "parameters": [{"name": "slab", "updated": 2.2e10, "std": 1e9}],
 }
 SCORE = localisation.Score(3, 4, 1.0, 1.0, 0.2, {}, 1.0)
-CONFUSION = {c: Counter({c: 20}) for c in (*form_patterns.CAUSES, *form_patterns.OTHERS)}
-COVERAGE = Counter({"parameters": 100, "held": 90, "left out": 100, "left out held": 90})
+CONFUSION = {
+    c: Counter({c: 20}) for c in (*form_patterns.CAUSES, *form_patterns.OTHERS)
+}
+COVERAGE = Counter(
+    {"parameters": 100, "held": 90, "left out": 100, "left out held": 90}
+)
 REACHED = global_optimum.Case(1.0, 1.0, 9.0, unfit=False, seconds=1.0)
 RUN = updating.Run(1.0, 0.5, 1e-12, 1e-6, True)
 COUNTS = {f"{w}{h}": 50 for w in uncertainty.STATED for h in ("", " held")}
@@ -318,9 +360,19 @@ def recorded_moves(factor: float) -> Check:
 
 
 JUDGED: list[
-    tuple[str, Callable[..., Check | Sequence[Check]], tuple[Any, ...], list[tuple[Any, ...]]]
+    tuple[
+        str,
+        Callable[..., Check | Sequence[Check]],
+        tuple[Any, ...],
+        list[tuple[Any, ...]],
+    ]
 ] = [
-    ("modes", modes.solved, (FREE, 1e-8), [(FREE + 1, 1e-8), (FREE, 1e-2), (FREE, np.nan)]),
+    (
+        "modes",
+        modes.solved,
+        (FREE, 1e-8),
+        [(FREE + 1, 1e-8), (FREE, 1e-2), (FREE, np.nan)],
+    ),
     (
         "modes",
         modes.same,
@@ -339,7 +391,12 @@ JUDGED: list[
         (SLOPES, SLOPES),
         [(1.01 * SLOPES, SLOPES), (np.nan * SLOPES, SLOPES)],
     ),
-    ("derivatives", derivatives.by_products, (SLOPES, SLOPES), [(1.01 * SLOPES, SLOPES)]),
+    (
+        "derivatives",
+        derivatives.by_products,
+        (SLOPES, SLOPES),
+        [(1.01 * SLOPES, SLOPES)],
+    ),
     (
         "past_one_machine",
         past_one_machine.same,
@@ -378,7 +435,12 @@ JUDGED: list[
             (deck_reading.made(81), square()),
         ],
     ),
-    ("nastran_corpus", recorded_modes, (FREE,), [(FREE * 1.02,), (FREE[:-1],), (FREE * np.nan,)]),
+    (
+        "nastran_corpus",
+        recorded_modes,
+        (FREE,),
+        [(FREE * 1.02,), (FREE[:-1],), (FREE * np.nan,)],
+    ),
     ("nastran_corpus", recorded_moves, (1.0,), [(1.02,), (0.0,), (np.nan,)]),
     (
         "identification_ambient",
@@ -394,16 +456,36 @@ JUDGED: list[
         "identification_ambient",
         identification_ambient.near_floor,
         (errors(9), np.full((2, 10), 0.01)),
-        [(errors(9, 3.0), np.full((2, 10), 0.01)), (errors(9, extra=1), np.full((2, 10), 0.01))],
+        [
+            (errors(9, 3.0), np.full((2, 10), 0.01)),
+            (errors(9, extra=1), np.full((2, 10), 0.01)),
+        ],
     ),
-    ("identification_ambient", identification_ambient.honest, (errors(9),), [(errors(9, 2.0),)]),
+    (
+        "identification_ambient",
+        identification_ambient.honest,
+        (errors(9),),
+        [(errors(9, 2.0),)],
+    ),
     (
         "identification_ambient",
         identification_ambient.told,
-        (identification_ambient.Pairs(8, 8, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
+        (
+            identification_ambient.Pairs(
+                8, 8, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()
+            ),
+        ),
         [
-            (identification_ambient.Pairs(8, 3, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
-            (identification_ambient.Pairs(8, 8, 1, GAPS[:16].tolist(), GAPS[16:32].tolist()),),
+            (
+                identification_ambient.Pairs(
+                    8, 3, 0, GAPS[:16].tolist(), GAPS[16:32].tolist()
+                ),
+            ),
+            (
+                identification_ambient.Pairs(
+                    8, 8, 1, GAPS[:16].tolist(), GAPS[16:32].tolist()
+                ),
+            ),
             (identification_ambient.Pairs(8, 8, 0, [], []),),
         ],
     ),
@@ -411,7 +493,10 @@ JUDGED: list[
         "identification_ambient",
         identification_ambient.right_stream,
         (score(0.05), np.full((2, 15), 5e-4) * [[1], [10]]),
-        [(score(0.5), np.full((2, 15), 5e-4)), (score(0.05, missing=1), np.full((2, 15), 5e-4))],
+        [
+            (score(0.5), np.full((2, 15), 5e-4)),
+            (score(0.05, missing=1), np.full((2, 15), 5e-4)),
+        ],
     ),
     (
         "identification_peers",
@@ -458,7 +543,12 @@ JUDGED: list[
         (np.arange(99), np.arange(99)),
         [(np.arange(99)[::-1], np.arange(99))],
     ),
-    ("correlation", correlation.plausible_comac, (np.full(9, 0.96),), [(np.full(9, 0.5),)]),
+    (
+        "correlation",
+        correlation.plausible_comac,
+        (np.full(9, 0.96),),
+        [(np.full(9, 0.5),)],
+    ),
     ("correlation", correlation.few_alarms, (0, 400), [(40, 400)]),
     (
         "correlation",
@@ -512,15 +602,33 @@ JUDGED: list[
             ([RUN, replace(RUN, converged=False)],),
         ],
     ),
-    ("updating", updating.same_modes, (FREE[6:], FREE[6:]), [(1.01 * FREE[6:], FREE[6:])]),
-    ("published", published.recovered, ([1e-3, 2e-3],), [([1e-3, 0.05],), ([1e-3, np.nan],)]),
+    (
+        "updating",
+        updating.same_modes,
+        (FREE[6:], FREE[6:]),
+        [(1.01 * FREE[6:], FREE[6:])],
+    ),
+    (
+        "published",
+        published.recovered,
+        ([1e-3, 2e-3],),
+        [([1e-3, 0.05],), ([1e-3, np.nan],)],
+    ),
     (
         "global_optimum",
         global_optimum.judged,
         ([REACHED, REACHED],),
-        [([replace(REACHED, found=99.0), REACHED],), ([replace(REACHED, found=np.nan)],)],
+        [
+            ([replace(REACHED, found=99.0), REACHED],),
+            ([replace(REACHED, found=np.nan)],),
+        ],
     ),
-    ("updating", updating.verified, ([1e-5], [1e-3]), [([1e-2], [1e-3]), ([1e-5], [1.1])]),
+    (
+        "updating",
+        updating.verified,
+        ([1e-5], [1e-3]),
+        [([1e-2], [1e-3]), ([1e-5], [1.1])],
+    ),
     (
         "uncertainty",
         uncertainty.checks,
@@ -577,7 +685,10 @@ JUDGED: list[
         "results_files",
         results_files.same_modes,
         ((FREE, FREE), (SLOPES, SLOPES)),
-        [((1.01 * FREE, FREE), (SLOPES, SLOPES)), ((FREE, FREE), (SLOPES[:-1], SLOPES))],
+        [
+            ((1.01 * FREE, FREE), (SLOPES, SLOPES)),
+            ((FREE, FREE), (SLOPES[:-1], SLOPES)),
+        ],
     ),
     (
         "results_files",
@@ -606,7 +717,12 @@ JUDGED: list[
             ("setups", [replace(RECORD, missing=1)] * 40),
         ],
     ),
-    ("ablations", ablations.checks, (100, 0, 0), [(500, 0, 0), (100, 500, 0), (100, 0, 1)]),
+    (
+        "ablations",
+        ablations.checks,
+        (100, 0, 0),
+        [(500, 0, 0), (100, 500, 0), (100, 0, 1)],
+    ),
     (
         "confidence",
         confidence.checks,
@@ -624,8 +740,17 @@ JUDGED: list[
         [
             (SUMMARY, {**SUMMARY, "final": []}),
             (SUMMARY, {**SUMMARY, "final": [{**SUMMARY["final"][0], "used": False}]}),
-            (SUMMARY, {**SUMMARY, "final": [{**SUMMARY["final"][0], "frequency_fe_hz": 5.2}]}),
-            (SUMMARY, {**SUMMARY, "parameters": [{**SUMMARY["parameters"][0], "updated": 2.3e10}]}),
+            (
+                SUMMARY,
+                {**SUMMARY, "final": [{**SUMMARY["final"][0], "frequency_fe_hz": 5.2}]},
+            ),
+            (
+                SUMMARY,
+                {
+                    **SUMMARY,
+                    "parameters": [{**SUMMARY["parameters"][0], "updated": 2.3e10}],
+                },
+            ),
         ],
     ),
     (
@@ -665,14 +790,22 @@ JUDGED: list[
         (CLICKED,),
         [
             (replace(CLICKED, **{n: v}),)
-            for n, v in (("faults", 1), ("errors", 1), ("lost", 1), ("broken", 1), ("edits", 0))
+            for n, v in (
+                ("faults", 1),
+                ("errors", 1),
+                ("lost", 1),
+                ("broken", 1),
+                ("edits", 0),
+            )
         ],
     ),
 ]
 
 
 @pytest.mark.parametrize(
-    ("script", "judge", "good", "bad"), JUDGED, ids=lambda x: getattr(x, "__name__", None)
+    ("script", "judge", "good", "bad"),
+    JUDGED,
+    ids=lambda x: getattr(x, "__name__", None),
 )
 def test_a_wrong_answer_is_found(
     script: str,
@@ -695,7 +828,10 @@ def test_a_deck_as_input_of_calculix(tmp_path: Path) -> None:
     path = tmp_path / "d.bdf"
     path.write_text(f"BEGIN BULK\n{nodes}{wedge}{materials}")
     text = calculix_input.written(read_deck(path))
-    assert "*ELEMENT,TYPE=C3D15,ELSET=CPENTA01\n1,1,2,3,4,5,6,7,8,9,13,14,15,10,11,\n12\n" in text
+    assert (
+        "*ELEMENT,TYPE=C3D15,ELSET=CPENTA01\n1,1,2,3,4,5,6,7,8,9,13,14,15,10,11,\n12\n"
+        in text
+    )
     assert "*BOUNDARY\n2,1\n*BOUNDARY\n2,3\n" in text
     path.write_text(f"BEGIN BULK\n{nodes}{wedge}{materials}CELAS2,2,1.,1,1\n")
     with pytest.raises(calculix_input.OtherDeck, match="CELAS2"):

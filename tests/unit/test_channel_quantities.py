@@ -27,7 +27,9 @@ def derivative(y: np.ndarray, order: int) -> np.ndarray:
 
 def without_units(y: np.ndarray) -> TimeHistory:
     made = record(y)
-    return replace(made, channels=tuple(replace(c, quantity="unknown") for c in made.channels))
+    return replace(
+        made, channels=tuple(replace(c, quantity="unknown") for c in made.channels)
+    )
 
 
 def mixed(order: int) -> np.ndarray:
@@ -38,7 +40,8 @@ def mixed(order: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("order", "quantities"), [(-1, ("acceleration", "velocity")), (1, ("velocity", "acceleration"))]
+    ("order", "quantities"),
+    [(-1, ("acceleration", "velocity")), (1, ("velocity", "acceleration"))],
 )
 def test_motions_a_derivative_apart_are_known_by_phase_and_level(order, quantities):
     learned, notes = with_learned_quantities(without_units(mixed(order)))
@@ -50,8 +53,14 @@ def test_motions_a_derivative_apart_are_known_by_phase_and_level(order, quantiti
 def test_stated_quantities_decide_what_the_others_are():
     made = without_units(mixed(-1))
     stated = replace(made.channels[0], quantity="velocity")
-    learned, _ = with_learned_quantities(replace(made, channels=(stated, *made.channels[1:])))
-    assert [c.quantity for c in learned.channels[:3]] == ["velocity", "displacement", "velocity"]
+    learned, _ = with_learned_quantities(
+        replace(made, channels=(stated, *made.channels[1:]))
+    )
+    assert [c.quantity for c in learned.channels[:3]] == [
+        "velocity",
+        "displacement",
+        "velocity",
+    ]
 
 
 def test_channels_of_one_quantity_stay_as_they_are():
@@ -64,7 +73,9 @@ def test_channels_of_one_quantity_stay_as_they_are():
 def test_shapes_are_those_of_one_motion():
     found = identify_ambient(without_units(mixed(-1)))
     assert found.modes.frequencies == pytest.approx(F, rel=5e-3)
-    assert np.diag(mac(found.modes.shapes, PHI.astype(complex))) == pytest.approx(1.0, abs=0.01)
+    assert np.diag(mac(found.modes.shapes, PHI.astype(complex))) == pytest.approx(
+        1.0, abs=0.01
+    )
 
 
 def test_a_temperature_is_set_aside_by_name():
@@ -79,7 +90,9 @@ def test_a_channel_with_modes_of_its_own_is_kept():
     """A lone sensor across the others sees modes that these do not."""
     rng = np.random.default_rng(2)
     other = record(np.roll(motion()[:1], 30_000, axis=1)).data
-    made = without_units(np.vstack([motion(), other + 1e-3 * rng.standard_normal(other.shape)]))
+    made = without_units(
+        np.vstack([motion(), other + 1e-3 * rng.standard_normal(other.shape)])
+    )
     learned, notes = with_learned_quantities(made)
     assert len(learned.channels) == 8
     assert notes == ()

@@ -42,10 +42,13 @@ def report(folder: Path, text: str, units: str = "SI") -> DeckReport:
 def test_strips_of_one_element_between_free_edges(
     tmp_path: Path, across: int, found: list[str]
 ) -> None:
-    nodes = "".join(f"GRID,{10 * i + j},,{i}.,{j}.,0.\n" for i in range(1, 5) for j in range(3))
+    nodes = "".join(
+        f"GRID,{10 * i + j},,{i}.,{j}.,0.\n" for i in range(1, 5) for j in range(3)
+    )
     corners = [10 * i + j for j in range(across) for i in range(1, 4)]
     quads = "".join(
-        f"CQUAD4,{e},1,{n},{n + 10},{n + 11},{n + 1}\n" for e, n in enumerate(corners, 1)
+        f"CQUAD4,{e},1,{n},{n + 10},{n + 11},{n + 1}\n"
+        for e, n in enumerate(corners, 1)
     )
     got = report(tmp_path, nodes + quads + "PSHELL,1,1,.1,1\nMAT1,1,2.1+11,,.3,7850.\n")
     strips = [f.text for f in got.findings if "between two free edges" in f.text]
@@ -126,7 +129,9 @@ def test_each_fault_is_found(
 
 
 def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
-    text = SOUND + "GRID,9,,1.,1.,0.\nCBUSH,2,2,3,9,,,,0\nPBUSH,2,K,1.\nCELAS2,3,1.,9,1\n"
+    text = (
+        SOUND + "GRID,9,,1.,1.,0.\nCBUSH,2,2,3,9,,,,0\nPBUSH,2,K,1.\nCELAS2,3,1.,9,1\n"
+    )
     assert not report(tmp_path, text).findings
     by_way = (
         SOUND
@@ -144,7 +149,9 @@ def test_coincident_nodes_that_are_joined_are_meant(tmp_path: Path) -> None:
         ("CTETRA", [1, 2, 3, 5], [2, 1, 3, 5]),
     ],
 )
-def test_solids_inside_out(tmp_path: Path, card: str, nodes: list[int], turned: list[int]) -> None:
+def test_solids_inside_out(
+    tmp_path: Path, card: str, nodes: list[int], turned: list[int]
+) -> None:
     def text(n: list[int]) -> str:
         fields = [str(x) for x in n]
         return (
@@ -153,8 +160,12 @@ def test_solids_inside_out(tmp_path: Path, card: str, nodes: list[int], turned: 
             + (f",{','.join(fields[6:])}\n" if fields[6:] else "")
         )
 
-    assert not [f for f in report(tmp_path, text(nodes)).findings if f.severity == "error"]
-    errors = [f.text for f in report(tmp_path, text(turned)).findings if f.severity == "error"]
+    assert not [
+        f for f in report(tmp_path, text(nodes)).findings if f.severity == "error"
+    ]
+    errors = [
+        f.text for f in report(tmp_path, text(turned)).findings if f.severity == "error"
+    ]
     assert errors == [f"{card} 1: is inside out: negative volume"]
 
 
@@ -173,19 +184,27 @@ def test_units_that_cannot_be(
 ) -> None:
     text = SOUND.replace("2.1+11", modulus).replace("7850.", density)
     assert any(
-        hint in f.text and f.severity == "warning" for f in report(tmp_path, text, units).findings
+        hint in f.text and f.severity == "warning"
+        for f in report(tmp_path, text, units).findings
     )
 
 
 def test_wtmass_counts_and_sizes_are_judged(tmp_path: Path) -> None:
-    inches = SOUND.replace("2.1+11", "3.+7").replace("7850.", ".283") + "PARAM,WTMASS,.00259\n"
+    inches = (
+        SOUND.replace("2.1+11", "3.+7").replace("7850.", ".283")
+        + "PARAM,WTMASS,.00259\n"
+    )
     assert not report(tmp_path, inches, "in-lbf-s").findings
     millimetres = (
-        SOUND.replace("2.1+11", "2.1+5").replace("7850.", "7.85-9").replace("1.,", "9999.,")
+        SOUND.replace("2.1+11", "2.1+5")
+        .replace("7850.", "7.85-9")
+        .replace("1.,", "9999.,")
     )
     assert not report(tmp_path, millimetres, "mm-t-s").findings
     assert not report(
-        tmp_path, millimetres.replace("2.1+5", "2.1+8").replace("7.85-9", "7.85-6"), "mm-kg-s"
+        tmp_path,
+        millimetres.replace("2.1+5", "2.1+8").replace("7.85-9", "7.85-6"),
+        "mm-kg-s",
     ).findings
     assert any(
         "long in SI" in f.text
@@ -209,7 +228,10 @@ def test_mass_of_a_block_of_point_masses() -> None:
     d = x - cg
     inertia = (
         m[:, None, None]
-        * ((d**2).sum(axis=1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
+        * (
+            (d**2).sum(axis=1)[:, None, None] * np.eye(3)
+            - d[:, :, None] * d[:, None, :]
+        )
     ).sum(axis=0)
     assert got.mass == pytest.approx(m.sum(), rel=1e-14)
     assert got.even
@@ -237,7 +259,9 @@ def test_mass_against_the_recorded_grid_point_weight_generator() -> None:
     """MSC Nastran 2020, GRDPNT 0 of noreduction-000.f06: mass, centre of gravity and I(S), seven
     digits printed.
     """
-    path = DATA / "msc2019/superelements/three_element_types/no_super/noReduction-000.dat"
+    path = (
+        DATA / "msc2019/superelements/three_element_types/no_super/noReduction-000.dat"
+    )
     if not path.exists():
         pytest.skip(f"needs {path}")
     got = whole_mass(read_deck(path))
@@ -254,9 +278,13 @@ def ground(folder: Path, text: str) -> tuple[GroundCheck, list[str]]:
     return check, [f.severity for f in ground_findings(model, check)]
 
 
-def test_a_free_structure_passes_the_ground_check_far_from_the_origin(tmp_path: Path) -> None:
+def test_a_free_structure_passes_the_ground_check_far_from_the_origin(
+    tmp_path: Path,
+) -> None:
     far = SOUND.replace("1.,", "9.+4,")
-    check, found = ground(tmp_path, "CEND\nSPC=1\nBEGIN BULK\n" + far + "SPC1,1,123456,1\n")
+    check, found = ground(
+        tmp_path, "CEND\nSPC=1\nBEGIN BULK\n" + far + "SPC1,1,123456,1\n"
+    )
     assert check.ok
     assert not found
     assert check.worst == ((),) * 6
@@ -279,7 +307,9 @@ def test_a_spring_between_nodes_apart_is_no_rigid_link(tmp_path: Path) -> None:
     nothing.
     """
     check, found = ground(tmp_path, SOUND + "CELAS2,2,1.+6,1,3,2,3\n")
-    np.testing.assert_allclose(check.energy, [0, 0, 0, 0, 0.5e6, 0], rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(
+        check.energy, [0, 0, 0, 0, 0.5e6, 0], rtol=1e-6, atol=1e-3
+    )
     assert found == ["warning"]
 
 
@@ -289,7 +319,8 @@ def test_a_direction_without_stiffness_holds_only_rounding(tmp_path: Path) -> No
     bars = "".join(f"CBAR,{i},1,{i},{i + 1},0.,0.,1.\n" for i in range(1, 11))
     frame = "CORD2R,1,,0.,0.,0.,0.,0.,1.\n,.96593,-.25882,0.\n"
     check, found = ground(
-        tmp_path, frame + nodes + bars + "PBAR,1,1,.07175,9.83-6,,3.68-5\nMAT1,1,1.04+7,3.9+6\n"
+        tmp_path,
+        frame + nodes + bars + "PBAR,1,1,.07175,9.83-6,,3.68-5\nMAT1,1,1.04+7,3.9+6\n",
     )
     assert check.ok
     assert not found
@@ -297,7 +328,9 @@ def test_a_direction_without_stiffness_holds_only_rounding(tmp_path: Path) -> No
 
 def test_free_edges_and_their_chains(tmp_path: Path) -> None:
     """A ring of eight quads around a hole: 12 outer and 4 inner free edges, 8 shared."""
-    grid = [f"GRID,{10 * i + j + 11},,{i}.,{j}.,0.\n" for i in range(4) for j in range(4)]
+    grid = [
+        f"GRID,{10 * i + j + 11},,{i}.,{j}.,0.\n" for i in range(4) for j in range(4)
+    ]
     cells = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
     quads = [
         f"CQUAD4,{k},1,{10 * i + j + 11},{10 * i + j + 21},{10 * i + j + 22},{10 * i + j + 12}\n"
@@ -316,15 +349,18 @@ def test_free_edges_and_their_chains(tmp_path: Path) -> None:
 
 
 def test_a_folded_brick(tmp_path: Path) -> None:
-    text = CUBE.replace("GRID,7,,1.,1.,1.", "GRID,7,,.3,.3,.3") + "CHEXA,1,1,1,2,3,4,5,6\n,7,8\n"
+    text = (
+        CUBE.replace("GRID,7,,1.,1.,1.", "GRID,7,,.3,.3,.3")
+        + "CHEXA,1,1,1,2,3,4,5,6\n,7,8\n"
+    )
     assert any("is folded" in f.text for f in report(tmp_path, text).findings)
 
 
 def test_a_brick_without_its_nodes(tmp_path: Path) -> None:
     text = CUBE + "CHEXA,1,1,11,2,3,4,5,6\n,7,8\n"
-    assert [f.text for f in report(tmp_path, text).findings if f.severity == "error"] == [
-        "CHEXA 1: G1 names GRID or SPOINT 11: not there"
-    ]
+    assert [
+        f.text for f in report(tmp_path, text).findings if f.severity == "error"
+    ] == ["CHEXA 1: G1 names GRID or SPOINT 11: not there"]
 
 
 def test_tables_of_properties_are_told(tmp_path: Path) -> None:

@@ -13,14 +13,24 @@ from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.registry import solver
 
-CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+CORNERS = [
+    (0, 0, 0),
+    (1, 0, 0),
+    (1, 1, 0),
+    (0, 1, 0),
+    (0, 0, 1),
+    (1, 0, 1),
+    (1, 1, 1),
+    (0, 1, 1),
+]
 REST = "PSOLID,1,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123,1,2,3,4\n"
 SPRINGS = "PBUSH,9,K,1.+6,1.+6,1.+6,10.,10.,10.\n"
 
 
 def _cube(first: int, z: float) -> str:
     nodes = "".join(
-        f"GRID,{first + i},,{x}.,{y}.,{z + h:.3f}\n" for i, (x, y, h) in enumerate(CORNERS)
+        f"GRID,{first + i},,{x}.,{y}.,{z + h:.3f}\n"
+        for i, (x, y, h) in enumerate(CORNERS)
     )
     names = [str(first + i) for i in range(8)]
     return f"{nodes}CHEXA,{first},1,{','.join(names[:6])}\n,{','.join(names[6:])}\n"
@@ -53,7 +63,13 @@ def _loose(m: Model) -> int:
     """Number of mechanisms: modes far below 1 Hz."""
     return int(
         (
-            np.abs(solver("embedded").open(m).modes(ModesRequest(count=6)).modes.frequencies) < 0.01
+            np.abs(
+                solver("embedded")
+                .open(m)
+                .modes(ModesRequest(count=6))
+                .modes.frequencies
+            )
+            < 0.01
         ).sum()
     )
 
@@ -88,9 +104,9 @@ def test_a_shell_on_an_edge_of_a_solid_is_hinged(tmp_path: Path) -> None:
     for joint, hinged in ((shell, True), (over, False)):
         m = _deck(tmp_path, _cube(1, 0.0) + joint)
         told = [f.text for f in check_deck(m).findings if "hinged" in f.text]
-        assert [t.startswith("CQUAD4 60: hinged where an edge of it") for t in told] == [
-            True
-        ] * hinged
+        assert [
+            t.startswith("CQUAD4 60: hinged where an edge of it") for t in told
+        ] == [True] * hinged
         assert _loose(m) == hinged
 
 
@@ -105,7 +121,9 @@ def test_a_shell_on_an_edge_of_a_solid_is_hinged(tmp_path: Path) -> None:
         ("CONM2,5,1,,0.\n,,,,,,.3", False),
     ],
 )
-def test_bodies_of_negative_inertia_are_told(tmp_path: Path, card: str, wrong: bool) -> None:
+def test_bodies_of_negative_inertia_are_told(
+    tmp_path: Path, card: str, wrong: bool
+) -> None:
     path = tmp_path / "a.bdf"
     path.write_text(f"BEGIN BULK\nGRID,1\nCELAS2,3,9.,1,1\n{card}\n")
     found = [f for f in check_deck(read_deck(path)).findings if "no body has" in f.text]

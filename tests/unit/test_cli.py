@@ -31,7 +31,9 @@ from ringtrue.io.modes import read_modes, write_modes
 
 DATA = Path(__file__).parents[2].parent / "shared/data"
 Capture = pytest.CaptureFixture[str]
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data: {DATA} is not there")
+needs_data = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"no measured data: {DATA} is not there"
+)
 
 
 def call(capsys: Capture, *words: object) -> tuple[int, str, str]:
@@ -52,7 +54,8 @@ def parsed(capsys: Capture, *words: object, status: int = 0) -> dict[str, Any]:
 def refused(capsys: Capture, *words: object, status: int = 2) -> str:
     """The one message of a command that refuses its input."""
     got, out, err = call(capsys, *words)
-    told = [line for line in err.splitlines() if not line.startswith("[")]  # [ 20 %] is progress
+    # [ 20 %] is progress
+    told = [line for line in err.splitlines() if not line.startswith("[")]
     assert got == status, (out, err)
     assert "Traceback" not in err
     assert out == ""
@@ -85,14 +88,18 @@ def frf(tmp_path: Path) -> Callable[..., Path]:
     def write(**change: object) -> Path:
         f = np.arange(1.0, 40.0, 0.05)
         rng = np.random.default_rng(3)
-        shapes = np.array([[1.0, 1.0, 0.5], [0.6, -0.9, 1.0], [0.9, 0.3, -1.0], [0.2, 0.8, 0.9]])
+        shapes = np.array(
+            [[1.0, 1.0, 0.5], [0.6, -0.9, 1.0], [0.9, 0.3, -1.0], [0.2, 0.8, 0.9]]
+        )
         w = 2 * np.pi * f[:, None]
         w0 = 2 * np.pi * np.array([8.0, 15.0, 27.0])
         gain = -(w**2) / (w0**2 - w**2 + 2j * 0.01 * w0 * w)
         h = np.einsum("om,fm,im->iof", shapes, gain, shapes[:2])
         h += 1e-3 * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape))
         arrays: dict[str, Any] = {"freq": f, "H1": h} | change
-        np.savez(tmp_path / "frf.npz", **{k: v for k, v in arrays.items() if v is not None})
+        np.savez(
+            tmp_path / "frf.npz", **{k: v for k, v in arrays.items() if v is not None}
+        )
         return tmp_path / "frf.npz"
 
     return write
@@ -121,7 +128,13 @@ def test_names_in_brackets_are_text(capsys: Capture) -> None:
     shown = capsys.readouterr().out
     assert all(
         x in shown
-        for x in ("at [model]", "f [hz]", "from [[residual]]", "as [test] says", "bdf:100: GRID")
+        for x in (
+            "at [model]",
+            "f [hz]",
+            "from [[residual]]",
+            "as [test] says",
+            "bdf:100: GRID",
+        )
     )
 
 
@@ -168,7 +181,9 @@ def test_modes_of_a_deck(deck: Path, capsys: Capture) -> None:
     coarse = parsed(capsys, "modes", deck, "-n", 5, "--mesh-error")["mesh_error"]
     assert all(0.01 < abs(e) < 0.15 for e in coarse)  # floors in two elements each way
     assert "refining it once" in call(capsys, "modes", deck, "-n", 5, "--mesh-error")[1]
-    assert "--mesh-error" in refused(capsys, "modes", deck, "--mesh-error", "--solver", "slepc")
+    assert "--mesh-error" in refused(
+        capsys, "modes", deck, "--mesh-error", "--solver", "slepc"
+    )
     band = parsed(capsys, "modes", deck, "--band", 4, 9)
     assert [4 < m["frequency_hz"] < 9 for m in band["modes"]] == [True] * 3
     status, out, _ = call(capsys, "modes", deck, "-n", 3)
@@ -177,8 +192,12 @@ def test_modes_of_a_deck(deck: Path, capsys: Capture) -> None:
 
 
 def test_modes_that_the_deck_asks_for(tmp_path: Path, capsys: Capture) -> None:
-    springs = "".join(f"CELAS4,{i},{i}.,{i}\nCMASS4,{10 + i},1.,{i}\n" for i in range(1, 10))
-    (tmp_path / "d.bdf").write_text(f"CEND\nMETHOD = 4\nBEGIN BULK\nEIGRL,4,,,3\n{springs}")
+    springs = "".join(
+        f"CELAS4,{i},{i}.,{i}\nCMASS4,{10 + i},1.,{i}\n" for i in range(1, 10)
+    )
+    (tmp_path / "d.bdf").write_text(
+        f"CEND\nMETHOD = 4\nBEGIN BULK\nEIGRL,4,,,3\n{springs}"
+    )
     assert len(parsed(capsys, "modes", tmp_path / "d.bdf")["modes"]) == 3
 
 
@@ -191,12 +210,26 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
     deck.write_text(f"BEGIN BULK\n{damped}CONM2,6,5,,1.\n")
     found = parsed(capsys, "modes", deck, "--complex", "--out", target)
     s = 20 * np.sqrt(-1 - 0.06j)
-    assert [2 * np.pi * m["frequency_hz"] for m in found["modes"]] == pytest.approx([10, abs(s)])
-    assert [m["damping"] for m in found["modes"]] == pytest.approx([0.02, abs(s.real) / abs(s)])
-    assert (found["scaling"], read_modes(target).norm) == ("unit modal A", "unit modal A")
-    assert "do not oscillate" in call(capsys, "modes", deck, "--complex", "--band", 1, 2)[1]
-    assert "only the embedded" in refused(capsys, "modes", deck, "--complex", "--solver", "slepc")
-    assert "runs in one process" in refused(capsys, "modes", deck, "--launcher", "srun -n 64")
+    assert [2 * np.pi * m["frequency_hz"] for m in found["modes"]] == pytest.approx(
+        [10, abs(s)]
+    )
+    assert [m["damping"] for m in found["modes"]] == pytest.approx(
+        [0.02, abs(s.real) / abs(s)]
+    )
+    assert (found["scaling"], read_modes(target).norm) == (
+        "unit modal A",
+        "unit modal A",
+    )
+    assert (
+        "do not oscillate"
+        in call(capsys, "modes", deck, "--complex", "--band", 1, 2)[1]
+    )
+    assert "only the embedded" in refused(
+        capsys, "modes", deck, "--complex", "--solver", "slepc"
+    )
+    assert "runs in one process" in refused(
+        capsys, "modes", deck, "--launcher", "srun -n 64"
+    )
     deck.write_text(
         "BEGIN BULK\nCELAS4,1,100.,1\nCMASS4,2,1.,1\nCDAMP4,3,20.,1\n"
     )  # critically damped
@@ -205,19 +238,22 @@ def test_complex_modes_of_a_deck(tmp_path: Path, capsys: Capture) -> None:
     assert "no damping" in refused(capsys, "modes", deck, "--complex")
 
 
-def test_translations_that_nothing_holds_are_told(tmp_path: Path, capsys: Capture) -> None:
+def test_translations_that_nothing_holds_are_told(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """A plate that is a membrane: MID2 is blank."""
     grid = "".join(
         f"GRID,{i + 1},,{x}.,{y}.,0.\n"
         for i, (x, y) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1), (2, 0)))
     )
-    plate = (
-        f"{grid}CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01{{}}\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
-    )
+    plate = f"{grid}CQUAD4,1,1,1,2,3,4\nPSHELL,1,1,.01{{}}\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + plate.format(""))
     out = call(capsys, "modes", tmp_path / "d.bdf")[1]
     assert "held by AUTOSPC, without stiffness: 3+Z 4+Z\n" in out
-    assert parsed(capsys, "modes", tmp_path / "d.bdf")["autospc"] == {"123456": [5], "345": [3, 4]}
+    assert parsed(capsys, "modes", tmp_path / "d.bdf")["autospc"] == {
+        "123456": [5],
+        "345": [3, 4],
+    }
     told = call(capsys, "check", tmp_path / "d.bdf")[1]
     assert "PSHELL 1: MID2 is blank" in told
     assert (
@@ -233,7 +269,9 @@ def test_translations_that_nothing_holds_are_told(tmp_path: Path, capsys: Captur
     assert parsed(capsys, "check", tmp_path / "d.bdf")["autospc"] == {"123456": [5]}
 
 
-def test_a_stiff_spring_holds_nothing_beside_it(tmp_path: Path, capsys: Capture) -> None:
+def test_a_stiff_spring_holds_nothing_beside_it(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """A cantilever of five bars, its tip on CELAS2 of 3e14 in Z: it bends in Y as without the
     spring.
     """
@@ -252,16 +290,24 @@ def test_a_stiff_spring_holds_nothing_beside_it(tmp_path: Path, capsys: Capture)
 def test_json_goes_to_a_file_whole(deck: Path, tmp_path: Path, capsys: Capture) -> None:
     assert call(capsys, "modes", deck, "-n", 2, "--json", tmp_path / "m.json")[0] == 0
     assert len(json.loads((tmp_path / "m.json").read_text())["modes"]) == 2
-    assert "no folder" in refused(capsys, "modes", deck, "--json", tmp_path / "none/m.json")
+    assert "no folder" in refused(
+        capsys, "modes", deck, "--json", tmp_path / "none/m.json"
+    )
 
 
-def test_check_counts_and_weighs_the_whole_structure(deck: Path, capsys: Capture) -> None:
+def test_check_counts_and_weighs_the_whole_structure(
+    deck: Path, capsys: Capture
+) -> None:
     found = parsed(capsys, "check", deck)
     # floors 9 t and 36 m of columns of 140 cm2; the feet are held and count all the same
     assert found["mass"] == pytest.approx(9000 + 36 * 0.014 * 7850, rel=1e-3)
     assert found["centre_of_gravity"][:2] == pytest.approx([2.0, 1.5])
     assert np.array(found["inertia"]).shape == (3, 3)
-    assert (found["cards"]["CBEAM"], found["cards"]["CQUAD4"], found["unsupported"]) == (24, 12, {})
+    assert (
+        found["cards"]["CBEAM"],
+        found["cards"]["CQUAD4"],
+        found["unsupported"],
+    ) == (24, 12, {})
     assert "mass 12956" in call(capsys, "check", deck)[1]
 
 
@@ -284,8 +330,12 @@ def test_check_judges_by_the_units_that_are_said(deck: Path, capsys: Capture) ->
     assert "did you mean 'mm-t-s'" in capsys.readouterr().err
 
 
-def test_check_lists_unsupported_cards_with_their_place(deck: Path, capsys: Capture) -> None:
-    deck.write_text(deck.read_text().replace("ENDDATA", "CRAC2D,900,9,101,102\nENDDATA"))
+def test_check_lists_unsupported_cards_with_their_place(
+    deck: Path, capsys: Capture
+) -> None:
+    deck.write_text(
+        deck.read_text().replace("ENDDATA", "CRAC2D,900,9,101,102\nENDDATA")
+    )
     line = deck.read_text().splitlines().index("CRAC2D,900,9,101,102") + 1
     found = parsed(capsys, "check", deck, status=1)
     assert found["unsupported"]["CRAC2D"].endswith(f"frame.bdf:{line}")
@@ -316,7 +366,11 @@ def test_check_of_a_deck_without_mass_is_a_finding(deck: Path, capsys: Capture) 
         ("MAT1,10,3.+10", "MAT1,10,3.+1x0", "frame.bdf:{line}: MAT1 field E"),
         ("PSHELL,10,10", "PSHEL,10,10", "PSHEL"),
         ("PSHELL,10,10,0.1", "INCLUDE 'lost.bdf'\nPSHELL,10,10,0.1", "lost.bdf"),
-        ("CQUAD4,110,10,101", "CQUAD4,110,10,9101", "frame.bdf:{line}: CQUAD4 110 field G1: names"),
+        (
+            "CQUAD4,110,10,101",
+            "CQUAD4,110,10,9101",
+            "frame.bdf:{line}: CQUAD4 110 field G1: names",
+        ),
         ("MAT1,10,3.+10", "MAT1,1,3.+10", "is defined twice, first at"),
     ],
 )
@@ -338,7 +392,9 @@ def test_wrong_options_of_modes(deck: Path, tmp_path: Path, capsys: Capture) -> 
     assert "none.bdf" in refused(capsys, "check", tmp_path / "none.bdf")
     assert str(tmp_path) in refused(capsys, "modes", tmp_path)
     for target in ("fe.txt", "lost/fe.h5"):  # before the deck is read
-        assert target in refused(capsys, "modes", tmp_path / "none.bdf", "--out", tmp_path / target)
+        assert target in refused(
+            capsys, "modes", tmp_path / "none.bdf", "--out", tmp_path / target
+        )
 
 
 def test_a_singular_model_is_a_failed_result(deck: Path, capsys: Capture) -> None:
@@ -354,7 +410,9 @@ def test_a_singular_model_is_a_failed_result(deck: Path, capsys: Capture) -> Non
 def test_oma(record: Callable[..., Path], capsys: Capture) -> None:
     found = parsed(capsys, "oma", record(), "--rate", 64, "--fmin", 3, "--fmax", 10)
     assert [round(m["frequency_hz"], 1) for m in found["modes"]] == [5.4, 6.2, 7.7, 9.4]
-    assert all(0.002 < m["damping"] < 0.03 and m["std_damping"] > 0 for m in found["modes"])
+    assert all(
+        0.002 < m["damping"] < 0.03 and m["std_damping"] > 0 for m in found["modes"]
+    )
     assert len(found["channels"]) == 6
 
 
@@ -364,9 +422,23 @@ def test_oma_names_the_channels_by_the_sensor_sheet(
     names, sheet = [f"{k + 1}+Z" for k in range(6)], tmp_path / "s.csv"
     rows = [f"{k + 1},{k},0,0,Z,g,0.1" for k in range(6)]
     sheet.write_text("\n".join(["point,x,y,z,direction,unit,sensitivity", *rows]))
-    words = ("oma", record(), "--rate", 64, "--fmin", 3, "--fmax", 10, "--sensors", sheet)
+    words = (
+        "oma",
+        record(),
+        "--rate",
+        64,
+        "--fmin",
+        3,
+        "--fmax",
+        10,
+        "--sensors",
+        sheet,
+    )
     assert parsed(capsys, *words)["channels"] == names
-    assert parsed(capsys, *words, "--leave-out", "2+Z")["channels"] == [names[0], *names[2:]]
+    assert parsed(capsys, *words, "--leave-out", "2+Z")["channels"] == [
+        names[0],
+        *names[2:],
+    ]
 
 
 def test_oma_of_several_files_is_that_of_one_record(
@@ -374,10 +446,15 @@ def test_oma_of_several_files_is_that_of_one_record(
 ) -> None:
     whole, files = np.load(record()), [tmp_path / f"{k}.npy" for k in range(3)]
     half = len(whole) // 2
-    for path, part in zip(files, (whole[:half], whole[half:], whole[: half // 3]), strict=True):
+    for path, part in zip(
+        files, (whole[:half], whole[half:], whole[: half // 3]), strict=True
+    ):
         np.save(path, part)
     band = ("--rate", 64, "--fmin", 3, "--fmax", 10)
-    one, two = parsed(capsys, "oma", files[0], *band), parsed(capsys, "oma", *files[:2], *band)
+    one, two = (
+        parsed(capsys, "oma", files[0], *band),
+        parsed(capsys, "oma", *files[:2], *band),
+    )
     assert [round(m["frequency_hz"], 1) for m in two["modes"]] == [5.4, 6.2, 7.7, 9.4]
     ratio = [
         b["std_frequency_hz"] / a["std_frequency_hz"]
@@ -401,7 +478,11 @@ def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(
     """Two sensors, four points hit: by reciprocity the same as four sensors and two points hit."""
     with np.load(frf()) as stored:
         h = stored["H1"]
-    path = frf(H1=h.transpose(1, 0, 2), inputs=["1+Z", "2+Z", "3+Z", "4+Z"], outputs=["1+Z", "2+Z"])
+    path = frf(
+        H1=h.transpose(1, 0, 2),
+        inputs=["1+Z", "2+Z", "3+Z", "4+Z"],
+        outputs=["1+Z", "2+Z"],
+    )
     status, out, _ = call(capsys, "ema", path)
     assert status == 0
     assert "roving hammer: 4 points struck, 2 fixed sensors" in out
@@ -413,11 +494,15 @@ def test_ema_of_a_roving_hammer_has_shapes_over_the_points_hit(
 
 def test_ema(frf: Callable[..., Path], capsys: Capture) -> None:
     found = parsed(capsys, "ema", frf(), "--fmin", 2, "--fmax", 35)
-    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx([8.0, 15.0, 27.0], rel=1e-3)
+    assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(
+        [8.0, 15.0, 27.0], rel=1e-3
+    )
     assert [m["damping"] for m in found["modes"]] == pytest.approx([0.01] * 3, rel=0.02)
 
 
-def test_the_decay_of_a_window_is_taken_out_of_the_damping(frf: Callable[..., Path]) -> None:
+def test_the_decay_of_a_window_is_taken_out_of_the_damping(
+    frf: Callable[..., Path],
+) -> None:
     path = frf()
     found = rt.identify_frfs(rt.read_frfs(path), fmin=2, fmax=35)
     sigma = 0.2  # 1/s
@@ -445,7 +530,11 @@ def _spoilt(x: Any, value: float, where: object) -> Any:
         (lambda x: _spoilt(x, 1.0, (slice(None), 2)), ["--rate", 64], "is constant"),
         (lambda x: x, [], "no sampling rate"),
         (lambda x: x, ["--rate", -3], "rate -3.0 Hz must be positive"),
-        (lambda x: x, ["--rate", 64, "--fmin", 9, "--fmax", 3], "must be 0 <= fmin < fmax"),
+        (
+            lambda x: x,
+            ["--rate", 64, "--fmin", 9, "--fmax", 3],
+            "must be 0 <= fmin < fmax",
+        ),
         (lambda x: x, ["--rate", 64, "--fmin", -1], "must be 0 <= fmin < fmax"),
         (lambda x: x, ["--rate", 64, "--fmin", 40], "40"),
         (lambda x: x[:20], ["--rate", 64], "record.npy"),
@@ -476,7 +565,9 @@ def test_a_rate_that_the_file_contradicts(tmp_path: Path, capsys: Capture) -> No
 
 
 @pytest.mark.parametrize("command", ["check", "modes", "plan"])
-def test_a_deck_that_is_a_folder_or_nowhere(command: str, tmp_path: Path, capsys: Capture) -> None:
+def test_a_deck_that_is_a_folder_or_nowhere(
+    command: str, tmp_path: Path, capsys: Capture
+) -> None:
     assert "a folder; name a file in it" in refused(capsys, command, tmp_path)
     assert "none.bdf: no such file" in refused(capsys, command, tmp_path / "none.bdf")
 
@@ -511,7 +602,9 @@ def test_bad_frfs_are_refused(
 # --- correlate
 
 
-def _modes(path: Path, f: list[float], channels: tuple[str, ...] = ("1+Z", "2+Z", "3+Z")) -> Path:
+def _modes(
+    path: Path, f: list[float], channels: tuple[str, ...] = ("1+Z", "2+Z", "3+Z")
+) -> Path:
     shapes = np.array([[1.0, 1.0, 0.2], [1.0, -0.5, -1.0], [1.0, -0.6, 1.0]])[
         : len(channels), : len(f)
     ]
@@ -520,7 +613,10 @@ def _modes(path: Path, f: list[float], channels: tuple[str, ...] = ("1+Z", "2+Z"
 
 
 def test_correlate(tmp_path: Path, capsys: Capture) -> None:
-    a, b = _modes(tmp_path / "a.json", [3.0, 5.0, 9.0]), _modes(tmp_path / "b.h5", [3.3, 5.0, 90.0])
+    a, b = (
+        _modes(tmp_path / "a.json", [3.0, 5.0, 9.0]),
+        _modes(tmp_path / "b.h5", [3.3, 5.0, 90.0]),
+    )
     found = parsed(capsys, "correlate", a, b)
     assert [(p["test_mode"], p["fe_mode"]) for p in found["pairs"]] == [(1, 1), (2, 2)]
     assert found["pairs"][0]["deviation_percent"] == pytest.approx(10.0)
@@ -535,7 +631,9 @@ def test_correlating_what_cannot_be(tmp_path: Path, capsys: Capture) -> None:
     b = _modes(tmp_path / "b.json", [3.0], ("4+Z", "5+Z", "6+Z"))
     assert "no channel in common" in refused(capsys, "correlate", a, b)
     (tmp_path / "c.json").write_text('{"modes": 3}')
-    assert "c.json: not a table of modes" in refused(capsys, "correlate", a, tmp_path / "c.json")
+    assert "c.json: not a table of modes" in refused(
+        capsys, "correlate", a, tmp_path / "c.json"
+    )
     (tmp_path / "d.json").write_text("{")
     assert "d.json:1: not JSON" in refused(capsys, "correlate", a, tmp_path / "d.json")
     far = _modes(tmp_path / "far.json", [300.0])
@@ -551,7 +649,9 @@ def test_frequencies_without_shapes_are_paired_by_frequency(
     )
     b = _modes(tmp_path / "b.json", [3.0, 5.0, 9.0])
     found = parsed(capsys, "correlate", told, b)
-    assert [(p["test_mode"], p["fe_mode"], p["mac_percent"]) for p in found["pairs"]] == [
+    assert [
+        (p["test_mode"], p["fe_mode"], p["mac_percent"]) for p in found["pairs"]
+    ] == [
         (1, 1, None),
         (2, 2, None),
     ]
@@ -572,7 +672,12 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "out"
     found = parsed(capsys, "run", study, "--out", out)
     assert found["final"]
-    assert {p.name for p in out.iterdir()} == {"study.h5", "summary.json", "report.html", "updated"}
+    assert {p.name for p in out.iterdir()} == {
+        "study.h5",
+        "summary.json",
+        "report.html",
+        "updated",
+    }
     status, text, _ = call(capsys, "run", study, "--out", out)
     assert status == 0
     assert text.count("up to date") == 11
@@ -587,13 +692,17 @@ def test_run_and_report(tmp_path: Path, capsys: Capture) -> None:
     )
 
 
-def test_a_wrong_study_is_refused_and_nothing_is_written(tmp_path: Path, capsys: Capture) -> None:
+def test_a_wrong_study_is_refused_and_nothing_is_written(
+    tmp_path: Path, capsys: Capture
+) -> None:
     study = small_study.write_study(tmp_path, small_study.MODEL)
     out = tmp_path / "out"
     assert "no stage 'modl'; did you mean 'model'?" in refused(
         capsys, "run", study, "--out", out, "--from", "modl"
     )
-    assert "no stage 'end'" in refused(capsys, "run", study, "--out", out, "--until", "end")
+    assert "no stage 'end'" in refused(
+        capsys, "run", study, "--out", out, "--until", "end"
+    )
     study.write_text(small_study.MODEL + "fmx = 3.0\n")
     assert "study.toml: unknown key 'model.fmx'; did you mean 'fmax'?" in refused(
         capsys, "run", study, "--out", out
@@ -616,7 +725,9 @@ def test_a_stopped_run_keeps_the_store_and_says_how_to_go_on(
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ringtrue.study.stages.update.selection_rules.best_subset", stop)
+    monkeypatch.setattr(
+        "ringtrue.study.stages.update.selection_rules.best_subset", stop
+    )
     status, out, err = call(capsys, "run", study)
     assert status == ExitStatus.STOPPED
     assert out == ""
@@ -714,7 +825,8 @@ def test_a_fault_of_ringtrue_is_called_so_and_its_details_are_kept(
 def test_the_help_lists_every_exit_status(capsys: Capture) -> None:
     _, out, _ = call(capsys, "--help")
     assert all(
-        f"{status.value} {WORDS[status]}"[:20] in " ".join(out.split()) for status in ExitStatus
+        f"{status.value} {WORDS[status]}"[:20] in " ".join(out.split())
+        for status in ExitStatus
     )
 
 
@@ -736,7 +848,9 @@ def test_a_stage_that_fails_says_so_in_one_message(
 @pytest.mark.data
 @needs_data
 def test_free_beam(capsys: Capture) -> None:
-    found = parsed(capsys, "ema", DATA / "ema/free_beam/frf.npz", "--fmin", 100, "--fmax", 5000)
+    found = parsed(
+        capsys, "ema", DATA / "ema/free_beam/frf.npz", "--fmin", 100, "--fmax", 5000
+    )
     f = np.array([m["frequency_hz"] for m in found["modes"]])
     # bending of a free slender beam: the ratios of (beta L)^2 are 22.37, 61.67, 120.9, 199.9
     main = np.array(
@@ -752,20 +866,28 @@ def test_free_beam(capsys: Capture) -> None:
 @needs_data
 def test_timber_building(capsys: Capture) -> None:
     found = parsed(
-        capsys, "oma", DATA / "oma/palisaden/Palisaden_dataset.npy", "--rate", 100, "--fmax", 10
+        capsys,
+        "oma",
+        DATA / "oma/palisaden/Palisaden_dataset.npy",
+        "--rate",
+        100,
+        "--fmax",
+        10,
     )
     f = np.array([m["frequency_hz"] for m in found["modes"]])
     # published by covariance-driven SSI; within 0.5 %, the spread of the published methods being
     # 0.3 %
-    assert [f[np.abs(f - want).argmin()] for want in (1.882, 2.422, 2.687)] == pytest.approx(
-        [1.882, 2.422, 2.687], rel=5e-3
-    )
+    assert [
+        f[np.abs(f - want).argmin()] for want in (1.882, 2.422, 2.687)
+    ] == pytest.approx([1.882, 2.422, 2.687], rel=5e-3)
 
 
 @pytest.mark.data
 @needs_data
 def test_five_storeys(capsys: Capture) -> None:
-    found = parsed(capsys, "oma", DATA / "oma/shear_frame/data_shearframe.npy", "--rate", 12)
+    found = parsed(
+        capsys, "oma", DATA / "oma/shear_frame/data_shearframe.npy", "--rate", 12
+    )
     f = np.array([m["frequency_hz"] for m in found["modes"]])
     w, step = np.sort(np.load(DATA / "oma/shear_frame/omega_n.npy").ravel()), 1 / 12
     # the record was made by the average-acceleration method, whose own frequencies are up to 3 %
@@ -785,7 +907,9 @@ def test_five_storeys(capsys: Capture) -> None:
         ("naca_wing/0012_flutter.bdf", [2.66709, 10.6282]),
     ],
 )
-def test_public_decks_against_nastran(name: str, want: list[float], capsys: Capture) -> None:
+def test_public_decks_against_nastran(
+    name: str, want: list[float], capsys: Capture
+) -> None:
     found = parsed(capsys, "modes", DATA / "fe" / name, "-n", len(want))
     # another shell formulation than Nastran's on a coarse mesh of the wing
     assert [m["frequency_hz"] for m in found["modes"]] == pytest.approx(want, rel=0.01)

@@ -15,7 +15,9 @@ from ringtrue.io.modes import read_modes, read_std
 
 
 @pytest.mark.parametrize("ending", ["h5", "json", "uff", "csv"])
-def test_convert(tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_convert(
+    tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     motion = write_op2(tmp_path / "m.op2")
     target = tmp_path / f"out.{ending}"
     assert run(["convert", str(tmp_path / "m.op2"), str(target)]) == 0
@@ -27,7 +29,9 @@ def test_convert(tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
         tmp_path / "again.json"
     )  # what was written is read, too, be it called .h5 like Nastran's
     assert run(["convert", str(target), str(again)]) == 0
-    np.testing.assert_allclose(read_modes(again).frequencies, modes.frequencies, rtol=1e-6)
+    np.testing.assert_allclose(
+        read_modes(again).frequencies, modes.frequencies, rtol=1e-6
+    )
 
 
 def test_deflections_and_weight_of_a_static_run(
@@ -40,7 +44,9 @@ def test_deflections_and_weight_of_a_static_run(
     for case in range(2):
         records.append([11, 1, 0, case + 1, 0, 0, 0, 0, 1, 8] + [0] * 136)
         body: list[object] = []
-        for node, values in zip(NODES.tolist(), moved[:, :, case].tolist(), strict=True):
+        for node, values in zip(
+            NODES.tolist(), moved[:, :, case].tolist(), strict=True
+        ):
             body += [10 * node + 1, 1, *values]
         records.append(body)
     writer.table("OUGV1", records)
@@ -62,21 +68,31 @@ def test_deflections_and_weight_of_a_static_run(
     metres = rt.read_deflections(tmp_path / "statics.op2", units="mm-t-s").values
     about = np.tile([1e-3] * 3 + [1.0] * 3, 3)
     np.testing.assert_allclose(metres, found.reshape(2, 18) * about, rtol=1e-6)
-    assert run(["convert", str(tmp_path / "statics.op2"), str(tmp_path / "modes.h5")]) == 2
+    assert (
+        run(["convert", str(tmp_path / "statics.op2"), str(tmp_path / "modes.h5")]) == 2
+    )
 
 
 @pytest.mark.data
 def test_deflections_of_the_h5_of_msc() -> None:
-    path = recorded("msc2019/superelements/three_element_types/no_super/noreduction-static.h5")
+    path = recorded(
+        "msc2019/superelements/three_element_types/no_super/noreduction-static.h5"
+    )
     found = rt.read_deflections(path)
     assert found.cases == ("subcase 1", "subcase 2", "subcase 3")
-    assert found.values[0, found.points.index("1+X")] == pytest.approx(5.86206897e-8, rel=1e-8)
+    assert found.values[0, found.points.index("1+X")] == pytest.approx(
+        5.86206897e-8, rel=1e-8
+    )
 
 
 def test_standard_deviations_are_kept(tmp_path: Path) -> None:
     table = "frequency [Hz],std frequency [Hz],1+Z\n3,0.01,1\n5,0.02,-1\n"
     (tmp_path / "m.csv").write_text(table)
-    for source, target in (("m.csv", "m.json"), ("m.json", "m.h5"), ("m.h5", "again.csv")):
+    for source, target in (
+        ("m.csv", "m.json"),
+        ("m.json", "m.h5"),
+        ("m.h5", "again.csv"),
+    ):
         assert run(["convert", str(tmp_path / source), str(tmp_path / target)]) == 0
         assert read_std(tmp_path / target)[0].tolist() == [0.01, 0.02]
 
@@ -87,7 +103,9 @@ def test_nastran_h5_is_told_from_our_own(tmp_path: Path) -> None:
     assert len(read_modes(tmp_path / "out.json")) == 2
 
 
-def test_bad_input_is_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_op2(tmp_path / "m.op2")
     (tmp_path / "cut.op2").write_bytes((tmp_path / "m.op2").read_bytes()[:900])
     for source, target, word in (

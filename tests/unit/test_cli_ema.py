@@ -51,7 +51,9 @@ def as_tdms(path: Path, history: TimeHistory, names: list[str]) -> Path:
         step = 1 / history.rate
         file.write_segment(
             [
-                ChannelObject("blows", n, x, {"wf_increment": step, "unit_string": c.unit})
+                ChannelObject(
+                    "blows", n, x, {"wf_increment": step, "unit_string": c.unit}
+                )
                 for n, x, c in zip(names, history.data, history.channels, strict=True)
             ]
         )
@@ -59,15 +61,23 @@ def as_tdms(path: Path, history: TimeHistory, names: list[str]) -> Path:
 
 
 @pytest.mark.parametrize("ending", [".csv", ".uff", ".h5", ".mat", ".tdms", ".wav"])
-def test_blows_in_any_format_give_the_modes(ending: str, tmp_path: Path, capsys: Capture) -> None:
-    blows, path, options = record(1, RESPONSES, rebound=2), tmp_path / f"b{ending}", list[object]()
+def test_blows_in_any_format_give_the_modes(
+    ending: str, tmp_path: Path, capsys: Capture
+) -> None:
+    blows, path, options = (
+        record(1, RESPONSES, rebound=2),
+        tmp_path / f"b{ending}",
+        list[object](),
+    )
     if ending == ".tdms":
         names = ["hammer", *(c.id for c in blows.channels[1:])]
         as_tdms(path, blows, names)
         options = ["--struck", "2+Z"]
     elif ending == ".wav":
         wavfile.write(
-            path, int(blows.rate), (blows.data / np.abs(blows.data).max()).T.astype(np.float32)
+            path,
+            int(blows.rate),
+            (blows.data / np.abs(blows.data).max()).T.astype(np.float32),
         )
         options = ["--force", "ch1"]
     else:
@@ -84,7 +94,9 @@ def test_hits_by_hand_are_replayed(tmp_path: Path, capsys: Capture) -> None:
     entry = "[[hit]]\nrecord = '{}'\ntime = 10.0\nkeep = false\nreason = 'cable'\n"
     (tmp_path / "c.toml").write_text(entry.format("b"))
     words = (tmp_path / "b.h5", "--fmax", 80, "--choice")
-    found = ema(capsys, *words, tmp_path / "c.toml", "--write-choice", tmp_path / "d.toml")
+    found = ema(
+        capsys, *words, tmp_path / "c.toml", "--write-choice", tmp_path / "d.toml"
+    )
     assert [b["used"] for b in found["blows"]] == [True, False, True, True, True, True]
     again = ema(capsys, *words, tmp_path / "d.toml")
     assert [m["frequency_hz"] for m in again["modes"]] == [
@@ -120,7 +132,8 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
     gain = 0.01 * (1 + np.arange(len(blows.channels)))
     bare = tuple(Channel(c.id, unit="V") for c in blows.channels)
     write_history(
-        tmp_path / "v.csv", replace(blows, data=blows.data * gain[:, None], channels=bare)
+        tmp_path / "v.csv",
+        replace(blows, data=blows.data * gain[:, None], channels=bare),
     )
     write_history(tmp_path / "si.csv", blows)
     rows = [
@@ -130,7 +143,9 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
     (tmp_path / "s.csv").write_text(
         "\n".join(["point,x,y,z,direction,channel,unit,sensitivity", *rows])
     )
-    volts = ema(capsys, tmp_path / "v.csv", "--fmax", 80, "--sensors", tmp_path / "s.csv")
+    volts = ema(
+        capsys, tmp_path / "v.csv", "--fmax", 80, "--sensors", tmp_path / "s.csv"
+    )
     given = ema(capsys, tmp_path / "si.csv", "--fmax", 80)
     assert volts["scaling"] == given["scaling"]
     for a, b in zip(volts["modes"], given["modes"], strict=True):
@@ -143,7 +158,10 @@ def test_a_sensor_sheet_scales_blows_in_volts(tmp_path: Path, capsys: Capture) -
 def test_what_is_taken_for_granted_is_told(tmp_path: Path, capsys: Capture) -> None:
     """Volts without a sheet; one file twice would count as two measurements."""
     blows = record(1, RESPONSES)
-    channels = (Channel("Hammer", unit="V"), *(Channel(c.id, unit="V") for c in blows.channels[1:]))
+    channels = (
+        Channel("Hammer", unit="V"),
+        *(Channel(c.id, unit="V") for c in blows.channels[1:]),
+    )
     path = tmp_path / "v.csv"
     write_history(path, replace(blows, channels=channels))
     assert run(["ema", str(path), "--fmax", "80"]) == 0
@@ -155,7 +173,9 @@ def test_what_is_taken_for_granted_is_told(tmp_path: Path, capsys: Capture) -> N
         assert "v.csv is given twice" in capsys.readouterr().err
 
 
-def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: Capture) -> None:
+def test_what_was_struck_is_named_and_frfs_are_written(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """Two files of a roving hammer whose force channel is called the same."""
     for k, point in enumerate([1, 7]):
         b = record(point, RESPONSES, seed=k)
@@ -165,7 +185,14 @@ def test_what_was_struck_is_named_and_frfs_are_written(tmp_path: Path, capsys: C
         )
     files = [tmp_path / "0.csv", tmp_path / "1.csv"]
     found = ema(
-        capsys, *files, "--struck", "2+Z", "--struck", "8+Z", "--write-frfs", tmp_path / "h.h5"
+        capsys,
+        *files,
+        "--struck",
+        "2+Z",
+        "--struck",
+        "8+Z",
+        "--write-frfs",
+        tmp_path / "h.h5",
     )
     assert {b["struck"] for b in found["blows"]} == {"2+Z", "8+Z"}
     assert found["scaling"] == "mass"  # 8+Z is a driving point
@@ -204,7 +231,10 @@ def test_channels_of_files_without_names_are_named(tmp_path: Path) -> None:
     files = [tmp_path / "0.npy", tmp_path / "1.npy"]
     for path, point in zip(files, (1, 7), strict=True):
         b = record(point, RESPONSES)
-        np.save(path, np.vstack([b.data[:2], np.sin(np.arange(b.data.shape[1])), b.data[2:]]))
+        np.save(
+            path,
+            np.vstack([b.data[:2], np.sin(np.arange(b.data.shape[1])), b.data[2:]]),
+        )
     motions = [f"{k + 1}+Z" for k in RESPONSES]
     names = [(f"F:{p}", motions[0], "", *motions[1:]) for p in ("2+Z", "8+Z")]
     how = ForceRecordFormat(rate=512, channels=tuple(names))
@@ -242,7 +272,14 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
                 )
     runs = read_runs(tmp_path / "b.uff")
     assert len(runs) == 6
-    assert [c.id for c in runs[0].channels] == ["F:3+Z", "1+Z", "3+Z", "6+Z", "8+Z", "11+Z"]
+    assert [c.id for c in runs[0].channels] == [
+        "F:3+Z",
+        "1+Z",
+        "3+Z",
+        "6+Z",
+        "8+Z",
+        "11+Z",
+    ]
     records, _, notes = read_force_records([tmp_path / "b.uff"])
     frfs, hits = estimate_frf(records)
     assert frfs.averages[0] == len(hits) == 6
@@ -250,7 +287,9 @@ def test_triggered_blows_in_one_universal_file_are_runs_and_keep_the_driving_poi
     assert not notes
 
 
-def test_rates_of_turning_under_a_moment_become_angular_accelerances(tmp_path: Path) -> None:
+def test_rates_of_turning_under_a_moment_become_angular_accelerances(
+    tmp_path: Path,
+) -> None:
     b = record(1, RESPONSES)
     still = b.data[2] - 0.5
     gyro = (np.cumsum(still) - 0.5 * still) / b.rate
@@ -266,12 +305,19 @@ def test_rates_of_turning_under_a_moment_become_angular_accelerances(tmp_path: P
     frfs, _ = estimate_frf(records)
     assert not notes
     assert (frfs.inputs[0].id, frfs.inputs[0].quantity) == ("2+RX", "moment")
-    assert (frfs.outputs[1].quantity, frfs.outputs[1].unit) == ("angular acceleration", "rad/s^2")
-    assert {c.quantity for i, c in enumerate(frfs.outputs) if i != 1} == {"acceleration"}
+    assert (frfs.outputs[1].quantity, frfs.outputs[1].unit) == (
+        "angular acceleration",
+        "rad/s^2",
+    )
+    assert {c.quantity for i, c in enumerate(frfs.outputs) if i != 1} == {
+        "acceleration"
+    }
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
     true = receptance(s, RESPONSES, 1)[:, 1] * s**2
     at = (frfs.freqs > 8) & (frfs.freqs < 30)
-    assert np.linalg.norm(frfs.data[at, 1, 0] - true[at]) < 0.02 * np.linalg.norm(true[at])
+    assert np.linalg.norm(frfs.data[at, 1, 0] - true[at]) < 0.02 * np.linalg.norm(
+        true[at]
+    )
 
 
 def test_motions_of_two_kinds_become_one(tmp_path: Path) -> None:
@@ -312,7 +358,10 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path) -> None:
     force = rng.standard_normal(n)
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
     y = np.fft.irfft(
-        s[:, None] ** 2 * receptance(s, RESPONSES, 2) * np.fft.rfft(force, 2 * n)[:, None], axis=0
+        s[:, None] ** 2
+        * receptance(s, RESPONSES, 2)
+        * np.fft.rfft(force, 2 * n)[:, None],
+        axis=0,
     )[:n].T
     y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
     channels = (
@@ -324,7 +373,8 @@ def test_a_shaker_that_runs_all_the_time(tmp_path: Path) -> None:
         frfs = rt.estimate_frfs(tmp_path / "s.h5", line_spacing=spacing)
         found = rt.identify_frfs(frfs, fmax=70)
         assert found.frequencies == pytest.approx(FN, rel=2e-4)
-        assert found.damping == pytest.approx(ZETA, rel=0.01)  # Hann windows of 20 s add 5 %
+        # Hann windows of 20 s add 5 %
+        assert found.damping == pytest.approx(ZETA, rel=0.01)
 
 
 def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
@@ -332,7 +382,9 @@ def test_two_shakers_in_one_file(tmp_path: Path, capsys: Capture) -> None:
     force = rng.standard_normal((2, n))
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
     h = [s[:, None] ** 2 * receptance(s, RESPONSES, k) for k in (1, 2)]
-    spectrum = sum(x * np.fft.rfft(f, 2 * n)[:, None] for x, f in zip(h, force, strict=True))
+    spectrum = sum(
+        x * np.fft.rfft(f, 2 * n)[:, None] for x, f in zip(h, force, strict=True)
+    )
     y = np.fft.irfft(spectrum, axis=0)[:n].T
     channels = tuple(Channel(f"F:{k + 1}+Z", "force", "N") for k in (1, 2))
     channels += tuple(Channel(f"{o + 1}+Z", "acceleration", "m/s^2") for o in RESPONSES)
@@ -349,7 +401,9 @@ def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--leave-out 9"):
         read_force_records([tmp_path / "b.csv"], ForceRecordFormat(leave_out=("9+Z",)))
     with pytest.raises(DataError, match="no channel but the force"):
-        read_force_records([tmp_path / "b.csv"], ForceRecordFormat(leave_out=("1+Z", "3+Z")))
+        read_force_records(
+            [tmp_path / "b.csv"], ForceRecordFormat(leave_out=("1+Z", "3+Z"))
+        )
     write_history(
         tmp_path / "q.csv",
         replace(b, channels=(*b.channels[1:], Channel("x", "acceleration", "m/s^2"))),
@@ -365,7 +419,9 @@ def test_groups_of_two_rates_are_chosen_by_name(tmp_path: Path) -> None:
             ChannelObject("fast", c, x, {"wf_increment": 0.01})
             for c, x in zip("ab", y, strict=True)
         ]
-        file.write_segment([*fast, ChannelObject("slow", "T", y[0, :40], {"wf_increment": 0.1})])
+        file.write_segment(
+            [*fast, ChannelObject("slow", "T", y[0, :40], {"wf_increment": 0.1})]
+        )
     with pytest.raises(
         DataError,
         match=r"fast: 2 channels, 400 samples, 100 Hz; slow: 1 .* choose a group of one rate",
@@ -392,7 +448,10 @@ def test_groups_of_blows_are_runs(tmp_path: Path) -> None:
         for k in range(3):
             made = zip(["hammer", "1+Z"], blow * (k + 1), strict=True)
             file.write_segment(
-                [ChannelObject(f"blow {k}", c, x, {"wf_increment": 1 / 400}) for c, x in made]
+                [
+                    ChannelObject(f"blow {k}", c, x, {"wf_increment": 1 / 400})
+                    for c, x in made
+                ]
             )
     runs = read_runs(tmp_path / "r.tdms")
     assert [r.data[1, 0] for r in runs] == [1.0, 2.0, 3.0]
@@ -437,28 +496,49 @@ def sine_lines() -> np.ndarray:
     return np.unique(np.concatenate([np.arange(8.0, 70.0, 0.4), *fine]).round(4))
 
 
-def stepped(f: np.ndarray, seed: int, shift: float = 1.0, damped: float = 1.0) -> np.ndarray:
+def stepped(
+    f: np.ndarray, seed: int, shift: float = 1.0, damped: float = 1.0
+) -> np.ndarray:
     """Accelerances (f, out) for a force at point 3; frequencies and damping times a factor."""
     s, w = 2j * np.pi * f[:, None], 2 * np.pi * FN * shift
-    h = s**2 * ((1 / (s**2 + 2 * ZETA * damped * w * s + w**2) * PHI[2]) @ PHI[RESPONSES].T)
+    h = s**2 * (
+        (1 / (s**2 + 2 * ZETA * damped * w * s + w**2) * PHI[2]) @ PHI[RESPONSES].T
+    )
     rng = np.random.default_rng(seed)
-    return h * (1 + 2e-3 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)))
+    return h * (
+        1 + 2e-3 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    )
 
 
-def write_table(path: Path, f: np.ndarray, h: np.ndarray, *, polar: bool = False) -> Path:
+def write_table(
+    path: Path, f: np.ndarray, h: np.ndarray, *, polar: bool = False
+) -> Path:
     names = [f"{o + 1}+Z/3+Z" for o in RESPONSES]
-    one, two = (20 * np.log10(np.abs(h)), np.degrees(np.angle(h))) if polar else (h.real, h.imag)
-    tail = ("mag [dB]", "phase [deg]") if polar else ("real [m/s^2/N]", "imag [m/s^2/N]")
+    one, two = (
+        (20 * np.log10(np.abs(h)), np.degrees(np.angle(h)))
+        if polar
+        else (h.real, h.imag)
+    )
+    tail = (
+        ("mag [dB]", "phase [deg]") if polar else ("real [m/s^2/N]", "imag [m/s^2/N]")
+    )
     head = ",".join(["Frequency [Hz]", *(f"{n} {t}" for n in names for t in tail)])
     columns = np.stack([one, two], axis=2).reshape(f.size, -1)
     np.savetxt(
-        path, np.column_stack([f, columns]), delimiter=",", header=head, comments="", fmt="%.8g"
+        path,
+        np.column_stack([f, columns]),
+        delimiter=",",
+        header=head,
+        comments="",
+        fmt="%.8g",
     )
     return path
 
 
 @pytest.mark.parametrize("polar", [False, True])
-def test_a_stepped_sine_of_uneven_lines(polar: bool, tmp_path: Path, capsys: Capture) -> None:
+def test_a_stepped_sine_of_uneven_lines(
+    polar: bool, tmp_path: Path, capsys: Capture
+) -> None:
     f = sine_lines()
     path = write_table(tmp_path / "s.csv", f, stepped(f, 0), polar=polar)
     found = ema(capsys, path)
@@ -497,27 +577,39 @@ def test_force_levels_tell_what_is_not_linear(tmp_path: Path) -> None:
 
 def test_titles_of_tables(tmp_path: Path) -> None:
     text = "Freq;Re(H 1+Z/3+Z);Im(H 1+Z/3+Z);H(2+Z,3+Z)_mag [mm/s/N];H(2+Z,3+Z)_phase (rad);note\n"
-    (tmp_path / "t.csv").write_text(text + "".join(f"{x},5;1,0;2,0;3,0;0,5;7\n" for x in (3, 1, 2)))
-    mixed = read_frfs(tmp_path / "t.csv")
-    np.testing.assert_allclose(mixed.data[:, 1, 0], 2j * np.pi * mixed.freqs * 3e-3 * np.exp(0.5j))
     (tmp_path / "t.csv").write_text(
-        text.replace(" [mm/s/N]", "") + "".join(f"{x},5;{x};2;3;0,5;7\n" for x in (3, 1, 2))
+        text + "".join(f"{x},5;1,0;2,0;3,0;0,5;7\n" for x in (3, 1, 2))
+    )
+    mixed = read_frfs(tmp_path / "t.csv")
+    np.testing.assert_allclose(
+        mixed.data[:, 1, 0], 2j * np.pi * mixed.freqs * 3e-3 * np.exp(0.5j)
+    )
+    (tmp_path / "t.csv").write_text(
+        text.replace(" [mm/s/N]", "")
+        + "".join(f"{x},5;{x};2;3;0,5;7\n" for x in (3, 1, 2))
     )
     frfs = read_frfs(tmp_path / "t.csv")
     assert frfs.freqs.tolist() == [1.5, 2.5, 3.5]
     np.testing.assert_allclose(frfs.data[:, 0, 0], [1 + 2j, 2 + 2j, 3 + 2j])
     np.testing.assert_allclose(frfs.data[:, 1, 0], 3 * np.exp(0.5j))
-    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
+    assert ([c.id for c in frfs.outputs], [c.id for c in frfs.inputs]) == (
+        ["1+Z", "2+Z"],
+        ["3+Z"],
+    )
     (tmp_path / "t.csv").write_text(
         "f,1+Z/3+Z mag [dB re 2 g/N],1+Z/3+Z phase [deg]\n" + "1,20,0\n2,20,0\n3,20,0\n"
     )
-    np.testing.assert_allclose(read_frfs(tmp_path / "t.csv").data[:, 0, 0], 10 * 2 * 9.80665)
+    np.testing.assert_allclose(
+        read_frfs(tmp_path / "t.csv").data[:, 0, 0], 10 * 2 * 9.80665
+    )
     (tmp_path / "t.csv").write_text("f,a real,b imag\n1,1,1\n2,2,2\n3,3,3\n")
     with pytest.raises(DataError, match="needed: real and imag"):
         read_frfs(tmp_path / "t.csv")
 
 
-def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_path: Path) -> None:
+def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(
+    tmp_path: Path,
+) -> None:
     """One mass of 8 Hz and 2 % on a base that moves at random: absolute motion over that of the
     base, by name.
     """
@@ -535,7 +627,18 @@ def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_
     path.write_text("\n".join(["Time [s],9+Z [g],1+Z [g],2+Z [g]", *rows]))
     assert run(["ema", str(path)]) == 2
     assert (
-        run(["ema", str(path), "--force", "9+Z", "--fmin", "2", "--json", str(tmp_path / "m.json")])
+        run(
+            [
+                "ema",
+                str(path),
+                "--force",
+                "9+Z",
+                "--fmin",
+                "2",
+                "--json",
+                str(tmp_path / "m.json"),
+            ]
+        )
         == 0
     )
     modes = read_modes(tmp_path / "m.json")
@@ -545,6 +648,8 @@ def test_time_records_of_a_shaken_base_tell_the_modes_of_the_held_structure(tmp_
 
 def test_a_small_deviation_is_not_printed_as_none() -> None:
     one = np.ones((1, 1))
-    modes = ModeSet(np.array([17.2]), np.array([0.02]), one, ("1+Z",), confidence=np.ones(1))
+    modes = ModeSet(
+        np.array([17.2]), np.array([0.02]), one, ("1+Z",), confidence=np.ones(1)
+    )
     std = Uncertainty.independent(np.array([1e-4]), np.array([3.21e-6]), one)
     assert "0.00032" in mode_lines(TestModes(modes, std))[0]

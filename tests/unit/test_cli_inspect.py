@@ -111,7 +111,9 @@ def test_json_and_a_file_that_cannot_be_read(tmp_path: Path, capsys: Capture) ->
 
 
 def test_a_universal_file_of_several_things(tmp_path: Path) -> None:
-    both = (SEEDS / "sensors/geometry.uff").read_bytes() + (SEEDS / "frf/own.uff").read_bytes()
+    both = (SEEDS / "sensors/geometry.uff").read_bytes() + (
+        SEEDS / "frf/own.uff"
+    ).read_bytes()
     (tmp_path / "all.dat").write_bytes(both)
     found = rt.inspect_file(tmp_path / "all.dat")
     assert [part.kind for part in found.parts] == ["FRFs", "sensors"]
@@ -126,11 +128,15 @@ def test_a_short_table_is_no_record(tmp_path: Path) -> None:
     assert "Abaqus" in rt.inspect_file(tmp_path / "job.inp").problem
 
 
-def test_a_deck_of_any_name_is_correlated_and_checked(tmp_path: Path, capsys: Capture) -> None:
+def test_a_deck_of_any_name_is_correlated_and_checked(
+    tmp_path: Path, capsys: Capture
+) -> None:
     shutil.copy(rt.example_deck(), tmp_path / "model.txt")
     modes = rt.solve_modes(rt.read_deck(tmp_path / "model.txt"), count=3)
     rt.write_modes(tmp_path / "m.json", modes)
-    status, out, _ = call(capsys, "correlate", tmp_path / "m.json", tmp_path / "model.txt")
+    status, out, _ = call(
+        capsys, "correlate", tmp_path / "m.json", tmp_path / "model.txt"
+    )
     assert status == 0
     assert "100.0" in out
 

@@ -49,8 +49,12 @@ def test_matrices_of_responses_act_on_them_and_not_on_modes(
     """Half of 400 N/m, 1 kg and 2 N s/m more under node 6, by K2PP, M2PP and B2PP."""
     deck, target = written(tmp_path / "d.bdf"), tmp_path / "f.h5"
     terms = zip(("KP", "MP", "BP"), (400.0, 1.0, 2.0), strict=True)
-    dmig = "".join(f"DMIG,{name},0,6,1\nDMIG,{name},6,1,,6,1,{value}\n" for name, value in terms)
-    deck.write_text(f"CEND\nK2PP = 0.5*KP\nM2PP = MP\nB2PP = BP\n{deck.read_text()}{dmig}")
+    dmig = "".join(
+        f"DMIG,{name},0,6,1\nDMIG,{name},6,1,,6,1,{value}\n" for name, value in terms
+    )
+    deck.write_text(
+        f"CEND\nK2PP = 0.5*KP\nM2PP = MP\nB2PP = BP\n{deck.read_text()}{dmig}"
+    )
     words = ["frf", str(deck), "--force", "6+X", "--fmin", "0.5", "--fmax", "5", *more]
     assert run([*words, "--out", str(target)]) == 0
     found = read_frfs(target)
@@ -61,7 +65,8 @@ def test_matrices_of_responses_act_on_them_and_not_on_modes(
     capsys.readouterr()
     assert run(["modes", str(deck), "--json", "-"]) == 0
     assert SECOND in [
-        pytest.approx(m["frequency_hz"]) for m in json.loads(capsys.readouterr().out)["modes"]
+        pytest.approx(m["frequency_hz"])
+        for m in json.loads(capsys.readouterr().out)["modes"]
     ]
 
 
@@ -99,7 +104,16 @@ def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(
     tmp_path: Path, capsys: Capture
 ) -> None:
     deck = written(tmp_path / "d.bdf", damped=False)
-    words = ["frf", str(deck), "--force", "5+X", "--fmax", "5", "--quantity", "displacement"]
+    words = [
+        "frf",
+        str(deck),
+        "--force",
+        "5+X",
+        "--fmax",
+        "5",
+        "--quantity",
+        "displacement",
+    ]
     assert run(words) == 2
     assert "give a damping ratio" in capsys.readouterr().err
     assert run([*words, "--direct"]) == 2
@@ -109,14 +123,19 @@ def test_a_ratio_stands_in_place_of_the_damping_of_the_deck(
     w = 2 * np.pi * np.array(found["frequencies_hz"])
     (one,) = found["frfs"]
     want = 1 / (800 - 2 * w**2 + 2j * 0.03 * 20 * 2 * w)
-    np.testing.assert_allclose(np.array(one["re"]) + 1j * np.array(one["im"]), want, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.array(one["re"]) + 1j * np.array(one["im"]), want, rtol=1e-6
+    )
     assert (one["response"], one["force"], found["unit"]) == ("5+X", "5+X", "(m)/N")
 
 
 @pytest.mark.parametrize(
     ("table", "ratio"),
     [
-        ("CRIT\n,1.,0.02,5.,0.06,ENDT", (0.02 + 0.01 * (FIRST - 1), 0.02 + 0.01 * (SECOND - 1))),
+        (
+            "CRIT\n,1.,0.02,5.,0.06,ENDT",
+            (0.02 + 0.01 * (FIRST - 1), 0.02 + 0.01 * (SECOND - 1)),
+        ),
         ("G\n,0.,0.05,SKIP,SKIP,100.,0.05,ENDT", (0.025, 0.025)),
         (",1\n,2.,0.04,3.,0.06,ENDT", (0.03, 0.02)),
         ("Q\n,0.,10.,ENDT", (0.05, 0.05)),
@@ -174,7 +193,11 @@ def test_modal_damping_that_is_no_table(
 def test_frfs_are_written_so_that_modes_are_found_in_them(
     tmp_path: Path, ending: str, capsys: Capture
 ) -> None:
-    deck, target, page = written(tmp_path / "d.bdf"), tmp_path / f"f.{ending}", tmp_path / "f.html"
+    deck, target, page = (
+        written(tmp_path / "d.bdf"),
+        tmp_path / f"f.{ending}",
+        tmp_path / "f.html",
+    )
     words = [
         "frf",
         str(deck),
@@ -189,11 +212,15 @@ def test_frfs_are_written_so_that_modes_are_found_in_them(
     ]
     assert run(words) == 0
     found = read_frfs(target)
-    np.testing.assert_allclose(found.data[:, 0, 0], accelerance(found.freqs)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(
+        found.data[:, 0, 0], accelerance(found.freqs)[:, 0], rtol=1e-6
+    )
     capsys.readouterr()
     assert run(["ema", str(target), "--json", "-"]) == 0
     modes = json.loads(capsys.readouterr().out)["modes"]
-    assert [m["frequency_hz"] for m in modes] == pytest.approx([20 / 2 / np.pi], rel=1e-3)
+    assert [m["frequency_hz"] for m in modes] == pytest.approx(
+        [20 / 2 / np.pi], rel=1e-3
+    )
     assert [m["damping"] for m in modes] == pytest.approx([0.02], rel=1e-2)
     assert "Force at 5+X" in page.read_text("utf-8")
 
@@ -232,7 +259,10 @@ def test_static_deflections_are_force_over_stiffness(
     ]
     assert run([*words, "--units", units, "--csv", str(table)]) == 0
     tests = read_statics(table)
-    assert (tests.cases, tests.channels) == (("5+X", "6-X"), ("5+X", "5-X", "6+X", "6-X"))
+    assert (tests.cases, tests.channels) == (
+        ("5+X", "6-X"),
+        ("5+X", "5-X", "6+X", "6-X"),
+    )
     np.testing.assert_allclose(tests.deflections[1], [-4 / 800, 0], atol=1e-12)
     np.testing.assert_allclose(tests.deflections[2], [0, -1 / 100], atol=1e-12)
     assert tests.loads[0, 0] == 4.0
@@ -274,7 +304,9 @@ def test_static_loads_of_the_deck(tmp_path: Path, capsys: Capture) -> None:
     deck, L, E, rho, A, I2 = tmp_path / "d.bdf", 2.0, 2e11, 8000, 0.01, 3e-6
     deck.write_text(BAR)
     assert run(["static", str(deck), "--at", "2+X", "--at", "2+Z", "--json", "-"]) == 0
-    cases = {c["case"]: c["metre"] for c in json.loads(capsys.readouterr().out)["cases"]}
+    cases = {
+        c["case"]: c["metre"] for c in json.loads(capsys.readouterr().out)["cases"]
+    }
     bent = -20 * L**3 / (3 * E * I2) - 30 * L**2 / (
         2 * E * I2
     )  # a moment about Y turns Z of the tip down
@@ -300,7 +332,8 @@ def cantilever(path: Path, length: float, mass: float) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("units", "length", "mass"), [("SI", 1, 1), ("mm-t-s", 1e-3, 1e3), ("mm-kg-s", 1e-3, 1)]
+    ("units", "length", "mass"),
+    [("SI", 1, 1), ("mm-t-s", 1e-3, 1e3), ("mm-kg-s", 1e-3, 1)],
 )
 def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
     tmp_path: Path, units: str, length: float, mass: float, capsys: Capture
@@ -318,7 +351,9 @@ def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
     K = EI / L**3 * np.array([[12, -6 * L], [-6 * L, 4 * L**2]])
     M = m / 420 * np.array([[156, -22 * L], [-22 * L, 4 * L**2]])
     ends = ["--force", "2-Z", "--force", "2+RY", "--units", units]
-    assert run(["static", str(deck), *ends[:3], "2+RY=30", *ends[4:], "--json", "-"]) == 0
+    assert (
+        run(["static", str(deck), *ends[:3], "2+RY=30", *ends[4:], "--json", "-"]) == 0
+    )
     cases = json.loads(capsys.readouterr().out)["cases"]
     moved = [[c["metre"]["2-Z"], c["radian"]["2+RY"]] for c in cases]
     np.testing.assert_allclose(moved, np.linalg.inv(K) * [[1], [30]], rtol=1e-6)
@@ -344,7 +379,9 @@ def test_moments_and_rotations_are_those_of_a_cantilever_in_si(
     modal = lam - w[:, None] ** 2 + 2j * 0.01 * np.sqrt(lam) * w[:, None]
     want = 1j * w[:, None, None] * np.einsum("om,fm,im->foi", phi, 1 / modal, phi)
     np.testing.assert_allclose(found.data, want, rtol=1e-5)
-    assert [(c.id, c.quantity, c.unit) for c in (found.outputs[1], found.inputs[1])] == [
+    assert [
+        (c.id, c.quantity, c.unit) for c in (found.outputs[1], found.inputs[1])
+    ] == [
         ("2+RY", "angular velocity", "rad/s"),
         ("2+RY", "moment", "N*m"),
     ]
@@ -379,9 +416,17 @@ def test_rotations_by_modes_and_directly_agree(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("LOAD = 3", "LOAD = 9", "ACCEL1 is not supported: of a static load, FORCE, MOMENT, GRAV"),
+        (
+            "LOAD = 3",
+            "LOAD = 9",
+            "ACCEL1 is not supported: of a static load, FORCE, MOMENT, GRAV",
+        ),
         ("LOAD = 3", "LOAD = 3\n  SPC = 2", "SUBCASE 8 has other"),
-        ("FORCE,3,2", "FORCE,3,22", "SUBCASE 8: FORCE names node 22, which is not in the deck"),
+        (
+            "FORCE,3,2",
+            "FORCE,3,22",
+            "SUBCASE 8: FORCE names node 22, which is not in the deck",
+        ),
         ("FORCE,3,2,4,100.", "FORCE,3,2,4,x", "'X' is not a real"),
         ("LOAD", "LAOD", "case control has no LOAD"),
     ],
@@ -418,15 +463,27 @@ def test_displaced_supports_are_of_the_deck(tmp_path: Path, capsys: Capture) -> 
             "must be a node and a direction, such as 101+Z or 101+RZ",
         ),
         (("frf", "--force", "5+RX", "--fmax", "5"), 0, "warning: 5+RX is held"),
-        (("frf", "--force", "5+X", "--fmax", "5", "--fmin", "6"), 2, "0 <= fmin < fmax"),
+        (
+            ("frf", "--force", "5+X", "--fmax", "5", "--fmin", "6"),
+            2,
+            "0 <= fmin < fmax",
+        ),
         (
             ("frf", "--force", "5+X", "--fmax", "5", "--direct", "--damping", "0.1"),
             2,
             "damping is for modes",
         ),
-        (("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"), 2, "between 0 and 1"),
+        (
+            ("frf", "--force", "5+X", "--fmax", "5", "--damping", "2"),
+            2,
+            "between 0 and 1",
+        ),
         (("frf", "--force", "55+X", "--fmax", "5"), 2, "the deck has no 55+X"),
-        (("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-h"), 2, "did you mean"),
+        (
+            ("frf", "--force", "5+X", "--fmax", "5", "--units", "mm-kg-h"),
+            2,
+            "did you mean",
+        ),
         (("frf", "--force", "7+X", "--fmax", "5"), 0, "warning: 7+X is held"),
         (("static", "--at", "5+X", "--units", "mm-kg-h"), 2, "did you mean"),
         (("static",), 2, "name the points"),

@@ -29,7 +29,8 @@ from ringtrue.updating.problem import Problem
 from ringtrue.updating.strategy import Verified
 
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
-    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n' for i in small_study.TRUTH
+    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\n'
+    for i in small_study.TRUTH
 )
 READ = ("303+X", "203+X", "103+X")
 
@@ -50,12 +51,16 @@ def folder(tmp_path: Path) -> Path:
 
 def call(capsys: Capture, folder: Path, *words: str) -> tuple[int, str, str]:
     capsys.readouterr()
-    status = run(["update", str(folder / "study.toml"), str(folder / "test.json"), *words])
+    status = run(
+        ["update", str(folder / "study.toml"), str(folder / "test.json"), *words]
+    )
     out, err = capsys.readouterr()
     return status, out, err
 
 
-def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path) -> None:
+def test_factors_are_found_and_the_deck_is_edited(
+    capsys: Capture, folder: Path
+) -> None:
     status, out, err = call(
         capsys, folder, "--leave-out", "3,7", "--out", str(folder / "up"), "--json", "-"
     )
@@ -70,7 +75,9 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
     for m in found["modes"]:
         assert abs(m["deviation_percent"]) < 0.1
     updated = read_deck(folder / "up" / "frame.bdf")
-    moduli = updated["MAT1"]["E"][updated["MAT1"].find(np.array(list(small_study.TRUTH)))]
+    moduli = updated["MAT1"]["E"][
+        updated["MAT1"].find(np.array(list(small_study.TRUTH)))
+    ]
     np.testing.assert_allclose(moduli, 2e11 * np.array(factors), rtol=1e-5)
 
 
@@ -82,7 +89,9 @@ def test_factors_are_found_and_the_deck_is_edited(capsys: Capture, folder: Path)
         'residuals = ["frequencies", "mac"]\n',
     ],
 )
-def test_settings_lead_to_the_same_factors(capsys: Capture, folder: Path, settings: str) -> None:
+def test_settings_lead_to_the_same_factors(
+    capsys: Capture, folder: Path, settings: str
+) -> None:
     (folder / "study.toml").write_text(f'{STUDY}[update]\nwrite = "all"\n{settings}')
     status, out, err = call(capsys, folder, "--seed", "1", "--json", "-")
     assert status == 0, err
@@ -101,10 +110,13 @@ def test_an_end_that_lost_modes_gives_way_to_a_lower_one_of_further_starts(
         if how.settings.starts > 1:
             return done
         c, x = problem.configurations[0], 0 * done.solution.x
-        none = replace(c, target=replace(c.target, fixed=(np.zeros((0, 2), dtype=np.int64), ())))
+        none = replace(
+            c, target=replace(c.target, fixed=(np.zeros((0, 2), dtype=np.int64), ()))
+        )
         end = replace(problem, configurations=(none,)).evaluate(x)
         return replace(
-            done, solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,))
+            done,
+            solution=replace(done.solution, x=x, y=x, factors=x + 1, history=(end,)),
         )
 
     monkeypatch.setattr(direct, "_minimised", poor)
@@ -124,7 +136,9 @@ def test_starts_on_two_workers_end_where_those_of_one_process_do(
     assert "side by side on 2 workers: start 1 of 3, start 2 of 3, start 3 of 3" in err
     status, _, err = call(capsys, folder, "--workers", "two")
     assert status == 2
-    assert "workers 'two': a number of processes from 1 on, or the address" in " ".join(err.split())
+    assert "workers 'two': a number of processes from 1 on, or the address" in " ".join(
+        err.split()
+    )
 
 
 def test_what_no_parameter_mends_is_said_and_ends_with_status_1(
@@ -133,7 +147,9 @@ def test_what_no_parameter_mends_is_said_and_ends_with_status_1(
     """Frequencies 4 % off in turns, of which the study states 1 %; it is enough to state 5 %."""
     whole = read_modes(folder / "test.json")
     off = 1 + 0.04 * (-1.0) ** np.arange(len(whole))
-    write_modes(folder / "test.json", replace(whole, frequencies=whole.frequencies * off))
+    write_modes(
+        folder / "test.json", replace(whole, frequencies=whole.frequencies * off)
+    )
     status, out, err = call(capsys, folder, "--json", "-")
     assert status == 1
     told = " ".join(err.split())
@@ -154,9 +170,12 @@ def turned_sheet() -> str:
     moved.
     """
     test, turned = small_study.test_model(), {"X": "Y", "Y": "-X"}
-    rows = zip(test.channels, test.at.tolist(), test.channel_xyz().tolist(), strict=True)
+    rows = zip(
+        test.channels, test.at.tolist(), test.channel_xyz().tolist(), strict=True
+    )
     lines = [
-        f"{point},{3 - y},{x - 1},{z},{turned[name[-1]]},{name}" for name, point, (x, y, z) in rows
+        f"{point},{3 - y},{x - 1},{z},{turned[name[-1]]},{name}"
+        for name, point, (x, y, z) in rows
     ]
     return "\n".join(["point,x,y,z,direction,channel", *lines])
 
@@ -184,8 +203,9 @@ def test_a_card_that_is_not_there_is_refused_with_its_neighbours(
     (folder / "study.toml").write_text(STUDY.replace("MAT1 3 E", "MAT1 4 E"))
     status, _, err = call(capsys, folder)
     assert status == 2
-    assert "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10" in " ".join(
-        err.split()
+    assert (
+        "MAT1 4 E: no such card in the model; 4 MAT1, next to it 1, 2, 3, 10"
+        in " ".join(err.split())
     )
 
 
@@ -194,7 +214,9 @@ def test_fields_that_cannot_be_written_are_refused_before_any_work(
 ) -> None:
     """The PBAR that a PBARL makes stands nowhere in the deck."""
     text = (folder / "frame.bdf").read_text()
-    (folder / "frame.bdf").write_text(text.replace("ENDDATA", "PBARL,99,1,,BAR\n,.1,.2\nENDDATA"))
+    (folder / "frame.bdf").write_text(
+        text.replace("ENDDATA", "PBARL,99,1,,BAR\n,.1,.2\nENDDATA")
+    )
     (folder / "study.toml").write_text(STUDY.replace("MAT1 3 E", "PBAR 99 A"))
     status, _, err = call(capsys, folder, "--out", str(folder / "up"))
     assert status == 2
@@ -202,7 +224,9 @@ def test_fields_that_cannot_be_written_are_refused_before_any_work(
     assert "basis" not in err
 
 
-def test_checkpoint_is_kept_and_the_table_is_printed(capsys: Capture, folder: Path) -> None:
+def test_checkpoint_is_kept_and_the_table_is_printed(
+    capsys: Capture, folder: Path
+) -> None:
     file = folder / "point.json"
     status, out, _ = call(capsys, folder, "--checkpoint", str(file))
     assert status == 0
@@ -218,7 +242,9 @@ def responses(folder: Path) -> tuple[list[float], FrfSet]:
     """
     with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(40)).modes.rows(READ)
-        rows = analysis.system.transform[analysis.dofs.align(DofSet.parse(READ))[0]].toarray()
+        rows = analysis.system.transform[
+            analysis.dofs.align(DofSet.parse(READ))[0]
+        ].toarray()
         u = rows @ analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T)
     f, shapes = np.arange(1.0, 18.0, 0.05), np.asarray(modes.shapes.real)
     h = frf(f, modes.frequencies, np.full(40, 0.01), shapes, shapes[:1])
@@ -231,7 +257,9 @@ def responses(folder: Path) -> tuple[list[float], FrfSet]:
     )
 
 
-def test_what_was_measured_besides_modes_is_fitted_and_shown(capsys: Capture, folder: Path) -> None:
+def test_what_was_measured_besides_modes_is_fitted_and_shown(
+    capsys: Capture, folder: Path
+) -> None:
     moved, frfs = responses(folder)
     write_frfs(folder / "frfs.uff", frfs)
     text = "".join(
@@ -282,7 +310,9 @@ def test_wrong_options_are_refused(capsys: Capture, folder: Path) -> None:
     assert "needs one start" in err
 
 
-def test_test_channels_that_are_no_dofs_are_refused(capsys: Capture, folder: Path) -> None:
+def test_test_channels_that_are_no_dofs_are_refused(
+    capsys: Capture, folder: Path
+) -> None:
     table = json.loads((folder / "test.json").read_text())
     table["channels"][0] = "9999+X"
     (folder / "test.json").write_text(json.dumps(table))
@@ -296,11 +326,15 @@ def test_test_channels_that_are_no_dofs_are_refused(capsys: Capture, folder: Pat
 def frequencies_alone(folder: Path) -> list[float]:
     """The test without its shapes; the three storeys' modes, which are well apart."""
     found = read_modes(folder / "test.json").frequencies[:3].tolist()
-    (folder / "test.json").write_text(json.dumps({"modes": [{"frequency_hz": f} for f in found]}))
+    (folder / "test.json").write_text(
+        json.dumps({"modes": [{"frequency_hz": f} for f in found]})
+    )
     return found
 
 
-def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folder: Path) -> None:
+def test_frequencies_without_shapes_update_what_they_tell(
+    capsys: Capture, folder: Path
+) -> None:
     frequencies_alone(folder)
     with (folder / "study.toml").open("a") as f:
         f.write('[update]\nwrite = "all"\n')
@@ -314,11 +348,16 @@ def test_frequencies_without_shapes_update_what_they_tell(capsys: Capture, folde
     assert "by frequency" in found["notes"][0]
 
 
-def test_a_study_decides_which_mode_a_frequency_is(capsys: Capture, folder: Path) -> None:
+def test_a_study_decides_which_mode_a_frequency_is(
+    capsys: Capture, folder: Path
+) -> None:
     frequencies_alone(folder)
     with (folder / "study.toml").open("a") as f:
         f.write('[correlate]\nlock = ["1:2"]\nforbid = ["2:1"]\n')
-    assert "mode 1 for 2," in json.loads(call(capsys, folder, "--json", "-")[1])["notes"][0]
+    assert (
+        "mode 1 for 2,"
+        in json.loads(call(capsys, folder, "--json", "-")[1])["notes"][0]
+    )
 
 
 def free_beam(half: float) -> str:
@@ -341,7 +380,9 @@ def test_rigid_body_modes_of_a_free_structure_are_no_error_of_the_basis(
     (folder / "truth.bdf").write_text(free_beam(1.3))
     with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(12)).modes
-    seen = modes.take(np.arange(6, 12)).rows([f"{i}+{a}" for i in range(1, 202, 20) for a in "XYZ"])
+    seen = modes.take(np.arange(6, 12)).rows(
+        [f"{i}+{a}" for i in range(1, 202, 20) for a in "XYZ"]
+    )
     write_modes(folder / "test.json", replace(seen, damping=np.full(6, 0.01)))
     status, out, err = call(capsys, folder, "--json", "-")
     found = json.loads(out)

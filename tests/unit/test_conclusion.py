@@ -15,9 +15,16 @@ from ringtrue.study.config_sections import StudyInfo
 PAIRS = AcceptanceCheck("final model: pairs", "≥ 18", "21", True)
 MEAN = AcceptanceCheck("final model: mean |Δf|", "≤ 2 %", "2.51 %", False)
 ROSE = AcceptanceCheck(
-    "left-out modes: mean |Δf|", "", "rose from 1.1 to 1.6 %", False, "change", required=False
+    "left-out modes: mean |Δf|",
+    "",
+    "rose from 1.1 to 1.6 %",
+    False,
+    "change",
+    required=False,
 )
-STALLED = AcceptanceCheck("updating", "converged", "stalled", False, "outcome", required=False)
+STALLED = AcceptanceCheck(
+    "updating", "converged", "stalled", False, "outcome", required=False
+)
 UNSEEN = Unseen("left out", 4, 1.38, 2.32, 17.9, 4)
 CHANGES = (
     Change("slab", 2.1507, 0.178, (1.81, 2.555), 0.959),
@@ -26,7 +33,9 @@ CHANGES = (
 )
 
 
-def conclusion(*checks: AcceptanceCheck, questions: tuple[Question, ...] = ()) -> Conclusion:
+def conclusion(
+    *checks: AcceptanceCheck, questions: tuple[Question, ...] = ()
+) -> Conclusion:
     return Conclusion(
         checks=checks,
         band=(0.5748, 41.05),
@@ -64,7 +73,9 @@ def test_a_failed_requirement_is_the_verdict_however_many_others_hold() -> None:
     )
     assert lead(conclusion(PAIRS, MEAN)).text == "Not validated: 1 requirement failed."
     assert lead(conclusion(PAIRS, MEAN)).tone == "verdict bad"
-    assert lead(conclusion(ROSE)).text.startswith("Not judged: the study states no limit")
+    assert lead(conclusion(ROSE)).text.startswith(
+        "Not judged: the study states no limit"
+    )
 
 
 def test_each_failed_check_has_a_sentence_and_required_ones_stand_apart() -> None:
@@ -74,8 +85,12 @@ def test_each_failed_check_has_a_sentence_and_required_ones_stand_apart() -> Non
     assert [c.required for c in informative.checks] == [False, False]
     (failed,) = (b for b in blocks if isinstance(b, Items))
     assert failed.items[0] == "Final model: mean |Δf|: 2.51 %, wanted ≤ 2 %."
-    assert failed.items[1].startswith("Left-out modes: mean |Δf| rose from 1.1 to 1.6 %")
-    assert failed.items[2] == "The updating ended as stalled; the limits judge its model."
+    assert failed.items[1].startswith(
+        "Left-out modes: mean |Δf| rose from 1.1 to 1.6 %"
+    )
+    assert (
+        failed.items[2] == "The updating ended as stalled; the limits judge its model."
+    )
     assert not [b for b in page(conclusion(PAIRS)) if isinstance(b, Items)]
 
 
@@ -119,13 +134,17 @@ def test_each_question_names_what_settles_it(code: str) -> None:
 
 
 def test_a_band_that_ends_at_once_is_not_given_as_a_limit() -> None:
-    blocks = page(conclusion(PAIRS, questions=(Question("beyond the band", {"high": 0.0}),)))
+    blocks = page(
+        conclusion(PAIRS, questions=(Question("beyond the band", {"high": 0.0}),))
+    )
     ((what, _),) = [b for b in blocks if isinstance(b, ReportTable)][-1].rows
     assert what == "The model does not hold the lowest mode of the test."
 
 
 def test_who_signs_stands_below_and_nobody_where_nobody_is_named() -> None:
-    blocks = page(conclusion(PAIRS), StudyInfo(author="A. Author", checked_by="C. Checker"))
+    blocks = page(
+        conclusion(PAIRS), StudyInfo(author="A. Author", checked_by="C. Checker")
+    )
     signed = blocks[-1]
     assert isinstance(signed, ReportTable)
     assert [row[:2] for row in signed.rows] == [
@@ -133,4 +152,6 @@ def test_who_signs_stands_below_and_nobody_where_nobody_is_named() -> None:
         ("Checked", "C. Checker"),
         ("Approved", ""),
     ]
-    assert all("Sign-off" not in getattr(b, "caption", "") for b in page(conclusion(PAIRS)))
+    assert all(
+        "Sign-off" not in getattr(b, "caption", "") for b in page(conclusion(PAIRS))
+    )

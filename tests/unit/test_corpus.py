@@ -34,7 +34,9 @@ LONGEST = 20.0  # seconds
 
 @pytest.mark.filterwarnings("ignore::Warning")  # NumPy's, on absurd numbers
 @pytest.mark.parametrize("path", MINE, ids=lambda p: f"{p.parent.name}/{p.name}")
-def test_files_that_once_broke_something(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_once_broke_something(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(door, "_SECONDS", 2.0)  # for a parser that does not end
     kind = path.parent.name
     begun = time.monotonic()
@@ -58,7 +60,9 @@ def test_intact_files_are_read(kind: str, ending: str) -> None:
             READERS[kind][0](path)
 
 
-def test_the_fuzzer_tells_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzer_tells_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A reader with a traceback, one that ends its process and one that hangs: each is counted and
     kept.
     """
@@ -88,7 +92,9 @@ def test_the_fuzzer_tells_what_is_wrong(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_short_run_of_the_fuzzer() -> None:
     done = subprocess.run(
-        [sys.executable, SCRIPT, "--plain", "--count", "900"], capture_output=True, text=True
+        [sys.executable, SCRIPT, "--plain", "--count", "900"],
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "right: tracebacks: 0" in done.stdout

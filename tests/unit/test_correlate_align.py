@@ -63,7 +63,8 @@ def test_nearest_points_from_anywhere() -> None:
     for _ in range(2):  # over tests
         nodes = body(rng)
         test, turn = away(
-            nodes[rng.permutation(2000)[:120]] + 0.01 * rng.standard_normal((120, 3)), rng
+            nodes[rng.permutation(2000)[:120]] + 0.01 * rng.standard_normal((120, 3)),
+            rng,
         )
         test[:4] += 2.0
         fit = nearest_fit(test, nodes)

@@ -37,7 +37,9 @@ def model() -> ModeSet:
     """
     i, k = np.arange(1, 41), np.arange(1, 7)
     phi = np.sin(np.pi * np.outer(i, k) / 41) * np.sqrt(2 / 41)
-    return ModeSet(np.array([10.0, 20, 30, 30.2, 50, 60]), np.zeros(6), phi, CHANNELS, Norm.MASS)
+    return ModeSet(
+        np.array([10.0, 20, 30, 30.2, 50, 60]), np.zeros(6), phi, CHANNELS, Norm.MASS
+    )
 
 
 def measured(b: ModeSet) -> ModeSet:
@@ -50,7 +52,9 @@ def measured(b: ModeSet) -> ModeSet:
     phi[:, 5] += 0.3 * phi[:, 1]
     phi += 0.002 * np.random.default_rng(0).standard_normal(phi.shape)
     phi[4] *= -1
-    return ModeSet(b.frequencies * [1, 1, 1, 1, 1, 1.05], np.full(6, 0.01), phi * 7, CHANNELS)
+    return ModeSet(
+        b.frequencies * [1, 1, 1, 1, 1, 1.05], np.full(6, 0.01), phi * 7, CHANNELS
+    )
 
 
 def test_each_measure_sees_its_own() -> None:
@@ -71,7 +75,10 @@ def test_each_measure_sees_its_own() -> None:
     assert not c.suspects
     fit, own, cross = c.checks
     assert fit.verdict.passed
-    assert [(f.a, f.b) for f in own.verdict.failures] in ([(1, 5), (5, 1)], [(5, 1), (1, 5)])
+    assert [(f.a, f.b) for f in own.verdict.failures] in (
+        [(1, 5), (5, 1)],
+        [(5, 1), (1, 5)],
+    )
     # modes 3 and 4 are one subspace: turned as they were paired, they are no failure
     assert {(f.a, f.b) for f in cross.verdict.failures} == {(5, 1)}
     assert min(cross.matrix[2, 2], cross.matrix[3, 3]) > 0.999
@@ -97,7 +104,10 @@ def test_mass_given_and_serep_agree_where_the_shapes_are_complete() -> None:
         assert left.verdict.passed
     # a mass that cannot tell the model's own modes apart says so
     poor = complete(
-        a, b, p, orthogonality=OrthogonalityTest(mass=np.diag(np.r_[np.ones(8), np.zeros(32)]))
+        a,
+        b,
+        p,
+        orthogonality=OrthogonalityTest(mass=np.diag(np.r_[np.ones(8), np.zeros(32)])),
     )
     assert not poor.checks[0].verdict.passed
     none = complete(a, a, p)
@@ -115,7 +125,9 @@ def test_turning_keeps_the_modes_of_the_model_orthonormal() -> None:
     p = pair_modes(a, b)
     u = turning(a, b, p)
     np.testing.assert_allclose(u.T @ u, np.eye(6), atol=1e-12)
-    np.testing.assert_allclose(np.abs(a.shapes.T @ b.shapes @ u)[range(5), p.b], 1, atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(a.shapes.T @ b.shapes @ u)[range(5), p.b], 1, atol=1e-9
+    )
 
 
 def test_a_partner_that_is_taken_is_named_by_its_number_in_the_whole_set() -> None:
@@ -132,7 +144,10 @@ def test_json_holds_no_nan_and_nothing_paired_is_no_error() -> None:
     assert not len(p)
     for lift in (None, lambda m: m.shapes):
         alone = complete(
-            a, b, p, orthogonality=OrthogonalityTest(mass=np.eye(len(CHANNELS)), lift=lift)
+            a,
+            b,
+            p,
+            orthogonality=OrthogonalityTest(mass=np.eye(len(CHANNELS)), lift=lift),
         )
         text = json.dumps(complete_json(alone, p), allow_nan=False)
         assert "at least 3 are needed" in text
@@ -175,11 +190,16 @@ def test_frfs_side_by_side() -> None:
     np.testing.assert_allclose(same.amplitude, 0.8, rtol=1e-10)  # 2·2/(1 + 4)
     np.testing.assert_allclose(same.levels.difference, 20 * np.log10(2), rtol=1e-10)
     (one,) = same.by_input()
-    assert (one.name, one.frac, one.least_frac, one.shape) == ("1+Z", *[pytest.approx(1)] * 3)
+    assert (one.name, one.frac, one.least_frac, one.shape) == (
+        "1+Z",
+        *[pytest.approx(1)] * 3,
+    )
     assert one.amplitude == pytest.approx(0.8)
     wrong = frf_set()
     noise = np.random.default_rng(1).standard_normal(wrong.data[:, 7].shape)
-    odd = replace(wrong, data=np.where(np.arange(40)[:, None] == 7, noise[:, None], wrong.data))
+    odd = replace(
+        wrong, data=np.where(np.arange(40)[:, None] == 7, noise[:, None], wrong.data)
+    )
     found = compare_frfs(a, odd)
     assert found.by_input()[0].worst_output == found.by_output()[0].name == "8+Z"
     moved = compare_frfs(a, frf_set(shift=0.3))
@@ -205,12 +225,18 @@ def test_levels_fall_into_third_octaves() -> None:
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     b = model()
     a = measured(b)
-    std = Uncertainty.independent(0.01 * a.frequencies, np.full(6, 0.01), np.zeros((40, 6)))
+    std = Uncertainty.independent(
+        0.01 * a.frequencies, np.full(6, 0.01), np.zeros((40, 6))
+    )
     write_modes(tmp_path / "a.json", a, std)
     write_modes(tmp_path / "a.h5", a, std)
     write_modes(tmp_path / "b.json", b)
-    np.testing.assert_allclose(read_std(tmp_path / "a.h5"), (std.frequency, std.damping))
-    np.testing.assert_allclose(read_std(tmp_path / "a.json"), (std.frequency, std.damping))
+    np.testing.assert_allclose(
+        read_std(tmp_path / "a.h5"), (std.frequency, std.damping)
+    )
+    np.testing.assert_allclose(
+        read_std(tmp_path / "a.json"), (std.frequency, std.damping)
+    )
     assert np.isnan(read_std(tmp_path / "b.json")).all()
     files = ["correlate", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
     assert run([*files, "--complete", "--json", str(tmp_path / "out.json")]) == 0
@@ -231,7 +257,8 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     """
     rng = np.random.default_rng(4)
     shapes = rng.standard_normal((12, 3))
-    shapes[:, 2] = shapes[:, 1] + 0.05 * rng.standard_normal(12)  # they look alike at the channels
+    # they look alike at the channels
+    shapes[:, 2] = shapes[:, 1] + 0.05 * rng.standard_normal(12)
     back = pseudo_inverse(shapes)
     mass = back.T @ back
     error = 0.02 * np.sqrt((shapes**2).mean(axis=0))
@@ -247,7 +274,11 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
         read_orthogonality(shapes, mass, error)
     )
     b = ModeSet(
-        np.array([5.0, 8.0, 11.0]), np.zeros(3), shapes, tuple(map(str, range(12))), Norm.MASS
+        np.array([5.0, 8.0, 11.0]),
+        np.zeros(3),
+        shapes,
+        tuple(map(str, range(12))),
+        Norm.MASS,
     )
     noisy = replace(b, shapes=read[0])
     c = complete(noisy, b, pair_modes(noisy, b))
@@ -266,12 +297,21 @@ def test_a_mass_is_fit_where_ordinary_errors_leave_the_modes_apart() -> None:
     ("words", "told"),
     [
         (["a.json", "b.json", "--units", "SI"], "--units SI: no deck is given"),
-        (["a.json", "b.json", "--tolerance", "1"], "--tolerance 1.0: .* give --sensors"),
+        (
+            ["a.json", "b.json", "--tolerance", "1"],
+            "--tolerance 1.0: .* give --sensors",
+        ),
         (["a.json", "b.bdf", "--match", "rigid"], "--match rigid: .* give --sensors"),
         (["a.bdf", "b.bdf", "--match", "rigid"], "--match rigid"),
-        (["a.json", "b.bdf", "--align", "nearest"], "--align nearest: .* give --sensors"),
+        (
+            ["a.json", "b.bdf", "--align", "nearest"],
+            "--align nearest: .* give --sensors",
+        ),
         (["a.json", "b.json", "--sensors", "s.csv"], "--sensors is for a deck"),
-        (["a.bdf", "b.json"], "a.bdf is a deck: name the modes of the test first, `b.json a.bdf`"),
+        (
+            ["a.bdf", "b.json"],
+            "a.bdf is a deck: name the modes of the test first, `b.json a.bdf`",
+        ),
     ],
 )
 def test_options_that_would_change_nothing_are_refused(

@@ -52,7 +52,12 @@ def sets() -> tuple[ModeSet, ModeSet]:
     names = tuple("abcdefghij")
     return (
         ModeSet(np.array([10.0, 20, 30, 40]), np.zeros(4), phi, names),
-        ModeSet(np.array([10.0, 20, 30, 90]), np.zeros(4), phi + 0.3 * phi[:, [1, 0, 3, 2]], names),
+        ModeSet(
+            np.array([10.0, 20, 30, 90]),
+            np.zeros(4),
+            phi + 0.3 * phi[:, [1, 0, 3, 2]],
+            names,
+        ),
     )
 
 
@@ -61,7 +66,11 @@ def test_forced_and_forbidden_pairs() -> None:
     free = pair_modes(a, b)
     assert free.a.tolist() == free.b.tolist() == [0, 1, 2]
     p = pair_modes(a, b, locks=Locks(forced=((3, 3),), forbidden=((1, 1),)))
-    assert list(zip(p.a.tolist(), p.b.tolist(), strict=True)) == [(0, 0), (2, 2), (3, 3)]
+    assert list(zip(p.a.tolist(), p.b.tolist(), strict=True)) == [
+        (0, 0),
+        (2, 2),
+        (3, 3),
+    ]
     assert p.reasons_a[0] == "FE 2 (MAC 92 %) is forbidden by the user"
     assert p.reasons_b[0] == "test 2 (MAC 92 %) is forbidden by the user"
     crossed = pair_modes(a, b, locks=Locks(forced=((0, 1),)))

@@ -41,7 +41,9 @@ def plate(rng: np.random.Generator, channels: int, modes: int) -> np.ndarray:
             (4, 2),
         ]
     )
-    return np.sin(np.pi * np.outer(x, ij[:modes, 0])) * np.sin(np.pi * np.outer(y, ij[:modes, 1]))
+    return np.sin(np.pi * np.outer(x, ij[:modes, 0])) * np.sin(
+        np.pi * np.outer(y, ij[:modes, 1])
+    )
 
 
 def healthy(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -52,9 +54,12 @@ def healthy(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     whole = plate(rng, n, 12)
     mix = rng.uniform(0, 0.12) * rng.standard_normal((12, m))
     test = whole[:, :m] + whole @ mix
-    test = test * np.exp(0.08 * rng.standard_normal(n))[:, None]  # calibration, local stiffness
+    # calibration, local stiffness
+    test = test * np.exp(0.08 * rng.standard_normal(n))[:, None]
     test += rng.uniform(0.0, 0.08) * rng.standard_normal(test.shape)
-    return test * rng.uniform(0.1, 10, m) * np.exp(2j * np.pi * rng.uniform(size=m)), whole[:, :m]
+    return test * rng.uniform(0.1, 10, m) * np.exp(
+        2j * np.pi * rng.uniform(size=m)
+    ), whole[:, :m]
 
 
 def alarms(count: int) -> tuple[int, float]:
@@ -66,7 +71,9 @@ def alarms(count: int) -> tuple[int, float]:
     )
 
 
-def spoiled(fault: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, set[int]]:
+def spoiled(
+    fault: str, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, set[int]]:
     """A test with a fault, its model and the channels of the fault.
 
     On a channel that moves as much as the median one; swapped ones must also move differently.
@@ -81,7 +88,10 @@ def spoiled(fault: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
     if fault in ("quarter turn", "round of three"):
         unlike = np.argsort(np.abs(b @ b[i]) / size**2, kind="stable")
         rest = [int(k) for k in unlike if size[k] >= np.median(size) and k != i]
-        j, k = rest[0], min(rest[1:], key=lambda r: abs(b[r] @ b[rest[0]]) + abs(b[r] @ b[i]))
+        j, k = (
+            rest[0],
+            min(rest[1:], key=lambda r: abs(b[r] @ b[rest[0]]) + abs(b[r] @ b[i])),
+        )
         if fault == "quarter turn":
             a[[i, j]] = a[[j, i]] * np.array([[1.0], [-1.0]])
             return a, b, {i, j}
@@ -99,7 +109,9 @@ def found(fault: str, count: int) -> tuple[float, int]:
         got = find_faults(a, b)
         kind = fault if fault in ("reversed", "dead", "scaled") else "swapped"
         rows = [{f.i, *(row for row, _, _ in f.moved)} for f in got]
-        named += any(f.fault == kind and r == want for f, r in zip(got, rows, strict=True))
+        named += any(
+            f.fault == kind and r == want for f, r in zip(got, rows, strict=True)
+        )
         wrong += sum(not (r & want) for r in rows)
     return named / count, wrong
 
@@ -139,7 +151,9 @@ def test_suspects_carry_names_and_the_mac_if_mended_and_nothing_is_changed() -> 
     model = ModeSet(np.arange(1.0, 9), np.zeros(8), b, channels)
     test = ModeSet(model.frequencies, model.damping, read, channels)
     before = test.shapes.copy()
-    got = {s.channel: s for s in suspect_channels(test, model, pair_modes(model, model))}
+    got = {
+        s.channel: s for s in suspect_channels(test, model, pair_modes(model, model))
+    }
     assert set(got) == {"c3", "c5", "c6"}
     assert got["c3"].factor == pytest.approx(9.8, rel=0.05)
     assert "g for m/s²" in got["c3"].message

@@ -28,7 +28,8 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.study.opened import Opened
 
 Array = np.ndarray
-log = logging.getLogger(__name__)  # the counts: pytest -o log_cli=true --log-cli-level=INFO
+# the counts: pytest -o log_cli=true --log-cli-level=INFO
+log = logging.getLogger(__name__)
 MODES = 8
 SEEDS = 6  # tests of each structure and fault
 HITS = 0.9  # least share of faults that are named
@@ -41,9 +42,13 @@ def beams(places: Array, section: str, free: int = 0) -> tuple[str, Array, Array
     """
     n = len(places)
     lines = [
-        f"GRID,{k + 1},,{x:.4f},{y:.4f},{z:.4f}" for k, (x, y, z) in enumerate(places.tolist())
+        f"GRID,{k + 1},,{x:.4f},{y:.4f},{z:.4f}"
+        for k, (x, y, z) in enumerate(places.tolist())
     ]
-    lines += [f"CBAR,{k},{1 + 3 * (k - 1) // (n - 1)},{k},{k + 1},.3,.5,.8" for k in range(1, n)]
+    lines += [
+        f"CBAR,{k},{1 + 3 * (k - 1) // (n - 1)},{k},{k + 1},.3,.5,.8"
+        for k in range(1, n)
+    ]
     for part in (1, 2, 3):
         lines += [f"MAT1,{part},{{{part}}},,.3,7850.", f"PBAR,{part},{part},{section}"]
     return (
@@ -54,19 +59,27 @@ def beams(places: Array, section: str, free: int = 0) -> tuple[str, Array, Array
 
 
 def column() -> tuple[str, Array, Array, Array]:
-    text, points, xyz = beams(np.linspace([0, 0, 0], [0, 0, 4], 13), "2.-3,5.-6,2.-6,4.-6")
+    text, points, xyz = beams(
+        np.linspace([0, 0, 0], [0, 0, 4], 13), "2.-3,5.-6,2.-6,4.-6"
+    )
     return text, points, xyz, TRIAXIAL[:2]
 
 
 def tower() -> tuple[str, Array, Array, Array]:
-    text, points, xyz = beams(np.linspace([0, 0, 0], [0, 0, 4], 13), "2.-3,3.-6,3.-6,4.-6")
+    text, points, xyz = beams(
+        np.linspace([0, 0, 0], [0, 0, 4], 13), "2.-3,3.-6,3.-6,4.-6"
+    )
     return text, points, xyz, TRIAXIAL[:2]
 
 
 def pipe() -> tuple[str, Array, Array, Array]:
-    legs = [np.linspace([0, 0, 0], [0, 0, 2], 7), np.linspace([0.3, 0, 2], [1.8, 0, 2], 6)]
+    legs = [
+        np.linspace([0, 0, 0], [0, 0, 2], 7),
+        np.linspace([0.3, 0, 2], [1.8, 0, 2], 6),
+    ]
     text, points, xyz = beams(
-        np.vstack([*legs, np.linspace([1.8, 0.3, 2], [1.8, 1.2, 2.4], 4)]), "2.-3,4.-6,4.-6,8.-6"
+        np.vstack([*legs, np.linspace([1.8, 0.3, 2], [1.8, 1.2, 2.4], 4)]),
+        "2.-3,4.-6,4.-6,8.-6",
     )
     return text, points, xyz, TRIAXIAL
 
@@ -74,13 +87,19 @@ def pipe() -> tuple[str, Array, Array, Array]:
 def plate() -> tuple[str, Array, Array, Array]:
     x, y = np.meshgrid(np.linspace(0, 1.5, 7), np.linspace(0, 1.0, 5), indexing="ij")
     place = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
-    lines = [f"GRID,{k + 1},,{a:.4f},{b:.4f},0." for k, (a, b, _) in enumerate(place.tolist())]
+    lines = [
+        f"GRID,{k + 1},,{a:.4f},{b:.4f},0."
+        for k, (a, b, _) in enumerate(place.tolist())
+    ]
     for i in range(6):
         for j in range(4):
             k = 5 * i + j + 1
             lines.append(f"CQUAD4,{k},{1 + i // 2},{k},{k + 5},{k + 6},{k + 1}")
     for part in (1, 2, 3):
-        lines += [f"MAT1,{part},{{{part}}},,.3,7850.", f"PSHELL,{part},{part},.01,{part}"]
+        lines += [
+            f"MAT1,{part},{{{part}}},,.3,7850.",
+            f"PSHELL,{part},{part},.01,{part}",
+        ]
     held = ",".join(map(str, range(1, 6)))
     text = "\n".join(["BEGIN BULK", *lines, f"SPC1,1,123456,{held}", "ENDDATA", ""])
     return text, np.arange(6, 36), place[5:], TRIAXIAL[2:]
@@ -88,7 +107,11 @@ def plate() -> tuple[str, Array, Array, Array]:
 
 def frame() -> tuple[str, Array, Array, Array]:
     test = small_study.test_model()
-    text = small_study.deck().replace("2.0000000E+11", "{1}", 1).replace("2.0000000E+11", "{2}", 1)
+    text = (
+        small_study.deck()
+        .replace("2.0000000E+11", "{1}", 1)
+        .replace("2.0000000E+11", "{2}", 1)
+    )
     return text.replace("2.0000000E+11", "{3}", 1), test.points, test.xyz, TRIAXIAL[:2]
 
 
@@ -100,7 +123,9 @@ STRUCTURES: dict[str, Callable[[], tuple[str, Array, Array, Array]]] = {
 @cache
 def opened(structure: str, factors: tuple[float, ...]) -> tuple[Opened, ModeSet]:
     text = STRUCTURES[structure]()[0]
-    values = {str(k): f"{2e11 * f:.5E}" for k, f in zip((1, 2, 3), factors, strict=True)}
+    values = {
+        str(k): f"{2e11 * f:.5E}" for k, f in zip((1, 2, 3), factors, strict=True)
+    }
     for k, value in values.items():
         text = text.replace("{" + k + "}", value)
     with TemporaryDirectory() as folder:
@@ -114,14 +139,24 @@ def sheet_of(structure: str) -> TestModel:
     group of its own.
     """
     _, points, xyz, axes = STRUCTURES[structure]()
-    names = tuple(f"{p}+{'XYZ'[int(a.argmax())]}" for p in points.tolist() for a in axes)
-    groups = tuple("far" if 2 * k >= points.size else "near" for k in range(points.size))
+    names = tuple(
+        f"{p}+{'XYZ'[int(a.argmax())]}" for p in points.tolist() for a in axes
+    )
+    groups = tuple(
+        "far" if 2 * k >= points.size else "near" for k in range(points.size)
+    )
     at, every = np.repeat(points, len(axes)), np.tile(axes, (points.size, 1))
-    return TestModel(points, xyz, names, at, every, np.zeros((0, 2), dtype=np.int64), groups)
+    return TestModel(
+        points, xyz, names, at, every, np.zeros((0, 2), dtype=np.int64), groups
+    )
 
 
 def measured(
-    structure: str, axes: Array, rng: np.random.Generator, off: float = 1.3, count: int = MODES
+    structure: str,
+    axes: Array,
+    rng: np.random.Generator,
+    off: float = 1.3,
+    count: int = MODES,
 ) -> ModeSet:
     """A test by sensors with these axes (n, 3), which the sheet does not know; modes that they see,
     with noise.
@@ -135,10 +170,14 @@ def measured(
     noise = 0.03 * np.sqrt((shapes**2).mean(axis=0)) * rng.standard_normal(shapes.shape)
     scale = rng.uniform(0.2, 5.0, kept.size) * rng.choice([-1.0, 1.0], kept.size)
     f = modes.frequencies[kept] * (1 + 0.002 * rng.standard_normal(kept.size))
-    return ModeSet(f, np.full(kept.size, 0.01), (shapes + noise) * scale, sheet.channels)
+    return ModeSet(
+        f, np.full(kept.size, 0.01), (shapes + noise) * scale, sheet.channels
+    )
 
 
-def judged(structure: str, test: ModeSet, axes: Array | None = None) -> tuple[Mending, ...]:
+def judged(
+    structure: str, test: ModeSet, axes: Array | None = None
+) -> tuple[Mending, ...]:
     """By the nominal deck, with the axes (n, 3) that the sheet says."""
     deck, modes = opened(structure, (1.0, 1.0, 1.0))
     sheet = sheet_of(structure)
@@ -170,11 +209,19 @@ def turned(
         )
         return None if cycle is None else axes @ cycle.T
     if way == "one axis reversed":
-        return np.where(np.abs(axes[:, [along[-1]]]) > 0.5, -axes, axes) if along.size > 1 else None
+        return (
+            np.where(np.abs(axes[:, [along[-1]]]) > 0.5, -axes, axes)
+            if along.size > 1
+            else None
+        )
     if way == "a group reversed":
         return np.where(far, -axes, axes)
     if way == "a group turned":
-        return np.where(far, axes @ np.eye(3)[[1, 0, 2]].T, axes) if along.size > 1 else None
+        return (
+            np.where(far, axes @ np.eye(3)[[1, 0, 2]].T, axes)
+            if along.size > 1
+            else None
+        )
     assert way == "signs at random"
     some = rng.choice(len(axes), int(0.45 * len(axes)), replace=False)
     out = np.array(axes)
@@ -189,13 +236,28 @@ def explains(found: Mending, way: str, structure: str, truth: Array) -> bool:
         wrong = (sheet.axes * truth).sum(axis=1) < 0
         differs = np.isin(sheet.channels, found.channels) != wrong
         # the mirror image of a structure has its modes: the sign of all X, or of all Y, says nothing
-        along = np.abs(sheet.axes).argmax(axis=1) if structure in MIRRORED else np.zeros(len(wrong))
-        missed = [min(d.sum(), d.size - d.sum()) for d in (differs[along == k] for k in range(3))]
+        along = (
+            np.abs(sheet.axes).argmax(axis=1)
+            if structure in MIRRORED
+            else np.zeros(len(wrong))
+        )
+        missed = [
+            min(d.sum(), d.size - d.sum())
+            for d in (differs[along == k] for k in range(3))
+        ]
         return found.kind == "signs" and sum(missed) <= 0.15 * len(wrong)
     if way.startswith("a group"):  # of two groups nobody can tell which is reversed
-        return found.kind == "axes" and found.mac[1] > 0.8 and found.group in ("near", "far")
+        return (
+            found.kind == "axes"
+            and found.mac[1] > 0.8
+            and found.group in ("near", "far")
+        )
     if way == "one axis reversed":
-        return found.kind == "axes" and not found.group and all(y == f"-{x}" for x, y in found.axes)
+        return (
+            found.kind == "axes"
+            and not found.group
+            and all(y == f"-{x}" for x, y in found.axes)
+        )
     return found.kind == "axes" and found.mac[1] > 0.8 and not found.group
 
 
@@ -208,20 +270,30 @@ WAYS = (
 )
 MIRRORED = ("column", "tower")  # about both planes
 SYMMETRIC = WAYS[:2]  # nobody can tell these of a square section
-LABELS = {"+X for +Z": [2, 1, 0], "+Y for +Z": [0, 2, 1], "X, Y, Z for Y, Z, X": [1, 2, 0]}
+LABELS = {
+    "+X for +Z": [2, 1, 0],
+    "+Y for +Z": [0, 2, 1],
+    "X, Y, Z for Y, Z, X": [1, 2, 0],
+}
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_sound_tests_accuse_nobody(structure: str) -> None:
     rng = np.random.default_rng(11)
     sheet = sheet_of(structure)
-    alarms = [m for _ in range(30) for m in judged(structure, measured(structure, sheet.axes, rng))]
+    alarms = [
+        m
+        for _ in range(30)
+        for m in judged(structure, measured(structure, sheet.axes, rng))
+    ]
     log.info("sound, %s: %s alarms in 30 tests", structure, len(alarms))
     assert not alarms
 
 
 @pytest.mark.parametrize(("off", "count"), [(1.3, 3), (3.0, 8), (3.0, 4)])
-def test_few_modes_and_models_that_are_wrong_accuse_nobody(off: float, count: int) -> None:
+def test_few_modes_and_models_that_are_wrong_accuse_nobody(
+    off: float, count: int
+) -> None:
     """Moduli off by up to a factor: the model is to be mended, not the sensors."""
     rng = np.random.default_rng(16)
     alarms = []
@@ -232,7 +304,12 @@ def test_few_modes_and_models_that_are_wrong_accuse_nobody(off: float, count: in
             for _ in range(20)
             for m in judged(structure, measured(structure, axes, rng, off, count))
         ]
-    log.info("sound, moduli off by %s, %s modes: %s alarms in 100 tests", off, count, len(alarms))
+    log.info(
+        "sound, moduli off by %s, %s modes: %s alarms in 100 tests",
+        off,
+        count,
+        len(alarms),
+    )
     assert len(alarms) <= 1, "\n".join(alarms)
 
 
@@ -250,7 +327,11 @@ def test_what_was_turned_is_named(way: str) -> None:
             cases += 1
             good = bool(found) and explains(found[0], way, structure, truth)
             hits += good
-            lost += [] if good else [f"{structure}: {found[0].text if found else 'nothing'}"]
+            lost += (
+                []
+                if good
+                else [f"{structure}: {found[0].text if found else 'nothing'}"]
+            )
     log.info("%s: %s of %s named", way, hits, cases)
     assert cases >= SEEDS
     assert hits >= HITS * cases, "\n".join([f"{hits} of {cases}", *lost])
@@ -276,7 +357,11 @@ def test_a_sheet_with_other_axes_is_named(label: str) -> None:
                 and found[0].mac[1] > 0.8
             )
             hits += good
-            lost += [] if good else [f"{structure}: {found[0].text if found else 'nothing'}"]
+            lost += (
+                []
+                if good
+                else [f"{structure}: {found[0].text if found else 'nothing'}"]
+            )
     log.info("%s: %s of %s named", label, hits, cases)
     assert hits >= HITS * cases, "\n".join([f"{hits} of {cases}", *lost])
 
@@ -291,7 +376,9 @@ def test_cables_that_are_swapped_are_named_with_the_mac() -> None:
         sheet = sheet_of(structure)
         for _ in range(SEEDS):
             test = measured(structure, sheet.axes, rng)
-            size = np.linalg.norm(test.shapes / np.linalg.norm(test.shapes, axis=0), axis=1)
+            size = np.linalg.norm(
+                test.shapes / np.linalg.norm(test.shapes, axis=0), axis=1
+            )
             large = np.argsort(-size)[:8]
             swapped = rng.permutation(large)[:4].reshape(2, 2)
             shapes = np.array(test.shapes)

@@ -18,7 +18,9 @@ from ringtrue.errors import ConfigError, DataError, InputError
 
 def grid() -> tuple[np.ndarray, np.ndarray, DofSet]:
     """27 nodes of a unit cube mesh (model unit mm here), numbered from 100."""
-    xyz = np.stack(np.meshgrid(*[[0.0, 500.0, 1000.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    xyz = np.stack(
+        np.meshgrid(*[[0.0, 500.0, 1000.0]] * 3, indexing="ij"), axis=-1
+    ).reshape(-1, 3)
     node = np.arange(100, 127)
     return node, xyz, DofSet(np.repeat(node, 6), np.tile(np.arange(1, 7), 27))
 
@@ -45,7 +47,9 @@ def test_on_node_and_skewed_sensor_reads_its_direction() -> None:
     rng = np.random.default_rng(0)
     axes = rng.standard_normal((4, 3))
     at = [0, 5, 13, 26]
-    o = observe(sensors(xyz[at] / 1000, axes), node, xyz, dofs, tolerance=1.0, unit=1e-3)
+    o = observe(
+        sensors(xyz[at] / 1000, axes), node, xyz, dofs, tolerance=1.0, unit=1e-3
+    )
     u = rng.standard_normal(len(dofs))
     want = (u.reshape(27, 6)[at, :3] * axes).sum(axis=1) / np.linalg.norm(axes, axis=1)
     np.testing.assert_allclose(o(u), want, rtol=1e-12)
@@ -70,9 +74,12 @@ def test_channels_named_as_dofs_may_be_of_one_dof() -> None:
     seen = at_dofs(("101-Z", "101+Z", "100:RX"), dofs)
     motion = np.arange(float(len(dofs)))
     np.testing.assert_array_equal(seen(motion), [-8.0, 8.0, 3.0])
-    np.testing.assert_array_equal(at_dofs(("101+Z", "100-RX"), dofs, 1e-3)(motion), [8.0, -3000.0])
+    np.testing.assert_array_equal(
+        at_dofs(("101+Z", "100-RX"), dofs, 1e-3)(motion), [8.0, -3000.0]
+    )
     with pytest.raises(
-        DataError, match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y"
+        DataError,
+        match=r"must be DOFs of the deck.* 2 DOFs are not in the set, first 8-Z 9\+Y",
     ):
         at_dofs(("8-Z", "101+Z", "9+Y"), dofs)
 
@@ -85,7 +92,9 @@ def test_rigid_interpolation_is_exact_for_rigid_motions() -> None:
     test = sensors(place / 1000, axes)
     o = observe(test, node, xyz, dofs, tolerance=600.0, unit=1e-3, method="rigid")
     shift, turn = rng.standard_normal(3), rng.standard_normal(3) * 1e-3
-    u = np.concatenate([rigid_motion(xyz, shift, turn), np.zeros((27, 3))], axis=1).ravel()
+    u = np.concatenate(
+        [rigid_motion(xyz, shift, turn), np.zeros((27, 3))], axis=1
+    ).ravel()
     want = (rigid_motion(place, shift, turn) * test.axes).sum(axis=1)
     np.testing.assert_allclose(o(u), want, rtol=1e-9, atol=1e-9)
     on_node = o.matrix[[20]].toarray()[0]
@@ -117,9 +126,21 @@ def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
         np.testing.assert_allclose(default_tolerance(scale * xyz), 500 * scale)
         np.testing.assert_allclose(default_tolerance(scale * line), 30 * scale)
     assert default_tolerance(np.zeros((2, 3))) == np.inf
-    observe(sensors(np.array([[0.25, 0.25, 0.1]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
+    observe(
+        sensors(np.array([[0.25, 0.25, 0.1]]), np.eye(3)[:1]),
+        node,
+        xyz,
+        dofs,
+        unit=1e-3,
+    )
     with pytest.raises(DataError, match="farther than 500 "):
-        observe(sensors(np.array([[1.6, 0.0, 0.0]]), np.eye(3)[:1]), node, xyz, dofs, unit=1e-3)
+        observe(
+            sensors(np.array([[1.6, 0.0, 0.0]]), np.eye(3)[:1]),
+            node,
+            xyz,
+            dofs,
+            unit=1e-3,
+        )
     with pytest.raises(
         DataError, match=r"The test is 0\.00[01].* times the model in size"
     ):  # the deck is in mm
@@ -140,7 +161,9 @@ def test_how_far_a_sensor_may_be_goes_with_the_model() -> None:
         (1e-6, "unit of length"),
     ],
 )
-def test_sensors_between_nodes_are_told_from_a_wrong_unit(unit: float, told: str) -> None:
+def test_sensors_between_nodes_are_told_from_a_wrong_unit(
+    unit: float, told: str
+) -> None:
     node, xyz, dofs = grid()
     places = 1e-3 * (xyz[::2] + np.array([200, 0, 0]))
     test = sensors(places, np.tile([0, 0, 1.0], (len(places), 1)))

@@ -18,7 +18,9 @@ CHANNELS = tuple("abcdefghij")
 
 
 def modes(f: list[float], shapes: np.ndarray, norm: Norm = Norm.UNSCALED) -> ModeSet:
-    return ModeSet(np.array(f), np.full(len(f), 0.01), shapes, CHANNELS[: shapes.shape[0]], norm)
+    return ModeSet(
+        np.array(f), np.full(len(f), 0.01), shapes, CHANNELS[: shapes.shape[0]], norm
+    )
 
 
 def sines(m: int, n: int = 10) -> np.ndarray:
@@ -73,7 +75,10 @@ def test_two_poor_pairs_never_outvote_a_good_one() -> None:
     """A sum of MACs would pair across: 0.66 + 0.66 > 0.93."""
     e = np.eye(4)
     a = modes([10, 10.5], np.stack([e[0], 0.81 * e[0] + 0.58 * e[1]], axis=1))
-    b = modes([10, 10.5], np.stack([0.965 * e[0] + 0.26 * e[2], 0.81 * e[0] - 0.58 * e[3]], axis=1))
+    b = modes(
+        [10, 10.5],
+        np.stack([0.965 * e[0] + 0.26 * e[2], 0.81 * e[0] - 0.58 * e[3]], axis=1),
+    )
     p = pair_modes(a, b, PairingSettings(close=0.0))
     assert (p.a.tolist(), p.b.tolist()) == ([0], [0])
     assert "already taken by test 1" in p.reasons_a[0]
@@ -96,7 +101,8 @@ def test_rotated_pair_beside_a_third_close_mode() -> None:
     """In the test the third mode is close to the pair, in the model it is not."""
     phi = sines(3)
     p = pair_modes(
-        modes([20, 20.3, 20.6], phi), modes([20, 20.2, 21.5], mixed(phi, 0, np.pi / 4), Norm.MASS)
+        modes([20, 20.3, 20.6], phi),
+        modes([20, 20.2, 21.5], mixed(phi, 0, np.pi / 4), Norm.MASS),
     )
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2]
     assert p.subspace.tolist() == [True, True, False]
@@ -108,7 +114,10 @@ def test_a_close_mode_that_belongs_elsewhere_takes_no_direction_of_a_group() -> 
     that pair.
     """
     phi = sines(4)
-    a = modes([43.3, 43.4], np.stack([phi[:, 1] + phi[:, 2], phi[:, 0] + 0.4 * phi[:, 1]], axis=1))
+    a = modes(
+        [43.3, 43.4],
+        np.stack([phi[:, 1] + phi[:, 2], phi[:, 0] + 0.4 * phi[:, 1]], axis=1),
+    )
     p = pair_modes(a, modes([42.0, 43.9, 44.0, 60.0], phi))
     assert p.a.tolist() == [0, 1]
     assert p.b[1] == 0
@@ -121,7 +130,10 @@ def test_pair_that_is_close_in_the_test_alone() -> None:
     """The model has the two modes 4 % apart; the test has them 0.3 % apart, and mixed."""
     phi = sines(4)
     turned = mixed(phi, 1, np.pi / 5)
-    a, b = modes([10, 20, 20.06, 40], turned), modes([10, 19.5, 20.3, 40], phi, Norm.MASS)
+    a, b = (
+        modes([10, 20, 20.06, 40], turned),
+        modes([10, 19.5, 20.3, 40], phi, Norm.MASS),
+    )
     p = pair_modes(a, b)
     assert p.a.tolist() == p.b.tolist() == [0, 1, 2, 3]
     assert p.subspace.tolist() == [False, True, True, False]
@@ -144,14 +156,17 @@ def test_each_unpaired_mode_has_its_reason() -> None:
     phi = sines(6)
     mixed = phi[:, 2] + 1.1 * phi[:, 5]
     a = modes(
-        [10, 20, 30, 300, 40], np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1)
+        [10, 20, 30, 300, 40],
+        np.stack([phi[:, 0], phi[:, 1], mixed, phi[:, 4], phi[:, 3]], axis=1),
     )
     a = replace(a, confidence=np.array([1, 0.3, 1, 1, 1]))
     b = modes([10, 20, 30, 41, 1200], phi[:, :5], Norm.MASS)
     p = pair_modes(a, b)
     why = dict(zip(p.unpaired_a.tolist(), p.reasons_a, strict=True))
     assert why[1] == "confidence 0.30 < 0.50"
-    assert why[2].startswith("no FE mode within 40 % has MAC >= 60 %: best FE 3 with 45 %")
+    assert why[2].startswith(
+        "no FE mode within 40 % has MAC >= 60 %: best FE 3 with 45 %"
+    )
     assert why[3] == "no FE mode within 40 %"
     other = dict(zip(p.unpaired_b.tolist(), p.reasons_b, strict=True))
     assert other[4].startswith("outside of the test band")
@@ -174,10 +189,12 @@ def test_a_mode_that_looks_alike_beyond_the_gate_is_told() -> None:
     a, b = modes([6, 20, 30, 40], phi), modes([9, 20, 30, 90], phi, Norm.MASS)
     first, last = pair_modes(a, b, PairingSettings(reach=1.0)).reasons_a
     assert (
-        first == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it "
+        first
+        == "no FE mode within 40 %; beyond the gate FE 1, +50 %, has 100 %: widen it "
         "(frequency_gate)"
     )
-    assert last.startswith("no FE mode within 40 % has MAC")  # 125 %: another mode of the same look
+    # 125 %: another mode of the same look
+    assert last.startswith("no FE mode within 40 % has MAC")
     assert "beyond" not in last
     assert len(pair_modes(a, b, PairingSettings(frequency_gate=0.6, reach=1.0))) == 3
 
@@ -200,7 +217,9 @@ def test_modes_alike_and_like_no_other_are_pairs_beyond_the_gate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("f", "beyond"), [(3.0, 2), (3.59, 1), (3.62, 0)], ids=["beyond", "across", "within"]
+    ("f", "beyond"),
+    [(3.0, 2), (3.59, 1), (3.62, 0)],
+    ids=["beyond", "across", "within"],
 )
 def test_close_modes_about_the_gate_are_one_subspace(f: float, beyond: int) -> None:
     phi = sines(4)
@@ -222,7 +241,8 @@ def test_no_pair_is_made_beyond_the_gate_where_shapes_leave_doubt(why: str) -> N
     if why == "another":  # that looks much the same, and has no partner either
         like = 0.8 * phi[:, :1] + 0.6 * phi[:, 1:2]
         b = modes([3, 20, 30, 40, 1.5], np.concatenate([phi, like], axis=1), Norm.MASS)
-    if why == "one channel":  # carries both shapes: it reads all modes of its panel alike
+    # carries both shapes: it reads all modes of its panel alike
+    if why == "one channel":
         local = np.concatenate([np.eye(10)[:, :1], phi[:, 1:]], axis=1)
         a, b = replace(a, shapes=local), replace(b, shapes=local)
     if why == "few channels":
@@ -259,7 +279,9 @@ def test_channels_and_gates_are_checked() -> None:
 def test_table_summary() -> None:
     phi = sines(3)
     a, b = modes([10, 20, 30], phi), modes([11, 19, 30], phi)
-    t = correlation_table(a, b, pair_modes(a, b), std_hz=np.array([0.1, 0.5, np.nan]), left_out=[2])
+    t = correlation_table(
+        a, b, pair_modes(a, b), std_hz=np.array([0.1, 0.5, np.nan]), left_out=[2]
+    )
     np.testing.assert_allclose(t.deviation_percent, [10, -5, 0], atol=1e-12)
     np.testing.assert_allclose(t.significance, [10, 2, np.nan])
     assert t.mean_deviation() == pytest.approx(5)
@@ -275,13 +297,17 @@ def test_table_summary() -> None:
 def test_modes_that_do_not_move_the_channels_have_no_mac(norm: Norm) -> None:
     """More than half of the modes move across the sensors: what these read of them is rounding."""
     rng = np.random.default_rng(3)
-    shapes = [sines(5) * np.where(np.isin(np.arange(5), [0, 2]), 1.0, 1e-16) for _ in range(2)]
+    shapes = [
+        sines(5) * np.where(np.isin(np.arange(5), [0, 2]), 1.0, 1e-16) for _ in range(2)
+    ]
     shapes = [s + 1e-17 * rng.standard_normal(s.shape) for s in shapes]
     a = modes([10, 20, 30, 40, 50], shapes[0], norm)
     b = modes([11, 21, 31, 41, 51], shapes[1], norm)
     pairing = pair_modes(a, b)
     assert pairing.a.tolist() == pairing.b.tolist() == [0, 2]
-    assert {w.split(":")[0] for w in (*pairing.reasons_a, *pairing.reasons_b)} == {"not observable"}
+    assert {w.split(":")[0] for w in (*pairing.reasons_a, *pairing.reasons_b)} == {
+        "not observable"
+    }
     table = correlation_table(a, b, pairing)
     assert not table.mac[[1, 3, 4]].any()
     assert not table.mac[:, [1, 3, 4]].any()
@@ -328,7 +354,9 @@ def test_what_frequencies_alone_leave_in_doubt_is_told() -> None:
     assert len(p) == 3
     assert p.doubts() == ("test 2 is taken for FE 2, and may as well be FE 3",)
     decided = pair_modes(
-        alone([10.0, 20.1, 35.0]), alone([10.0, 19.9, 20.4, 35.0]), locks=Locks(((1, 2),))
+        alone([10.0, 20.1, 35.0]),
+        alone([10.0, 19.9, 20.4, 35.0]),
+        locks=Locks(((1, 2),)),
     )
     assert decided.b.tolist() == [0, 2, 3]
     assert not decided.doubts()

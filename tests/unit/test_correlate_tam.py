@@ -36,7 +36,9 @@ def chain(free: bool = False) -> tuple[sparse.csr_array, sparse.csr_array]:
     k = 1e4 * (1 + 0.3 * np.sin(np.arange(N + 1)))
     if free:
         k[[0, N]] = 0.0
-    K = sparse.diags_array([-k[1:N], k[:N] + k[1:], -k[1:N]], offsets=[-1, 0, 1]).tocsr()
+    K = sparse.diags_array(
+        [-k[1:N], k[:N] + k[1:], -k[1:N]], offsets=[-1, 0, 1]
+    ).tocsr()
     return sparse.csr_array(K), sparse.csr_array(
         sparse.diags_array(1 + 0.5 * np.cos(np.arange(N))).tocsr()
     )
@@ -96,7 +98,8 @@ def test_craig_bampton_coordinates_make_orthogonality_exact() -> None:
     np.testing.assert_allclose(cross_orthogonality(q, q, cb.mass), np.eye(9), atol=1e-6)
     assert (
         np.abs(
-            self_orthogonality(phi[SENSORS, :8], craig_bampton(K, M, SENSORS, 0).mass) - np.eye(8)
+            self_orthogonality(phi[SENSORS, :8], craig_bampton(K, M, SENSORS, 0).mass)
+            - np.eye(8)
         ).max()
         > 0.05
     )
@@ -113,7 +116,9 @@ def test_cross_orthogonality_is_blind_to_scale_and_phase() -> None:
     )
     got = cross_orthogonality(a, b * (2 - 3j), M)
     np.testing.assert_allclose(got, cross_orthogonality(a, b, M), rtol=1e-12)
-    np.testing.assert_allclose(cross_orthogonality(a, b, np.eye(6)) ** 2, mac(a, b), rtol=1e-12)
+    np.testing.assert_allclose(
+        cross_orthogonality(a, b, np.eye(6)) ** 2, mac(a, b), rtol=1e-12
+    )
 
 
 def serep_mass(shapes: np.ndarray) -> np.ndarray:
@@ -127,9 +132,9 @@ def test_poc_is_the_cross_orthogonality_over_the_serep_mass() -> None:
     _, phi = solved(K, M)
     fe = phi[SENSORS, :6]
     rng = np.random.default_rng(1)
-    test = fe[:, :4] @ (np.eye(4) + 0.1 * rng.standard_normal((4, 4))) + 0.01 * rng.standard_normal(
-        (8, 4)
-    )
+    test = fe[:, :4] @ (
+        np.eye(4) + 0.1 * rng.standard_normal((4, 4))
+    ) + 0.01 * rng.standard_normal((8, 4))
     np.testing.assert_allclose(
         np.abs(unit(pseudo_inverse(fe) @ test)).T,
         cross_orthogonality(test, fe, serep_mass(fe)),
@@ -168,7 +173,9 @@ def test_expansions_recover_exact_shapes() -> None:
 def test_hybrid_expansion_beats_serep_on_a_wrong_model_with_noise() -> None:
     """Truth: a chain whose springs differ from the model's; the readings carry 5 % noise."""
     K, M = chain()
-    wrong = sparse.csr_array(K + sparse.diags_array(np.where(np.arange(N) > 20, 8e2, 0.0)))
+    wrong = sparse.csr_array(
+        K + sparse.diags_array(np.where(np.arange(N) > 20, 8e2, 0.0))
+    )
     f, true = solved(wrong, M)
     _, phi = solved(K, M)
     C = select(SENSORS, N)
@@ -228,5 +235,7 @@ def test_rounding_does_not_order_entries_that_are_the_same(rounding: float) -> N
     matrix = np.eye(3)
     matrix[0, 2] = 0.3 + rounding
     matrix[2, 0] = 0.3
-    told = [(f.a, f.b) for f in judge(matrix, Gate(), np.arange(3), np.arange(3)).failures]
+    told = [
+        (f.a, f.b) for f in judge(matrix, Gate(), np.arange(3), np.arange(3)).failures
+    ]
     assert told == [(0, 2), (2, 0)]

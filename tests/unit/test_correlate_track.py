@@ -33,7 +33,9 @@ def test_track_of_a_given_sequence() -> None:
 
 
 def test_significance_at_the_stated_rate() -> None:
-    s = significance(np.array([10.0, 20.0, 30.0]), np.array([10.3, 20.1, 33.0]), 0.3, 0.4)
+    s = significance(
+        np.array([10.0, 20.0, 30.0]), np.array([10.3, 20.1, 33.0]), 0.3, 0.4
+    )
     np.testing.assert_allclose(s.std, 0.5)
     np.testing.assert_allclose(s.z, [0.6, 0.2, 6.0], atol=1e-12)
     assert s.significant.tolist() == [False, False, True]

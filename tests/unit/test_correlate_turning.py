@@ -43,13 +43,17 @@ def swept(test: ModeSet, third: float = 40.0) -> np.ndarray:
     """MAC of the four pairs at each gap, (gap, 4)."""
     out = []
     for gap in GAPS:
-        found = pair_modes(test, modes([10, 20, 20 * (1 + gap), third], sines(4)), SETTINGS)
+        found = pair_modes(
+            test, modes([10, 20, 20 * (1 + gap), third], sines(4)), SETTINGS
+        )
         assert found.a.tolist() == [0, 1, 2, 3]
         out.append(found.mac)
     return np.array(out)
 
 
-@pytest.mark.parametrize("apart", [0.003, 0.1], ids=["close in the test", "apart in the test"])
+@pytest.mark.parametrize(
+    "apart", [0.003, 0.1], ids=["close in the test", "apart in the test"]
+)
 @pytest.mark.parametrize("third", [40.0, 20.35], ids=["two modes", "three modes"])
 def test_mac_of_a_pair_does_not_jump_as_the_model_s_modes_move_apart(
     apart: float, third: float
@@ -57,7 +61,8 @@ def test_mac_of_a_pair_does_not_jump_as_the_model_s_modes_move_apart(
     mac = swept(modes([10, 20, 20 * (1 + apart), third], mixed(np.pi / 5)), third)
     assert mac[0].min() > 0.999
     assert mac[-1, 1:3].max() < 0.7  # cos² 36° = 0.65
-    steepest = 1.5 / (0.5 * 0.02) * (1 - np.cos(np.pi / 5) ** 2)  # of the fade from 2 to 3 %
+    # of the fade from 2 to 3 %
+    steepest = 1.5 / (0.5 * 0.02) * (1 - np.cos(np.pi / 5) ** 2)
     assert np.abs(np.diff(mac, axis=0)).max() < 1.05 * steepest * STEP
 
 
@@ -65,7 +70,9 @@ def test_mac_of_a_pair_does_not_jump_as_shapes_come_to_match_one_to_one() -> Non
     angles = np.linspace(0.05, 0.6, 300)
     mac = [
         pair_modes(
-            modes([10, 20, 20.06, 40], mixed(q)), modes([10, 20, 20.1, 40], sines(4)), SETTINGS
+            modes([10, 20, 20.06, 40], mixed(q)),
+            modes([10, 20, 20.1, 40], sines(4)),
+            SETTINGS,
         ).mac
         for q in angles
     ]
@@ -93,7 +100,10 @@ def test_shapes_are_turned_as_far_as_the_pairing_says() -> None:
 
 
 def test_groups_do_not_depend_on_the_order_of_the_modes() -> None:
-    test, model = modes([10, 20, 20.1, 40], mixed(np.pi / 5)), modes([10, 20, 20.5, 40], sines(4))
+    test, model = (
+        modes([10, 20, 20.1, 40], mixed(np.pi / 5)),
+        modes([10, 20, 20.5, 40], sines(4)),
+    )
     mix = np.array([2, 0, 3, 1])
     plain = pair_modes(test, model, SETTINGS)
     got = pair_modes(test, replace(model.take(mix)), SETTINGS)

@@ -54,7 +54,11 @@ def test_a_stiff_spring_holds_nothing_beside_it() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [b"SOL 103\nCEND\nBEGIN BULK\n", b"$ *NODE\nGRID,1,,0.,0.,0.\n", b"BEGIN BULK\n*N1,2.\n"],
+    [
+        b"SOL 103\nCEND\nBEGIN BULK\n",
+        b"$ *NODE\nGRID,1,,0.,0.,0.\n",
+        b"BEGIN BULK\n*N1,2.\n",
+    ],
 )
 def test_decks_of_nastran_are_not_taken_for_others(text: bytes) -> None:
     assert not other_program(text)
@@ -86,17 +90,23 @@ def test_includes_have_a_depth(tmp_path: Path, links: int) -> None:
         read_deck(tmp_path / "d.bdf")
 
 
-def test_what_is_included_again_has_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_included_again_has_a_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("ringtrue.decks.nastran.deck.LIMITS", IncludeLimits(again=1000))
     (tmp_path / "d.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 3)
     (tmp_path / "a.inc").write_text("$" + "x" * 400 + "\n")
     (tmp_path / "b.bdf").write_text("BEGIN BULK\n" + "INCLUDE 'a.inc'\n" * 4)
-    with pytest.raises(DeckError, match="files that were included before make more than"):
+    with pytest.raises(
+        DeckError, match="files that were included before make more than"
+    ):
         read_deck(tmp_path / "b.bdf")
     assert not read_deck(tmp_path / "d.bdf").tables
 
 
-@pytest.mark.parametrize("path", sorted((FAULTS / "matrices").glob("*.op4")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", sorted((FAULTS / "matrices").glob("*.op4")), ids=lambda p: p.stem
+)
 def test_damaged_op4_is_refused_in_time_and_memory(path: Path) -> None:
     tracemalloc.start()
     try:
@@ -137,7 +147,12 @@ def test_fatal_messages_where_pieces_meet(tmp_path: Path) -> None:
     for before in range(2**20 - 60, 2**20 + 30, 7):
         padded = line * (before // len(line))
         (tmp_path / "m.f06").write_bytes(
-            padded + b" " * (before - len(padded)) + b"\n" + fatal + line * 50000 + fatal
+            padded
+            + b" " * (before - len(padded))
+            + b"\n"
+            + fatal
+            + line * 50000
+            + fatal
         )
         found = fatal_messages(tmp_path / "m.f06")
         assert len(found) == 2

@@ -25,7 +25,14 @@ PBAR,1,1,{a},{i},{i},{i}
 MAT1,1,{e},,.3,{rho}
 """
 METRES = {"l": "1.", "ll": "2.", "a": "1.-4", "i": "1.-8", "e": "2.+11", "rho": "7800."}
-MILLIMETRES = {"l": "1.+3", "ll": "2.+3", "a": "1.+2", "i": "1.+4", "e": "2.+5", "rho": "7.8-9"}
+MILLIMETRES = {
+    "l": "1.+3",
+    "ll": "2.+3",
+    "a": "1.+2",
+    "i": "1.+4",
+    "e": "2.+5",
+    "rho": "7.8-9",
+}
 
 
 def deck(folder: Path, case: str, bulk: str) -> Path:
@@ -51,7 +58,9 @@ def test_a_matrix_on_an_extra_point_leaves_the_modes_alone_and_acts_on_responses
     asked = {"forces": "3+Y", "damping": 0.01}
     found = rt.frf(extra, [2.0, 3.0, 12.0], **asked).data
     want = rt.frf(
-        deck(tmp_path, "SPC=1", f"{held}SPOINT,100\n{springs}"), [2.0, 3.0, 12.0], **asked
+        deck(tmp_path, "SPC=1", f"{held}SPOINT,100\n{springs}"),
+        [2.0, 3.0, 12.0],
+        **asked,
     )
     np.testing.assert_allclose(found, want.data, rtol=1e-9)
 
@@ -64,7 +73,9 @@ def test_an_extra_point_of_mass_alone_is_refused_for_responses(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("units", [METRES, MILLIMETRES], ids=["m", "mm"])
-@pytest.mark.parametrize("method", ["EIGRL,1,0.,10.", "EIGR,1,LAN,0.,10.", "EIGRL,1,,1."])
+@pytest.mark.parametrize(
+    "method", ["EIGRL,1,0.,10.", "EIGR,1,LAN,0.,10.", "EIGRL,1,,1."]
+)
 def test_a_band_that_holds_rigid_body_modes_alone(
     tmp_path: Path, units: dict[str, str], method: str
 ) -> None:
@@ -83,7 +94,9 @@ def test_a_stiff_structure_with_many_soft_springs(tmp_path: Path, soft: str) -> 
         f"GRID,{i},,0.,0.,0.\nCELAS2,{i},{soft},1,2,{i},2\nCONM2,{i + 100},{i},,1.\n"
         for i in range(300, 360)
     )
-    found = rt.solve_modes(read_deck(deck(tmp_path, "", BEAM.format(**stiff) + many)), count=60)
+    found = rt.solve_modes(
+        read_deck(deck(tmp_path, "", BEAM.format(**stiff) + many)), count=60
+    )
     own = np.sqrt(float(soft.replace("-", "e-"))) / (2 * np.pi)
     assert found.complete
     assert np.isclose(found.frequencies, own, rtol=1e-6).sum() >= 50
@@ -95,7 +108,9 @@ def test_a_blank_size_at_the_end_of_a_line_load_is_nothing(tmp_path: Path) -> No
     path = deck(tmp_path, "SPC=1\nLOAD=1", held + "PLOAD1,1,1,FY,FR,.5,10.,1.\n")
     blank = rt.static(path, responses=["3+Y"]).values
     path = deck(tmp_path, "SPC=1\nLOAD=1", held + "PLOAD1,1,1,FY,FR,.5,10.,1.,0.\n")
-    np.testing.assert_allclose(blank, rt.static(path, responses=["3+Y"]).values, rtol=1e-12)
+    np.testing.assert_allclose(
+        blank, rt.static(path, responses=["3+Y"]).values, rtol=1e-12
+    )
     assert abs(blank).max() > 0
 
 
@@ -133,16 +148,22 @@ def test_warping_points_of_a_section_without_warping_stiffness(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("ratio", ["2.+11,,.7", "2.+11,1.+9"])
-def test_poissons_ratio_that_nothing_takes_is_no_error(tmp_path: Path, ratio: str) -> None:
+def test_poissons_ratio_that_nothing_takes_is_no_error(
+    tmp_path: Path, ratio: str
+) -> None:
     """Of a material that nothing is of, and of bars, which take E and G as they are given."""
     bulk = BEAM.format(**METRES).replace("2.+11,,.3", ratio)
     told = [
-        f for f in check_deck(read_deck(deck(tmp_path, "", bulk))).findings if "Poiss" in f.text
+        f
+        for f in check_deck(read_deck(deck(tmp_path, "", bulk))).findings
+        if "Poiss" in f.text
     ]
     assert [f.severity for f in told] == ["warning"]
     used = bulk + "GRID,4,,0.,1.,0.\nCTRIA3,9,9,1,2,4\nPSHELL,9,1,.01,1\n"
     told = [
-        f for f in check_deck(read_deck(deck(tmp_path, "", used))).findings if "Poiss" in f.text
+        f
+        for f in check_deck(read_deck(deck(tmp_path, "", used))).findings
+        if "Poiss" in f.text
     ]
     assert [f.severity for f in told] == ["error"]
 
@@ -177,7 +198,9 @@ def test_check_shows_what_is_read_beside_cards_that_are_not(
     assert "mass of what is read 1.56" in text
     assert "Poisson's ratio 0.7" in text
     assert "RFORCE: loads that are not read: ringtrue static" in text
-    lines = [line for line in text.splitlines() if line.startswith("unsupported CBUSH2D")]
+    lines = [
+        line for line in text.splitlines() if line.startswith("unsupported CBUSH2D")
+    ]
     assert len(lines) == 1
     assert lines[0].endswith("missing without it: stiffness")
 
@@ -203,6 +226,8 @@ def test_a_free_point_that_is_displaced_is_held_in_its_own_subcase(
     path = deck(tmp_path, case, held + "SPCD,1,3,2,.001\nFORCE,2,3,,6.,0.,1.\n")
     found = rt.static(path, responses=["2+Y", "3+Y"])
     np.testing.assert_allclose(found.values[0], [0.001 * 5 / 16, 0.001], rtol=1e-9)
-    np.testing.assert_allclose(found.values[1, 1], 6 * 2**3 / (3 * 2e11 * 1e-8), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.values[1, 1], 6 * 2**3 / (3 * 2e11 * 1e-8), rtol=1e-9
+    )
     assert found.held == ()
     assert "node 3 component 2, which no SPC holds" in caplog.text

@@ -53,7 +53,8 @@ def test_candidates_are_fields_of_the_deck_and_cut_across_what_is_wrong(
         mine = [p for p in config.candidates().parameters if p.name.startswith(name)]
         assert len(mine) >= 2
         each = [len({t.id % facility.ZONE for t in p.targets}) for p in mine]
-        assert min(each) >= len(regions) - 1  # each holds nearly all regions, whose ratios differ
+        # each holds nearly all regions, whose ratios differ
+        assert min(each) >= len(regions) - 1
 
 
 def test_the_truth_is_that_of_the_seed() -> None:
@@ -66,8 +67,15 @@ def test_the_truth_is_that_of_the_seed() -> None:
 
 def circumstances(twin: MadeUp, faults: ChannelFaults) -> Circumstances:
     first, second = Day("2024-11-04", 7.5), Day("2024-11-06", 14.0)
-    days = {"foundation": first, "frame": first, "hammer": second, "foundation-again": second}
-    return Circumstances({d.date: twin for d in (first, second)}, days, ("ambient",), faults)
+    days = {
+        "foundation": first,
+        "frame": first,
+        "hammer": second,
+        "foundation-again": second,
+    }
+    return Circumstances(
+        {d.date: twin for d in (first, second)}, days, ("ambient",), faults
+    )
 
 
 def test_channels_read_what_their_faults_make_of_the_motion() -> None:
@@ -116,7 +124,9 @@ def test_a_fault_counts_as_named_with_its_channel_and_setup_alone() -> None:
     assert all(examples.named(findings, faults).values())
     for k in range(len(findings)):
         assert (
-            list(examples.named(findings[:k] + findings[k + 1 :], faults).values()).count(False)
+            list(
+                examples.named(findings[:k] + findings[k + 1 :], faults).values()
+            ).count(False)
             == 1
         )
     more = [*findings, finding("channel scaled", "9+Z", factor=3.0)]

@@ -31,20 +31,32 @@ from ringtrue.signal.tonal_lines import Harmonic
 from ringtrue.study.results import IdentifiedModes
 
 
-def mode_set(f: list[float], shapes: list[list[float]], channels: str = "abc") -> ModeSet:
+def mode_set(
+    f: list[float], shapes: list[list[float]], channels: str = "abc"
+) -> ModeSet:
     size = len(f)
-    return ModeSet(np.array(f), np.full(size, 0.01), np.array(shapes).T, tuple(channels))
+    return ModeSet(
+        np.array(f), np.full(size, 0.01), np.array(shapes).T, tuple(channels)
+    )
 
 
 def deviations(modes: ModeSet) -> Uncertainty:
     f = modes.frequencies
-    return Uncertainty.independent(1e-3 * f, 0.1 * modes.damping, np.zeros(modes.shapes.shape))
+    return Uncertainty.independent(
+        1e-3 * f, 0.1 * modes.damping, np.zeros(modes.shapes.shape)
+    )
 
 
-def candidates(f: float, shape: list[float], confidence: float = 0.4) -> OtherCandidates:
+def candidates(
+    f: float, shape: list[float], confidence: float = 0.4
+) -> OtherCandidates:
     modes = mode_set([f], [shape])
     modes = ModeSet(
-        modes.frequencies, modes.damping, modes.shapes, modes.labels, confidence=[confidence]
+        modes.frequencies,
+        modes.damping,
+        modes.shapes,
+        modes.labels,
+        confidence=[confidence],
     )
     note = Note("candidate line", "information", f"{f} Hz", {"why": "mains hum"})
     return OtherCandidates(modes, deviations(modes), ("harmonic",), (note,))
@@ -67,7 +79,9 @@ def shown(poles: int = 0) -> IdentificationDiagram:
     natural = mode_set([20.0, 5.0], [[1, 0, 0], [1, 1, 0]])
     others = candidates(10.0, [1, 0, 0.1])
     remarks = ("scatters along the record", "")
-    return identification_diagram([diagram], (natural, deviations(natural), remarks), others)
+    return identification_diagram(
+        [diagram], (natural, deviations(natural), remarks), others
+    )
 
 
 def page_data(page: str) -> dict[str, object]:
@@ -98,7 +112,9 @@ def test_a_shape_that_is_not_known_has_no_mac() -> None:
 def test_candidates_alone_make_a_diagram() -> None:
     nothing = ModeSet(np.empty(0), np.empty(0), np.empty((0, 0)), ())
     natural = (nothing, deviations(nothing), ())
-    assert identification_diagram([], natural, candidates(9.0, [1, 0, 0])).classes == ("harmonic",)
+    assert identification_diagram([], natural, candidates(9.0, [1, 0, 0])).classes == (
+        "harmonic",
+    )
 
 
 def test_the_figure_has_three_singular_values_and_every_class() -> None:
@@ -117,7 +133,9 @@ def test_the_figure_has_three_singular_values_and_every_class() -> None:
 def test_poles_above_the_panel_of_damping_are_marked_on_its_edge() -> None:
     of = shown(400)
     (diagram,) = of.diagrams
-    unstable, taken = (np.flatnonzero((diagram.cluster >= 0) == t)[0] for t in (False, True))
+    unstable, taken = (
+        np.flatnonzero((diagram.cluster >= 0) == t)[0] for t in (False, True)
+    )
     pole = diagram.poles.pole.copy()
     pole[unstable] = pole[unstable].imag * (-0.5 + 1j)
     pole[taken] = pole[taken].imag * (-0.2 + 1j)
@@ -137,7 +155,8 @@ def test_a_page_holds_every_pole_of_a_large_record_in_a_megabyte() -> None:
     assert isinstance(poles, dict)
     kind = np.frombuffer(base64.b64decode(poles["kind"]), "u1")
     assert kind.size == 30_000
-    assert (np.diff(kind.astype(int)) <= 0).all()  # those with shapes in any case come first
+    # those with shapes in any case come first
+    assert (np.diff(kind.astype(int)) <= 0).all()
     assert len(base64.b64decode(poles["shape"])) == 2 * 3 * 30_000 < SHAPE_BYTES
     assert [m["class"] for m in data["modes"]] == ["natural", "harmonic", "natural"]
 
@@ -186,7 +205,9 @@ def test_singular_values_of_two_bands_join_without_a_step() -> None:
     """Both have the spectrum -10 dB a decade, with references of their own."""
 
     def band(low: float, high: float, reference: float) -> StableDiagram:
-        nothing = PoleSet(np.empty(0, int), np.empty(0), np.empty((3, 0)), np.empty(0), np.empty(0))
+        nothing = PoleSet(
+            np.empty(0, int), np.empty(0), np.empty((3, 0)), np.empty(0), np.empty(0)
+        )
         lines = np.geomspace(low, high, 300)
         level = reference - 10 * np.log10(lines) - np.array([[0.0], [6.0], [12.0]])
         return StableDiagram(nothing, np.empty(0, bool), np.empty(0, int), lines, level)
@@ -203,14 +224,22 @@ def test_singular_values_of_two_bands_join_without_a_step() -> None:
     assert lines[-1] > 79
 
 
-def test_a_stored_study_has_all_classes_machines_and_unexplained_peaks(tmp_path: Path) -> None:
+def test_a_stored_study_has_all_classes_machines_and_unexplained_peaks(
+    tmp_path: Path,
+) -> None:
     natural = mode_set([5.0], [[1, 1, 0]])
-    machine = Machine(np.arange(4.0), 6 * np.arange(4.0), np.array([1, 2, 5]), 3, 9, 0.1)
+    machine = Machine(
+        np.arange(4.0), 6 * np.arange(4.0), np.array([1, 2, 5]), 3, 9, 0.1
+    )
     peak = SpectrumPeak(3.8, 0.05, 2, 12.0)
     account = SpectrumAccount((Harmonic(50.0, "mains hum"),), (machine,), (peak,))
     std = deviations(natural)
     found = IdentifiedModes(
-        natural, std, remarks=("few",), others=candidates(10.0, [1, 0, 0]), account=account
+        natural,
+        std,
+        remarks=("few",),
+        others=candidates(10.0, [1, 0, 0]),
+        account=account,
     )
     with h5py.File(tmp_path / "s.h5", "w") as f:
         hdf5.save(f.create_group("stage"), found)

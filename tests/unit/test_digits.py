@@ -9,7 +9,11 @@ import pytest
 
 from ringtrue.core.display import number, plus_minus, standard_deviations, with_error
 from ringtrue.correlation.pairing import Pairing
-from ringtrue.correlation.table import CorrelationTable, repeatability, table_significance
+from ringtrue.correlation.table import (
+    CorrelationTable,
+    repeatability,
+    table_significance,
+)
 
 NAN = float("nan")
 
@@ -57,10 +61,14 @@ def table(first: np.ndarray, second: np.ndarray, std: float) -> CorrelationTable
     pairing = Pairing(at, at, *of_pairs, none, (), none, ())
     stds = np.full(at.size, std)
     used = np.ones(at.size, dtype=bool)
-    return CorrelationTable(pairing, first, second, stds, used, np.eye(at.size), first, second)
+    return CorrelationTable(
+        pairing, first, second, stds, used, np.eye(at.size), first, second
+    )
 
 
-def test_repetition_is_found_from_two_tests_and_one_wrong_pair_does_not_matter() -> None:
+def test_repetition_is_found_from_two_tests_and_one_wrong_pair_does_not_matter() -> (
+    None
+):
     """Two tests, each with 0.05 % of scatter: the spread of 2000 differences tells it to 3 %."""
     rng = np.random.default_rng(3)
     true = np.linspace(5.0, 50.0, 2000)
@@ -76,6 +84,10 @@ def test_no_standard_deviation_is_below_that_of_repetition() -> None:
     stated = table(test, model, 1e-6)
     assert table_significance(stated).z.min() > 9e4
     assert table_significance(stated, 1e-3).z == pytest.approx([10.0, 10.0])
-    assert table_significance(table(test, model, 0.1), 1e-3).std == pytest.approx([0.1, 0.1])
-    assert table_significance(table(test, model, NAN), 1e-3).z == pytest.approx([10.0, 10.0])
+    assert table_significance(table(test, model, 0.1), 1e-3).std == pytest.approx(
+        [0.1, 0.1]
+    )
+    assert table_significance(table(test, model, NAN), 1e-3).z == pytest.approx(
+        [10.0, 10.0]
+    )
     assert np.isnan(table_significance(table(test, model, NAN)).z).all()

@@ -43,9 +43,13 @@ def blocks(kind: str) -> list[tuple[str, str]]:
                 r"<!-- (file|append): \S+\.toml -->\n```toml\n(.*?)```", text, re.DOTALL
             )
         )
-        single = re.sub(r"<!-- (?:file|append): .*? -->\n```.*?```", "", text, flags=re.DOTALL)
+        single = re.sub(
+            r"<!-- (?:file|append): .*? -->\n```.*?```", "", text, flags=re.DOTALL
+        )
         found = re.findall(rf"```{kind}\n(.*?)```", single, re.DOTALL)
-        out += [(page, b) for b in ([whole] if whole and kind == "toml" else []) + found]
+        out += [
+            (page, b) for b in ([whole] if whole and kind == "toml" else []) + found
+        ]
     return out
 
 
@@ -75,7 +79,8 @@ def test_sections_of_a_study_are_taken(page: str, block: str, tmp_path: Path) ->
     if "candidate" not in given:
         names = {n for s in given.get("set", ()) for n in s["candidates"]}
         more += "".join(
-            f'[[candidate]]\nname = "{n}"\ntargets = ["MAT1 1 E"]\n' for n in sorted(names)
+            f'[[candidate]]\nname = "{n}"\ntargets = ["MAT1 1 E"]\n'
+            for n in sorted(names)
         )
     parse_config(f"{block}\n{more}", Path(page))
 
@@ -97,7 +102,11 @@ def test_a_crew_may_note_down_more(tmp_path: Path) -> None:
         "path": "/x",
         "tests": 3,
     }
-    log = {"tests": [{"name": "A", "kind": "ambient", "weather": "rain", "records": [record]}]}
+    log = {
+        "tests": [
+            {"name": "A", "kind": "ambient", "weather": "rain", "records": [record]}
+        ]
+    }
     (tmp_path / "log.json").write_text(json.dumps(log))
     ((one,), _) = read_log(tmp_path / "log.json")
     assert (one.test, one.kind, one.path) == ("A", "ambient", tmp_path / "a.h5")
@@ -125,9 +134,13 @@ def test_what_is_imported_is_there(page: str, block: str) -> None:
 
 def test_links_and_files_that_are_named_are_there() -> None:
     for page, text in PAGES.items():
-        folder = ROOT if page == "README.md" else next(ROOT.glob(f"docs/**/{page}")).parent
+        folder = (
+            ROOT if page == "README.md" else next(ROOT.glob(f"docs/**/{page}")).parent
+        )
         named = [folder / link for link in re.findall(r"\]\(([^)#:]+)\)", text)]
-        named += [ROOT / file for file in re.findall(r"\b((?:bench|tests)/[\w/]+\.py)", text)]
+        named += [
+            ROOT / file for file in re.findall(r"\b((?:bench|tests)/[\w/]+\.py)", text)
+        ]
         assert [str(n) for n in named if not n.exists()] == []
 
 

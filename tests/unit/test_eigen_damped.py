@@ -33,7 +33,9 @@ def test_quadratic_eigenproblem(structural):
     stiff = np.diag(lam) + 1j * h
     rest = got.shapes * got.poles**2 + d @ got.shapes * got.poles + stiff @ got.shapes
     assert np.abs(rest).max() < 1e-9 * np.abs(stiff @ got.shapes).max()
-    scale = np.einsum("nm,nm->m", got.shapes, (2 * got.shapes * got.poles + d @ got.shapes))
+    scale = np.einsum(
+        "nm,nm->m", got.shapes, (2 * got.shapes * got.poles + d @ got.shapes)
+    )
     assert np.allclose(scale, 1)
 
 
@@ -46,7 +48,9 @@ def test_residues_sum_to_the_receptance():
     s = 17j
     direct = np.linalg.inv(np.diag(lam) + s**2 * np.eye(3) + s * d)
     psi = got.shapes
-    modal = (psi / (s - got.poles)) @ psi.T + (psi.conj() / (s - got.poles.conj())) @ psi.conj().T
+    modal = (psi / (s - got.poles)) @ psi.T + (
+        psi.conj() / (s - got.poles.conj())
+    ) @ psi.conj().T
     assert np.allclose(modal, direct)
 
 

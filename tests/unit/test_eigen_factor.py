@@ -21,7 +21,9 @@ COUNTING = ENGINES
 def chain(n: int) -> sparse.csr_array:
     """Fixed chain of springs: eigenvalues 2 − 2 cos(kπ/(n + 1))."""
     side = -np.ones(n - 1)
-    return sparse.csr_array(sparse.diags_array([2 * np.ones(n), side, side], offsets=[0, 1, -1]))
+    return sparse.csr_array(
+        sparse.diags_array([2 * np.ones(n), side, side], offsets=[0, 1, -1])
+    )
 
 
 @pytest.mark.parametrize("method", ENGINES)
@@ -29,7 +31,9 @@ def test_solve_many_right_hand_sides(method):
     k = chain(200)
     x = np.random.default_rng(1).standard_normal((200, 5))
     assert np.allclose(factorise(k, method=method).solve(k @ x), x, atol=1e-9)
-    assert np.allclose(factorise(k, method=method).solve(k @ x[:, 0]), x[:, 0], atol=1e-9)
+    assert np.allclose(
+        factorise(k, method=method).solve(k @ x[:, 0]), x[:, 0], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("method", COUNTING)
@@ -56,13 +60,17 @@ def test_patterns_by_blocks(monkeypatch, entries):
     )
     k = sparse.csr_array(sparse.kron(grid, b))
     a, c = (2 - 2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) for n in (20, 15))
-    exact = np.sort(np.multiply.outer(np.add.outer(a, c).ravel(), np.linalg.eigvalsh(b)).ravel())
+    exact = np.sort(
+        np.multiply.outer(np.add.outer(a, c).ravel(), np.linalg.eigvalsh(b)).ravel()
+    )
     pencil = Pencil(k, sparse.csr_array(sparse.eye_array(900)), method="pardiso")
     x = np.random.default_rng(2).standard_normal((900, 11))
     for below in (0, 5, 300, 899):
         shift = (exact[below - 1] + exact[below]) / 2 if below else -1.0
         assert pencil.at(float(shift)).negatives == below
-        assert np.allclose(pencil.at(float(shift)).solve(k @ x - shift * x), x, atol=1e-8)
+        assert np.allclose(
+            pencil.at(float(shift)).solve(k @ x - shift * x), x, atol=1e-8
+        )
     assert np.allclose(solve_modes(pencil, 12).values, exact[:12], rtol=1e-9)
     hole = sparse.csr_array(sparse.block_diag([k, np.zeros((1, 1))]))
     with pytest.raises(SingularModel, match="row 900"):
@@ -70,7 +78,9 @@ def test_patterns_by_blocks(monkeypatch, entries):
 
 
 def test_superlu_has_no_inertia_where_it_exchanges_rows():
-    swap = sparse.csr_array(sparse.kron(sparse.eye_array(5), np.array([[0.0, 1.0], [1.0, 0.0]])))
+    swap = sparse.csr_array(
+        sparse.kron(sparse.eye_array(5), np.array([[0.0, 1.0], [1.0, 0.0]]))
+    )
     assert factorise(swap, method="superlu").negatives == -1
 
 
@@ -97,22 +107,29 @@ def test_modes_are_those_of_any_engine(method):
     """Chain with every second mass missing."""
     n = 500
     k = chain(n)
-    m = sparse.csr_array(sparse.diags_array(np.where(np.arange(n) % 2, 0.0, 1.0), format="csr"))
+    m = sparse.csr_array(
+        sparse.diags_array(np.where(np.arange(n) % 2, 0.0, 1.0), format="csr")
+    )
     got = solve_modes(Pencil(k, m, method=method), 8)
     heavy = np.arange(0, n, 2)
     light = np.arange(1, n, 2)
     d = k.toarray()
-    small = d[np.ix_(heavy, heavy)] - d[np.ix_(heavy, light)] @ (d[np.ix_(light, heavy)] / 2)
+    small = d[np.ix_(heavy, heavy)] - d[np.ix_(heavy, light)] @ (
+        d[np.ix_(light, heavy)] / 2
+    )
     assert np.allclose(got.values, np.linalg.eigvalsh(small)[:8], rtol=1e-8)
     assert got.residuals.max() < 1e-8
     assert got.complete
 
 
 def test_lack_of_memory_is_foreseen(monkeypatch: pytest.MonkeyPatch):
-    pencil = Pencil(chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0])
+    pencil = Pencil(
+        chain(1000), sparse.csr_array(sparse.eye_array(1000)), method=COUNTING[0]
+    )
     monkeypatch.setattr(memory, "available", lambda: 20_000)
     with pytest.raises(
-        OutOfMemory, match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free"
+        OutOfMemory,
+        match=r"factorisation of 1000 DOFs needs .* MB of memory; 0\.0 MB are free",
     ) as e:
         pencil.at(-1.0)
     assert e.value.needed > e.value.available == 20_000
@@ -130,10 +147,16 @@ def test_memory_of_this_machine():
 
 @pytest.mark.parametrize(
     ("missing", "then"),
-    [((), "pardiso"), (("pymklpardiso",), "rslab"), (("pymklpardiso", "rslab"), "superlu")],
+    [
+        ((), "pardiso"),
+        (("pymklpardiso",), "rslab"),
+        (("pymklpardiso", "rslab"), "superlu"),
+    ],
 )
 def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
-    monkeypatch.setattr(engines, "find_spec", lambda name: None if name in missing else object())
+    monkeypatch.setattr(
+        engines, "find_spec", lambda name: None if name in missing else object()
+    )
     assert engines.choose("auto", 1000) == then
     assert engines.choose("auto", 10) == "dense"
     if missing:
@@ -144,7 +167,9 @@ def test_auto_takes_the_first_that_is_installed(monkeypatch, missing, then):
 @pytest.mark.parametrize("n", [60, 500])
 def test_masses_that_are_all_negative_are_named(n):
     """PARAM,WTMASS,-1."""
-    with pytest.raises(NumericalError, match="negative in some direction at row 0 row 1 "):
+    with pytest.raises(
+        NumericalError, match="negative in some direction at row 0 row 1 "
+    ):
         solve_modes(Pencil(chain(n), sparse.csr_array(-sparse.eye_array(n))), 4)
 
 
@@ -180,5 +205,7 @@ def test_a_singular_mass_of_full_blocks_is_not_called_negative():
     decades.
     """
     arm = np.array([1.0, 1e3, 1e-4, 0.3, 1e-7])
-    m = sparse.csr_array(sparse.block_diag([sparse.coo_array(0.7 * np.outer(arm, arm))] * 100))
+    m = sparse.csr_array(
+        sparse.block_diag([sparse.coo_array(0.7 * np.outer(arm, arm))] * 100)
+    )
     assert solve_modes(Pencil(chain(500), m), 3).residuals.max() < 1e-6

@@ -26,7 +26,9 @@ from ringtrue.study.hammer_records import forced_frfs
 RATE = 512.0
 FN = np.array([12.0, 15.0, 15.3, 55.0])
 ZETA = np.array([0.01, 0.008, 0.012, 0.015])
-PHI = np.cos(np.pi * np.linspace(0, 1, 12)[:, None] * np.arange(1, 5) + 0.3 * np.arange(4))
+PHI = np.cos(
+    np.pi * np.linspace(0, 1, 12)[:, None] * np.arange(1, 5) + 0.3 * np.arange(4)
+)
 STARTS = 1.0 + 9.0 * np.arange(6)
 
 
@@ -57,7 +59,9 @@ def record(
         force += pulse(t - start, 100 * (1 + 0.2 * rng.random()))
         force += pulse(t - start - 0.05, 30.0) if k == rebound else 0.0
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / RATE)
-    spectrum = s[:, None] ** 2 * receptance(s, outs, inp) * np.fft.rfft(force, 2 * n)[:, None]
+    spectrum = (
+        s[:, None] ** 2 * receptance(s, outs, inp) * np.fft.rfft(force, 2 * n)[:, None]
+    )
     y = np.fft.irfft(spectrum, axis=0)[:n].T
     y = (
         y + noise * y.std() * rng.standard_normal(y.shape) + 0.5
@@ -101,9 +105,14 @@ def test_hits_are_kept_and_left_out_by_hand() -> None:
     both = HammerSettings(block=8.0, hits=(Hit("r1", 1.0, False, "cable"),))
     alone = HammerSettings(block=8.0)
     np.testing.assert_allclose(
-        estimate_frf(r, both)[0].data, estimate_frf(later, alone)[0].data, rtol=1e-2, atol=1e-4
+        estimate_frf(r, both)[0].data,
+        estimate_frf(later, alone)[0].data,
+        rtol=1e-2,
+        atol=1e-4,
     )
-    with pytest.raises(ConfigError, match=r"hit of r1 at 2 s: there is none within .*1\.00 10\.00"):
+    with pytest.raises(
+        ConfigError, match=r"hit of r1 at 2 s: there is none within .*1\.00 10\.00"
+    ):
         estimate_frf(r, HammerSettings(hits=(Hit("r1", 2.0, False, "cable"),)))
     (path,) = (replace(r, source="a/b.c/r1.x.csv #2"),)
     named = HammerSettings(hits=(Hit("r1.x #2", 1.0, False, "cable"),))
@@ -115,15 +124,24 @@ def across(history: TimeHistory, count: int) -> TimeHistory:
     sensors.
     """
     rng = np.random.default_rng(3)
-    noise = 1e-3 * history.data[1:].std() * rng.standard_normal((count, history.data.shape[1]))
+    noise = (
+        1e-3
+        * history.data[1:].std()
+        * rng.standard_normal((count, history.data.shape[1]))
+    )
     channels = [Channel(f"{k + 1}+X", "acceleration", "m/s^2") for k in range(count)]
     return TimeHistory(
-        np.vstack([history.data, noise]), RATE, (*history.channels, *channels), history.source
+        np.vstack([history.data, noise]),
+        RATE,
+        (*history.channels, *channels),
+        history.source,
     )
 
 
 def test_a_single_blow_is_not_held_for_ringing_by_channels_that_show_nothing() -> None:
-    one, two = (across(record(1, [0, 1, 2], starts=np.array(s)), 6) for s in ([1.0], [1.0, 2.2]))
+    one, two = (
+        across(record(1, [0, 1, 2], starts=np.array(s)), 6) for s in ([1.0], [1.0, 2.2])
+    )
     settings = HammerSettings(block=1.0)
     assert [r.accepted for r in estimate_frf(one, settings)[1]] == [True]
     first, second = estimate_frf(two, settings)[1]
@@ -135,7 +153,9 @@ def test_overloads_with_and_without_a_range() -> None:
     r = record(1, [0, 1])
     top = np.abs(r.data[1] - 0.5).max()
     _, reports = estimate_frf(r, full_scale={"1+Z": top * 0.999})
-    assert [any("overload of 1+Z" in x for x in h.reasons) for h in reports].count(True) in (
+    assert [any("overload of 1+Z" in x for x in h.reasons) for h in reports].count(
+        True
+    ) in (
         1,
         2,
         3,
@@ -155,7 +175,9 @@ def test_a_response_clipped_for_a_sample_in_most_blows_is_left_out() -> None:
     """
     r = record(1, [0, 1, 2], starts=STARTS + 6e-4 * np.arange(6))
     clipped = r.data.copy()
-    top = np.sort([np.sort(clipped[3, int(s * RATE) : int((s + 1) * RATE)])[-3] for s in STARTS])[0]
+    top = np.sort(
+        [np.sort(clipped[3, int(s * RATE) : int((s + 1) * RATE)])[-3] for s in STARTS]
+    )[0]
     clipped[3] = np.minimum(clipped[3], top)
     forced = forced_frfs([replace(r, data=clipped)], HammerSettings())
     assert [c.id for c in forced.columns[0].outputs] == ["1+Z", "2+Z"]
@@ -170,7 +192,9 @@ def test_a_force_clipped_for_a_sample_or_two_is_told_by_its_pulses() -> None:
     r = record(1, [0, 1], starts=STARTS + 6e-4 * np.arange(6))
     clipped = r.data.copy()
     clipped[0] = np.clip(clipped[0], None, 60.0)
-    with pytest.raises(DataError, match=r"overload of F:2\+Z; .*or measure with a wider range"):
+    with pytest.raises(
+        DataError, match=r"overload of F:2\+Z; .*or measure with a wider range"
+    ):
         estimate_frf(replace(r, data=clipped))
     n = int(STARTS[0] * RATE)
     again = np.tile(r.data[:, : 4 * n], 6) + 0.0
@@ -191,7 +215,10 @@ def test_two_clipped_pulses_are_enough_where_each_is_flat() -> None:
     bits = np.round(noisy * 2**15 / 150) * 150 / 2**15
     for top, clips in ((100.0, {"F": 100.0}), (150.0, {})):
         r = TimeHistory(
-            np.clip(bits, None, top)[None], 2.5 * RATE, (Channel("F", "force", "N"),), "r"
+            np.clip(bits, None, top)[None],
+            2.5 * RATE,
+            (Channel("F", "force", "N"),),
+            "r",
         )
         assert clipping_levels(r) == clips
 
@@ -201,7 +228,9 @@ def test_frf_is_that_of_the_system_under_the_window() -> None:
     outs = [0, 1, 5]
     frfs, _ = estimate_frf(record(1, outs), HammerSettings(fmax=100.0, exp_end=0.01))
     assert frfs.kind == "accelerance"
-    assert frfs.window_decay == pytest.approx(-np.log(0.01) / (1 / frfs.freqs[1]), rel=1e-9)
+    assert frfs.window_decay == pytest.approx(
+        -np.log(0.01) / (1 / frfs.freqs[1]), rel=1e-9
+    )
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
     exact = s[:, None] ** 2 * receptance(s, outs, 1)
     error = np.linalg.norm(frfs.data[1:, :, 0] - exact[1:]) / np.linalg.norm(exact)
@@ -214,11 +243,15 @@ def band_limited(width: float, part: float) -> TimeHistory:
     half the rate.
     """
     n, half = 60 * 512, 256.0
-    force = sum(pulse(np.arange(4 * n) / (4 * RATE) - a, 100.0, width) for a in STARTS + 1e-3)
+    force = sum(
+        pulse(np.arange(4 * n) / (4 * RATE) - a, 100.0, width) for a in STARTS + 1e-3
+    )
     f = np.fft.rfftfreq(4 * n, 1 / (4 * RATE))
     through = np.fft.rfft(force) * np.clip((1 - f / half) / (1 - part), 0, 1)
     s = 2j * np.pi * f
-    both = np.vstack([through, (s[:, None] ** 2 * receptance(s, [0, 1, 5], 1)).T * through])
+    both = np.vstack(
+        [through, (s[:, None] ** 2 * receptance(s, [0, 1, 5], 1)).T * through]
+    )
     data = np.fft.irfft(both, axis=1)[:, ::4]
     return TimeHistory(data, RATE, record(1, [0, 1, 5]).channels, "tip")
 
@@ -246,16 +279,22 @@ def test_the_whole_pulse_counts(width: float, part: float) -> None:
 
     An edge through either leaves 1 % and more of error at all lines.
     """
-    frfs, _ = estimate_frf(band_limited(width, part), HammerSettings(fmax=20.0, exp_end=0.01))
+    frfs, _ = estimate_frf(
+        band_limited(width, part), HammerSettings(fmax=20.0, exp_end=0.01)
+    )
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
     exact = s[:, None] ** 2 * receptance(s, [0, 1, 5], 1)
-    assert np.linalg.norm(frfs.data[1:, :, 0] - exact[1:]) < 2e-3 * np.linalg.norm(exact)
+    assert np.linalg.norm(frfs.data[1:, :, 0] - exact[1:]) < 2e-3 * np.linalg.norm(
+        exact
+    )
 
 
 def test_a_record_that_begins_within_the_pulse_says_so() -> None:
     r = record(1, [0, 1, 5])
     at = int(np.abs(r.data[0] + 1).argmax()) - 1
-    _, hits = estimate_frf(replace(r, data=r.data[:, at : at + 4000]), HammerSettings(block=4.0))
+    _, hits = estimate_frf(
+        replace(r, data=r.data[:, at : at + 4000]), HammerSettings(block=4.0)
+    )
     assert hits[0].accepted
     assert "begins within the pulse" in hits[0].reasons[0]
 
@@ -277,11 +316,14 @@ def test_a_trigger_with_few_samples_before_the_pulse(before: int) -> None:
 def test_points_at_which_the_force_has_the_other_sign_are_told() -> None:
     """A hammer pushes: its cell was turned at one point, or the blow came from the other side."""
     parts = [record(k, [0, 7], seed=k, starts=STARTS[:2]) for k in (1, 4, 6)]
-    assert not any("sign" in n for n in forced_frfs(parts, HammerSettings(fmax=60.0)).notes)
+    assert not any(
+        "sign" in n for n in forced_frfs(parts, HammerSettings(fmax=60.0)).notes
+    )
     turned = replace(parts[1], data=parts[1].data * np.array([-1.0, 1.0, 1.0])[:, None])
     told = forced_frfs([parts[0], turned, parts[2]], HammerSettings(fmax=60.0)).notes
     assert any(
-        n.startswith("the force is negative at 5+Z, and of the other sign elsewhere") for n in told
+        n.startswith("the force is negative at 5+Z, and of the other sign elsewhere")
+        for n in told
     )
 
 
@@ -306,20 +348,27 @@ def test_earlier_blows_are_known_row_by_row_and_column_by_column() -> None:
     pole = np.array([-0.3 + 2j * np.pi * 11.0])
     gaps = [np.array([1.0, 3.1, 5.3]), np.array([1.0, 3.4, 5.5, 7.9])]
     sensors = [0, 1], [2, 3, 4]
-    records = [record(hit, sensors[k], k, starts=gaps[k]) for k in (0, 1) for hit in (1, 3)]
+    records = [
+        record(hit, sensors[k], k, starts=gaps[k]) for k in (0, 1) for hit in (1, 3)
+    ]
     parts = estimate_columns(records)[0]
     joined = join_frfs(parts)
     assert joined.impacts is not None
     np.testing.assert_allclose(joined.impacts.weight.sum(axis=0), 1.0, rtol=1e-12)
     for k, one in enumerate(parts):
-        mine = joined.impacts.take(np.array(sensors[k // 2]), np.array([k % 2])).factors(pole)
+        mine = joined.impacts.take(
+            np.array(sensors[k // 2]), np.array([k % 2])
+        ).factors(pole)
         assert one.impacts is not None
         alone = one.impacts.factors(pole)
         np.testing.assert_allclose(mine[0] * mine[1], alone[0] * alone[1], rtol=1e-12)
     shape, part = joined.impacts.factors(pole)
     turned = joined.impacts.exchanged().factors(pole)
-    both = np.tensordot(joined.impacts.weight, joined.impacts.each(pole), (0, 0))[..., 0]
-    least = np.linalg.svd(both)[1][1]  # of what no product of shape and participation leaves
+    both = np.tensordot(joined.impacts.weight, joined.impacts.each(pole), (0, 0))[
+        ..., 0
+    ]
+    # of what no product of shape and participation leaves
+    least = np.linalg.svd(both)[1][1]
     assert least <= np.linalg.norm(shape @ part - both) < 1.5 * least
     assert least <= np.linalg.norm(turned[0] @ turned[1] - both.T) < 1.5 * least
 
@@ -335,24 +384,34 @@ def test_joining_averages_what_was_measured_twice_and_refuses_unlike_sets() -> N
     )
     two = replace(one, data=np.full((4, 1, 1), 4.0 + 0j), averages=np.array([2.0]))
     np.testing.assert_allclose(join_frfs([one, two]).data, 3.0)
-    for other in (replace(one, freqs=np.arange(4.0) * 2), replace(one, window_decay=1.0)):
+    for other in (
+        replace(one, freqs=np.arange(4.0) * 2),
+        replace(one, window_decay=1.0),
+    ):
         with pytest.raises(DataError):
             join_frfs([one, other])
 
 
 def test_sets_on_other_lines_and_of_other_kinds_become_alike() -> None:
     """A finer set that ends earlier, measured by a laser: the shared lines, as accelerances."""
-    point, force = Channel("1+Z", "acceleration", "m/s^2"), (Channel("2+Z", "force", "N"),)
+    point, force = (
+        Channel("1+Z", "acceleration", "m/s^2"),
+        (Channel("2+Z", "force", "N"),),
+    )
     wide, fine = np.arange(0.0, 41.0), np.arange(0.0, 30.25, 0.5)
     first = FrfSet((1.0 + wide)[:, None, None], wide, (point,), force)
     mobility = np.divide(
         1.0 + fine, 2j * np.pi * fine, out=np.zeros(fine.size, complex), where=fine > 0
     )
     laser = (Channel("3+Z", "velocity", "m/s"),)
-    got = join_frfs([first, FrfSet(mobility[:, None, None], fine, laser, force, kind="mobility")])
+    got = join_frfs(
+        [first, FrfSet(mobility[:, None, None], fine, laser, force, kind="mobility")]
+    )
     assert (got.kind, got.outputs[1].unit) == ("accelerance", "m/s^2")
     np.testing.assert_allclose(got.freqs, np.arange(0.0, 31.0))
-    np.testing.assert_allclose(got.data[1:, :, 0], np.outer(2.0 + np.arange(30.0), [1, 1]))
+    np.testing.assert_allclose(
+        got.data[1:, :, 0], np.outer(2.0 + np.arange(30.0), [1, 1])
+    )
 
 
 def test_a_roving_hammer_is_read_by_a_sensor_of_turning_too() -> None:
@@ -375,7 +434,9 @@ def test_a_roving_hammer_is_read_by_a_sensor_of_turning_too() -> None:
 def test_estimators_bracket_the_truth() -> None:
     """Noise on the response biases H2 up, on the force H1 down; |H1| <= |Hv| <= |H2|."""
     ff, xf, xx = np.array([2.0]), np.array([[3.0 + 1j]]), np.array([[6.0]])
-    h = [np.abs(estimators(ff, xf, xx, which)[0]).item() for which in ("H1", "Hv", "H2")]
+    h = [
+        np.abs(estimators(ff, xf, xx, which)[0]).item() for which in ("H1", "Hv", "H2")
+    ]
     assert h[0] < h[1] < h[2]
     assert h[0] * h[2] == pytest.approx(h[1] ** 2)
     assert h[2] == pytest.approx(6 / np.sqrt(10))
@@ -385,7 +446,9 @@ def test_estimators_bracket_the_truth() -> None:
 def test_variance_from_the_coherence_covers_the_scatter() -> None:
     """The real part over 40 seeds against |H|²(1 − γ²)/(2 n γ²)."""
     runs = [
-        estimate_frf(record(1, [0], seed=k, noise=0.05), HammerSettings(fmax=40.0, block=8.0))[0]
+        estimate_frf(
+            record(1, [0], seed=k, noise=0.05), HammerSettings(fmax=40.0, block=8.0)
+        )[0]
         for k in range(40)
     ]
     scatter = np.var([r.data.real for r in runs], axis=0, ddof=1)[40:]
@@ -399,7 +462,9 @@ def test_frfs_of_the_other_sign_of_time_are_turned_and_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """e^{-iωt}: the conjugates; FRFs of e^{+iωt} and noise stay as they are."""
-    frfs, _ = estimate_frf(record(1, [0, 1, 5], starts=1.0 + 9.0 * np.arange(2), noise=0.02))
+    frfs, _ = estimate_frf(
+        record(1, [0, 1, 5], starts=1.0 + 9.0 * np.arange(2), noise=0.02)
+    )
     rng = np.random.default_rng(0)
     noise = (
         frfs.data * 0
@@ -446,7 +511,9 @@ def test_noise_on_the_force_beside_the_pulse_is_left_out(noise: float) -> None:
     s = 2j * np.pi * np.arange(40, 640) / 8.0  # lines of blocks of 8 s, 5 to 80 Hz
 
     def error(window: float | None) -> float:
-        want = HammerSettings(block=8.0, pretrigger=0.0, exp_end=0.01, force_window=window)
+        want = HammerSettings(
+            block=8.0, pretrigger=0.0, exp_end=0.01, force_window=window
+        )
         frfs, _ = estimate_frf(replace(quiet, data=data), want)
         at = np.rint(s.imag / (2 * np.pi) / frfs.freqs[1]).astype(int)
         sigma = s + frfs.window_decay
@@ -466,7 +533,9 @@ def test_lines_end_where_the_force_sinks_into_its_noise(blows: int) -> None:
     force = sum(pulse(t - 1.0 - 10 * k, 100.0, 0.03) for k in range(blows))
     channels = (Channel("F:1+Z", "force", "N"), Channel("1+Z", "acceleration", "m/s^2"))
     y = np.convolve(force, np.exp(-np.arange(500) / 50.0))[: t.size]
-    data = np.vstack([force, y]) + np.array([[0.5], [1e-3]]) * rng.standard_normal((2, t.size))
+    data = np.vstack([force, y]) + np.array([[0.5], [1e-3]]) * rng.standard_normal(
+        (2, t.size)
+    )
     history = TimeHistory(data, RATE, channels, "soft")
     frfs, _ = estimate_frf(history)
     assert 50 < frfs.freqs[-1] < 150

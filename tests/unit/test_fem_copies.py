@@ -12,7 +12,12 @@ from ringtrue.core.arrays import Any_
 from ringtrue.core.parameters import CardField, Parameter, Substructure
 from ringtrue.fem.element_cards import mesh
 from ringtrue.fem.mesh import union
-from ringtrue.fem.parametrisation.parameter_groups import Region, Together, groups_of, regions
+from ringtrue.fem.parametrisation.parameter_groups import (
+    Region,
+    Together,
+    groups_of,
+    regions,
+)
 
 # three shells of a cylinder, whose normals are those of their neighbours; bars of dimensions, a
 # beam whose end B follows end A, a spring, masses; numbers of properties and materials in common
@@ -64,9 +69,13 @@ def some(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Together], int]
     path = tmp_path_factory.mktemp("deck") / "model.bdf"
     path.write_text(DECK.lstrip())
     model = rt.read_deck(path)
-    every = [Parameter(name, tuple(targets), 0.5, 2.0) for name, targets in FIELDS.items()]
+    every = [
+        Parameter(name, tuple(targets), 0.5, 2.0) for name, targets in FIELDS.items()
+    ]
     every.append(
-        Parameter("floor", (), 0.5, 2.0, substructures=(Substructure("stiffness", (1, 22)),))
+        Parameter(
+            "floor", (), 0.5, 2.0, substructures=(Substructure("stiffness", (1, 22)),)
+        )
     )
     groups = [g for i, p in enumerate(every) for g in groups_of(model, i, p)]
     made: list[Region] = regions(groups, union(g.rows for g in groups))
@@ -88,8 +97,11 @@ def test_mass_that_a_list_shares_is_seen_at_each_point(tmp_path: Path) -> None:
     )
     groups = [g for i, p in enumerate(every) for g in groups_of(m.model, i, p)]
     (region,) = regions(groups, union(g.rows for g in groups))
-    (found,) = Together.of(m, [region]).entries([np.array([1.0, 1.0]), np.array([1.0, 2.0])])
-    assert np.abs(found[1] - found[0]).max() > 0.1 * 9.0 / 4  # a quarter of a cell a node
+    (found,) = Together.of(m, [region]).entries(
+        [np.array([1.0, 1.0]), np.array([1.0, 2.0])]
+    )
+    # a quarter of a cell a node
+    assert np.abs(found[1] - found[0]).max() > 0.1 * 9.0 / 4
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-30])
@@ -101,7 +113,10 @@ def test_copies_are_the_elements_at_each_point(
     points: list[Any_] = list(np.exp(0.3 * rng.normal(size=(18, parameters))))
     points[3][:] = 1.0
     if step:
-        points = [a + 1j * step * (np.arange(parameters) == k % 9) for k, a in enumerate(points)]
+        points = [
+            a + 1j * step * (np.arange(parameters) == k % 9)
+            for k, a in enumerate(points)
+        ]
     assert len(every) > 5
     for together in every:
         found = together.entries(points)
@@ -110,7 +125,9 @@ def test_copies_are_the_elements_at_each_point(
                 assert of_all.shape == (len(points), alone.shape[1])
                 near(of_all[k].real, alone[0].real)
                 if step:
-                    near(of_all[k].imag / step, alone[0].imag / step, np.abs(alone).max())
+                    near(
+                        of_all[k].imag / step, alone[0].imag / step, np.abs(alone).max()
+                    )
 
 
 def near(found: Any_, true: Any_, size: float = 0.0) -> None:

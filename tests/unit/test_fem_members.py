@@ -18,7 +18,16 @@ from ringtrue.study.form import CAUSES
 #   |       |---6 ends freely, the column on the right changes its section at 7
 #   2       7
 #   1       8
-NODES = {1: (0, 0), 2: (0, 2), 3: (0, 4), 4: (3, 4), 5: (6, 4), 6: (8, 3), 7: (6, 2), 8: (6, 0)}
+NODES = {
+    1: (0, 0),
+    2: (0, 2),
+    3: (0, 4),
+    4: (3, 4),
+    5: (6, 4),
+    6: (8, 3),
+    7: (6, 2),
+    8: (6, 0),
+}
 BARS = ((1, 1, 2), (1, 2, 3), (2, 3, 4), (2, 4, 5), (2, 5, 6), (1, 5, 7), (3, 7, 8))
 INERTIA = {1: 3e-5, 2: 2e-5, 3: 4e-5}
 E = 2.1e11
@@ -43,10 +52,15 @@ def frame(folder: Path, joint: float = 0.0) -> Model:
             if joint and (k, side) in SPRUNG:
                 x, z = NODES[ends[side]]
                 new = 100 + 2 * k + side
-                lines += [f"GRID,{new},,{x}.,0.,{z}.", f"RBE2,{1000 + new},{ends[side]},123,{new}"]
+                lines += [
+                    f"GRID,{new},,{x}.,0.,{z}.",
+                    f"RBE2,{1000 + new},{ends[side]},123,{new}",
+                ]
                 spring = joint * E * INERTIA[pid] / LENGTH[k]
                 for c in (4, 5, 6):
-                    lines.append(f"CELAS2,{10 * new + c},{spring:.9E},{ends[side]},{c},{new},{c}")
+                    lines.append(
+                        f"CELAS2,{10 * new + c},{spring:.9E},{ends[side]},{c},{new},{c}"
+                    )
                 ends[side] = new
         lines.append(f"CBAR,{k + 1},{pid},{ends[0]},{ends[1]},0.,1.,0.")
     path = folder / "frame.bdf"

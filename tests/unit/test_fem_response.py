@@ -22,7 +22,9 @@ def test_one_oscillator() -> None:
 
 
 def test_rigid_body_is_a_mass_down_to_zero() -> None:
-    H = frf(np.array([0.0, 5.0]), np.zeros(1), np.zeros(1), ONE / 2, ONE / 2, "accelerance")
+    H = frf(
+        np.array([0.0, 5.0]), np.zeros(1), np.zeros(1), ONE / 2, ONE / 2, "accelerance"
+    )
     np.testing.assert_allclose(H[:, 0, 0], 0.25)
     with pytest.raises(InputError, match="0 Hz"):
         frf(np.array([0.0]), np.zeros(1), np.zeros(1), ONE, ONE, "receptance")
@@ -34,7 +36,9 @@ def test_residual_flexibility() -> None:
     phi = np.array([[1.0, 300.0]])
     both = frf(F, f, z, phi, phi, "accelerance")
     flexibility = phi[:, 1:] @ phi[:, 1:].T / (2 * np.pi * 1e5) ** 2
-    one = frf(F, f[:1], z[:1], phi[:, :1], phi[:, :1], "accelerance", residual=flexibility)
+    one = frf(
+        F, f[:1], z[:1], phi[:, :1], phi[:, :1], "accelerance", residual=flexibility
+    )
     np.testing.assert_allclose(one, both, rtol=1e-5)
 
 

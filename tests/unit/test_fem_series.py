@@ -31,7 +31,9 @@ def test_values_and_slopes_of_rational_functions() -> None:
             [1 / (1 + wide) ** 2],
             [0.6 / (1 - 0.6 * ratio) ** 2],
         ]
-        for s, x, true, slope in zip(made, a.tolist(), rational(a), slopes, strict=True):
+        for s, x, true, slope in zip(
+            made, a.tolist(), rational(a), slopes, strict=True
+        ):
             assert s is not None
             assert s.holds(x)
             np.testing.assert_allclose(s.value(x), true, rtol=0, atol=EXACT * 5)

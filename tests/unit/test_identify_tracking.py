@@ -18,20 +18,28 @@ PHI = np.linalg.qr(np.random.default_rng(1).standard_normal((6, 4)))[0]
 
 
 def stretch(
-    time: float, f: np.ndarray, phi: np.ndarray, rng: np.random.Generator, rows: slice = slice(None)
+    time: float,
+    f: np.ndarray,
+    phi: np.ndarray,
+    rng: np.random.Generator,
+    rows: slice = slice(None),
 ) -> Stretch:
     """Modes with noise of 0.1 % in frequency and 3 % in shape, in any order of frequency, with any
     phase.
     """
     f = f * (1 + 1e-3 * rng.standard_normal(f.size))
     order = np.argsort(f)
-    psi = (phi + 0.03 * rng.standard_normal(phi.shape)) * np.exp(2j * np.pi * rng.random(f.size))
+    psi = (phi + 0.03 * rng.standard_normal(phi.shape)) * np.exp(
+        2j * np.pi * rng.random(f.size)
+    )
     psi, f = psi[rows][:, order], f[order]
     modes = ModeSet(f, np.full(f.size, 0.01), psi, CHANNELS[rows])
     return Stretch(
         time,
         modes,
-        Uncertainty.independent(1e-3 * f, np.full(f.size, 1e-3), np.full(psi.shape, 0.03)),
+        Uncertainty.independent(
+            1e-3 * f, np.full(f.size, 1e-3), np.full(psi.shape, 0.03)
+        ),
     )
 
 
@@ -42,7 +50,14 @@ def test_drift_crossing_and_a_gap() -> None:
     rng = np.random.default_rng(0)
     times = [k for k in range(30) if k != 7]
     truth = {
-        k: np.array([2.0 * (1 + 0.2 * k / 30), 5.0 + 0.02 * (k - 15), 5.0 - 0.02 * (k - 15), 9.0])
+        k: np.array(
+            [
+                2.0 * (1 + 0.2 * k / 30),
+                5.0 + 0.02 * (k - 15),
+                5.0 - 0.02 * (k - 15),
+                9.0,
+            ]
+        )
         for k in times
     }
     sets = []
@@ -99,7 +114,9 @@ def test_modes_that_come_and_go_are_told_from_those_seen_now_and_then() -> None:
     """
     rng, sets = np.random.default_rng(8), []
     for k in range(20):
-        keep = [m for m, here in enumerate((k >= 12, k < 12, k % 3 == 2, k < 19)) if here]
+        keep = [
+            m for m, here in enumerate((k >= 12, k < 12, k % 3 == 2, k < 19)) if here
+        ]
         sets.append(stretch(k, np.array([2.0, 5.0, 7.0, 9.0])[keep], PHI[:, keep], rng))
     found = track_modes(sets)
     told = {round(float(t.frequency.mean())): unseen(found, t) for t in found.tracks}
@@ -110,7 +127,8 @@ def test_stretches_with_other_channels() -> None:
     rng = np.random.default_rng(6)
     f = np.array([2.0, 5.0])
     sets = [
-        stretch(k, f, PHI[:, :2], rng, slice(0, 4) if k % 2 else slice(2, 6)) for k in range(10)
+        stretch(k, f, PHI[:, :2], rng, slice(0, 4) if k % 2 else slice(2, 6))
+        for k in range(10)
     ]
     found = track_modes(sets)
     assert found.channels == (*CHANNELS[2:], *CHANNELS[:2])
@@ -121,7 +139,9 @@ def test_nothing_in_some_stretches() -> None:
     rng = np.random.default_rng(7)
     none = stretch(1, np.zeros(0), np.zeros((6, 0)), rng)
     full = [stretch(k, np.array([2.0]), PHI[:, :1], rng) for k in (0, 2, 3)]
-    assert [t.at.tolist() for t in track_modes([full[0], none, *full[1:]]).tracks] == [[0, 2, 3]]
+    assert [t.at.tolist() for t in track_modes([full[0], none, *full[1:]]).tracks] == [
+        [0, 2, 3]
+    ]
     assert track_modes([none]).tracks == ()
     with pytest.raises(DataError, match="no stretch"):
         track_modes([])
@@ -146,10 +166,16 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lam = 2 * np.pi * np.array([2 * (1 - 0.004 * (t - 15)), 5.0]) * (-0.01 + 1j)
         a = np.exp(lam / RATE)
         force = rng.standard_normal((2, n + 500))
-        q = [np.real(lfilter([1], [1, -x], y))[500:] for x, y in zip(a, force, strict=True)]
+        q = [
+            np.real(lfilter([1], [1, -x], y))[500:]
+            for x, y in zip(a, force, strict=True)
+        ]
         parts.append(
             np.vstack(
-                [PHI[:4, :2] @ np.array(q) + 0.05 * rng.standard_normal((4, n)), np.full(n, t)]
+                [
+                    PHI[:4, :2] @ np.array(q) + 0.05 * rng.standard_normal((4, n)),
+                    np.full(n, t),
+                ]
             )
         )
     data = np.hstack(parts)
@@ -160,7 +186,18 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_track(record: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = ("track", record, "--rate", RATE, "--hours", SECONDS / 3600, "--fmin", 1, "--fmax", 7)
+    words = (
+        "track",
+        record,
+        "--rate",
+        RATE,
+        "--hours",
+        SECONDS / 3600,
+        "--fmin",
+        1,
+        "--fmax",
+        7,
+    )
     files = ("--csv", tmp_path / "t.csv", "--plot", tmp_path / "t.html")
     found = parsed(capsys, *words, "--leave-out", "ch5", *files)
     first, second = found["modes"]
@@ -189,7 +226,9 @@ def test_track_has_an_example(capsys: Capture) -> None:
 def test_track_refuses(record: Path, tmp_path: Path, capsys: Capture) -> None:
     words = ("track", record, "--rate", RATE)
     assert "hours 0.0: must be positive" in refused(capsys, *words, "--hours", 0)
-    assert "no channel 'ch9'; did you mean" in refused(capsys, *words, "--leave-out", "ch9")
+    assert "no channel 'ch9'; did you mean" in refused(
+        capsys, *words, "--leave-out", "ch9"
+    )
     assert "2 hours for 1 records" in refused(capsys, *words, "--starts", "1,2")
     assert "hours, separated by commas" in refused(capsys, *words, "--starts", "noon")
     assert "0.375 s at 16 Hz allow" in refused(capsys, *words, "--hours", 1e-4)

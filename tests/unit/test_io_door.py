@@ -78,7 +78,9 @@ def _outside(folder: Path) -> list[Path]:
     return [folder / f"{name}.h5" for name in ("link", "storage", "virtual")]
 
 
-def test_hdf5_files_that_point_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hdf5_files_that_point_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for path in _outside(tmp_path):
         with pytest.raises(DataError, match=rf"{path.name}: .*secret.*{OUTSIDE}=1"):
             read_record(path, 100.0)
@@ -92,8 +94,12 @@ def test_a_parser_that_ends_its_process_ends_not_this_one() -> None:
     """And the next file is read by a new one."""
     for _ in range(3):
         with pytest.raises(DataError, match="ended its process"):
-            read_apart("matlab", FAULTS / "matrices" / "ends_the_process.mat", "MATLAB file")
-        assert set(read_apart("matlab", SEEDS / "matrices" / "k4.mat", "MATLAB file")) == {"K", "M"}
+            read_apart(
+                "matlab", FAULTS / "matrices" / "ends_the_process.mat", "MATLAB file"
+            )
+        assert set(
+            read_apart("matlab", SEEDS / "matrices" / "k4.mat", "MATLAB file")
+        ) == {"K", "M"}
 
 
 def test_a_parser_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +135,9 @@ def test_the_answer_to_an_interrupted_question_is_not_taken_for_the_next_one(
     assert set(read_matrices(SEEDS / "matrices" / "k4.mat").matrices) == {"K", "M"}
 
 
-def test_memory_of_a_parser_has_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_a_parser_has_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("y", data=np.zeros(1 << 22), compression="gzip")
     with open_hdf5(tmp_path / "a.h5"):
@@ -149,9 +157,13 @@ def test_large_workbooks(tmp_path: Path) -> None:
         parts = {name: archive.read(name) for name in archive.namelist()}
     row = b'<row r="1"><c r="XFD1"><v>1</v></c></row>'
     wide = b"".join(
-        row.replace(b'r="1"', b'r="%d"' % k).replace(b"XFD1", b"XFD%d" % k) for k in range(1, 400)
+        row.replace(b'r="1"', b'r="%d"' % k).replace(b"XFD1", b"XFD%d" % k)
+        for k in range(1, 400)
     )
-    for rows, told in ((b" " * 70_000_000, "unfolds to 67 MB"), (wide, "more than 1000000 cells")):
+    for rows, told in (
+        (b" " * 70_000_000, "unfolds to 67 MB"),
+        (wide, "more than 1000000 cells"),
+    ):
         sheet = b"<worksheet xmlns='http://schemas.openxmlformats.org/spreadsheetml/2006/main'><sheetData>"
         parts["xl/worksheets/sheet1.xml"] = sheet + rows + b"</sheetData></worksheet>"
         with zipfile.ZipFile(tmp_path / "b.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
@@ -173,10 +185,14 @@ def test_sparse_matrices_of_each_form(tmp_path: Path) -> None:
     a = sparse.random_array((7, 5), density=0.4, rng=np.random.default_rng(0))
     for kind in ("csr", "csc", "coo"):
         sparse.save_npz(tmp_path / "a.npz", a.asformat(kind))
-        np.testing.assert_array_equal(read_matrices(tmp_path / "a.npz")["a"].toarray(), a.toarray())
+        np.testing.assert_array_equal(
+            read_matrices(tmp_path / "a.npz")["a"].toarray(), a.toarray()
+        )
 
 
-def test_sound_that_was_cut_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_sound_that_was_cut_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     raw = (SEEDS / "record" / "a.wav").read_bytes()
     whole = read_record(SEEDS / "record" / "a.wav").data
     (tmp_path / "cut.wav").write_bytes(raw[:-40])
@@ -195,7 +211,11 @@ def test_complex_and_large_endian_numbers_of_matlab(tmp_path: Path) -> None:
 
     savemat(
         tmp_path / "a.mat",
-        {"z": np.array([[1 + 2j, 3]]), "none": np.zeros((0, 0)), "l": np.array([[True]])},
+        {
+            "z": np.array([[1 + 2j, 3]]),
+            "none": np.zeros((0, 0)),
+            "l": np.array([[True]]),
+        },
     )
     found = read_apart("matlab", tmp_path / "a.mat", "MATLAB file")
     np.testing.assert_array_equal(found["z"], [[1 + 2j, 3]])

@@ -50,7 +50,9 @@ def test_wav_written_by_scipy(tmp_path: Path, kind: type) -> None:
         y = np.round(y * 2 ** (bits - 1)) + (128 if bits == 8 else 0)
     wavfile.write(tmp_path / "r.wav", 200, y.astype(kind))
     tolerance = (
-        1e-6 if np.issubdtype(kind, np.floating) else 0.51 / 2 ** (np.dtype(kind).itemsize * 8 - 1)
+        1e-6
+        if np.issubdtype(kind, np.floating)
+        else 0.51 / 2 ** (np.dtype(kind).itemsize * 8 - 1)
     )
     got = read_record(tmp_path / "r.wav")
     np.testing.assert_allclose(got.data, Y, atol=tolerance)
@@ -61,11 +63,20 @@ def test_wav_of_24_bits_with_an_odd_chunk(tmp_path: Path) -> None:
     whole = np.ascontiguousarray(np.round(Y.T * 2**23), dtype="<i4")
     body = whole.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
     form = struct.pack("<HHIIHH", 1, 2, 200, 1200, 6, 24)
-    chunks = b"fmt " + struct.pack("<I", 16) + form + b"note" + struct.pack("<I", 3) + b"abc\0"
+    chunks = (
+        b"fmt "
+        + struct.pack("<I", 16)
+        + form
+        + b"note"
+        + struct.pack("<I", 3)
+        + b"abc\0"
+    )
     (tmp_path / "r.wav").write_bytes(
         b"RIFF\0\0\0\0WAVE" + chunks + b"data" + struct.pack("<I", len(body)) + body
     )
-    np.testing.assert_allclose(read_record(tmp_path / "r.wav").data, Y, atol=0.51 / 2**23)
+    np.testing.assert_allclose(
+        read_record(tmp_path / "r.wav").data, Y, atol=0.51 / 2**23
+    )
 
 
 def as_tdms(path: Path, step: float = 1 / RATE, other: float = 1 / RATE) -> Path:
@@ -75,7 +86,10 @@ def as_tdms(path: Path, step: float = 1 / RATE, other: float = 1 / RATE) -> Path
                 "g", "1+Z", Y[0, half], {"wf_increment": step, "unit_string": "m/s^2"}
             )
             two = ChannelObject(
-                "g", "7-X", Y[1, half], {"wf_increment": other, "unit_string": "furlong"}
+                "g",
+                "7-X",
+                Y[1, half],
+                {"wf_increment": other, "unit_string": "furlong"},
             )
             file.write_segment([one, two])
     return path
@@ -90,7 +104,9 @@ def test_tdms_written_by_nptdms(tmp_path: Path) -> None:
         read_record(as_tdms(tmp_path / "two.tdms", other=1 / 100))
 
 
-def lvm(columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = True) -> str:
+def lvm(
+    columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = True
+) -> str:
     head = f"LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t{',' if comma else '.'}\nX_Columns\t{columns}\n"
     text = head + "***End_of_Header***\t\n\t\n"
     for k in range(segments):
@@ -102,10 +118,19 @@ def lvm(columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = 
             )
             for t, a, b in zip(T[part], *Y[:, part], strict=True)
         ]
-        names = "X_Value\tacc\tX_Value\tforce" if columns == "Multi" else "X_Value\tacc\tforce"
-        special = "***Start_of_Special***\nChannels\t77\n***End_of_Special***\n" if k else ""
+        names = (
+            "X_Value\tacc\tX_Value\tforce"
+            if columns == "Multi"
+            else "X_Value\tacc\tforce"
+        )
+        special = (
+            "***Start_of_Special***\nChannels\t77\n***End_of_Special***\n" if k else ""
+        )
         next_ = "\t\t" if columns == "Multi" else "\t"
-        text += special + f"Channels\t2\nSamples\t300{next_}300\nTime\t10:00:{start:09.6f}\n"
+        text += (
+            special
+            + f"Channels\t2\nSamples\t300{next_}300\nTime\t10:00:{start:09.6f}\n"
+        )
         text += f"Y_Unit_Label\tg{next_}Newtons\nX0\t0.0{next_}0.0\nDelta_X\t{1 / RATE:.6f}{next_}{1 / RATE:.6f}\n"
         text += f"***End_of_Header***\t\n{names}\tComment\n"
         text += "\n".join(rows) + "\n\n"
@@ -114,7 +139,9 @@ def lvm(columns: str = "No", segments: int = 1, gap: float = 0.0, comma: bool = 
 
 @pytest.mark.parametrize("columns", ["No", "One", "Multi"])
 @pytest.mark.parametrize("comma", [True, False])
-def test_lvm_with_its_columns_of_time(tmp_path: Path, columns: str, comma: bool) -> None:
+def test_lvm_with_its_columns_of_time(
+    tmp_path: Path, columns: str, comma: bool
+) -> None:
     (tmp_path / "r.lvm").write_text(lvm(columns, comma=comma))
     got = read_record(tmp_path / "r.lvm")
     np.testing.assert_allclose(got.data, Y * [[9.80665], [1.0]], atol=1e-8)
@@ -138,7 +165,14 @@ def test_matlab_structures_and_names(tmp_path: Path) -> None:
     cells = np.array(["a", "b"], dtype=object)
     savemat(
         tmp_path / "r.mat",
-        {"rec": {"y": Y.T, "fs": RATE, "names": cells, "units": np.array(["g", "V"], object)}},
+        {
+            "rec": {
+                "y": Y.T,
+                "fs": RATE,
+                "names": cells,
+                "units": np.array(["g", "V"], object),
+            }
+        },
     )
     got = read_record(tmp_path / "r.mat")
     assert got.rate == RATE
@@ -182,7 +216,9 @@ def test_matlab_variables_of_every_class(tmp_path: Path) -> None:
 
 def test_text_of_instruments(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_bytes(
-        "zeit;Kraft [N];Weg [µm]\n0,0;1,5;2,0\n0,1;1,6;2,5\n0,2;1,2;3,5\n".encode("latin-1")
+        "zeit;Kraft [N];Weg [µm]\n0,0;1,5;2,0\n0,1;1,6;2,5\n0,2;1,2;3,5\n".encode(
+            "latin-1"
+        )
     )
     got = read_record(tmp_path / "r.csv")
     np.testing.assert_allclose(got.data, [[1.5, 1.6, 1.2], [2e-6, 2.5e-6, 3.5e-6]])
@@ -235,21 +271,30 @@ def takes(call: Callable[[], object]) -> None:
         return
 
 
-@pytest.mark.filterwarnings("ignore::Warning")  # NumPy's, on absurd numbers of damaged files
-@pytest.mark.parametrize("ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5"])
+# NumPy's, on absurd numbers of damaged files
+@pytest.mark.filterwarnings("ignore::Warning")
+@pytest.mark.parametrize(
+    "ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff", ".h5"]
+)
 def test_cut_files(tmp_path: Path, ext: str) -> None:
     whole = samples(tmp_path)[ext]
     path = tmp_path / f"cut{ext}"
-    for size in np.unique(np.r_[0:64:7, np.linspace(0, len(whole) - 1, 60).astype(int)]).tolist():
+    for size in np.unique(
+        np.r_[0:64:7, np.linspace(0, len(whole) - 1, 60).astype(int)]
+    ).tolist():
         path.write_bytes(whole[:size])
         takes(lambda: read_record(path, RATE))
 
 
 @pytest.mark.filterwarnings("ignore::Warning")
-@pytest.mark.parametrize("ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff"])
+@pytest.mark.parametrize(
+    "ext", [".npy", ".wav", ".tdms", ".lvm", ".mat", ".csv", ".uff"]
+)
 @given(st.integers(0, 2**32 - 1))
 @settings(
-    max_examples=60, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60,
+    deadline=2000,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_damaged_files(tmp_path: Path, ext: str, seed: int) -> None:
     """Bytes overwritten, mostly in the header."""
@@ -270,14 +315,21 @@ def test_damaged_files(tmp_path: Path, ext: str, seed: int) -> None:
 @pytest.mark.filterwarnings("ignore::Warning")
 @pytest.mark.parametrize(
     "name",
-    ["1858.uff", "TestLab 161 164 18 15 82.uff", "uff55_translation.uff", "2411 and 2414.uff"],
+    [
+        "1858.uff",
+        "TestLab 161 164 18 15 82.uff",
+        "uff55_translation.uff",
+        "2411 and 2414.uff",
+    ],
 )
 def test_damaged_universal_files(tmp_path: Path, name: str) -> None:
     whole = (DATA / "uff" / name).read_bytes()[:60000]
     rng = np.random.default_rng(1)
     path = tmp_path / "bad.uff"
     for _ in range(60):
-        raw = bytearray(whole[: int(rng.integers(len(whole)))] if rng.random() < 0.5 else whole)
+        raw = bytearray(
+            whole[: int(rng.integers(len(whole)))] if rng.random() < 0.5 else whole
+        )
         for at in rng.integers(0, max(len(raw), 1), 5).tolist():
             if raw:
                 raw[at] = int(rng.integers(32, 127))
@@ -292,7 +344,10 @@ def test_frfs_with_gaps_are_told(tmp_path: Path) -> None:
     keep = np.r_[0:40, 55:100]
     np.savez(tmp_path / "gap.npz", freq=freqs[keep], H1=h[:, :, keep])
     told = frf_notes(read_frfs(tmp_path / "gap.npz"), ())
-    assert any("uneven lines: spacing 0.5 to 8 Hz, widest between 20 and 28 Hz" in x for x in told)
+    assert any(
+        "uneven lines: spacing 0.5 to 8 Hz, widest between 20 and 28 Hz" in x
+        for x in told
+    )
     h[0, 1, 30:33] = np.nan
     np.savez(tmp_path / "nan.npz", freq=freqs, H1=h)
     with pytest.raises(DataError, match="3 values are not finite"):
@@ -305,7 +360,9 @@ def test_damaged_matlab_files_do_not_end_the_process(tmp_path: Path, form: str) 
     """Not compressed, so that the damage reaches the elements: scipy 1.17 dies of some of these in
     its v5 reader.
     """
-    content = {"y": Y.T[:40], "fs": RATE} | ({"s": {"n": "text"}} if form == "5" else {})
+    content = {"y": Y.T[:40], "fs": RATE} | (
+        {"s": {"n": "text"}} if form == "5" else {}
+    )
     savemat(tmp_path / "a.mat", content, format=form)
     whole = (tmp_path / "a.mat").read_bytes()
     rng = np.random.default_rng(4)
@@ -325,7 +382,9 @@ def test_damaged_archives_of_frfs(tmp_path: Path) -> None:
     whole = (tmp_path / "a.npz").read_bytes()
     rng = np.random.default_rng(3)
     for _ in range(150):
-        raw = bytearray(whole[: int(rng.integers(len(whole)))] if rng.random() < 0.3 else whole)
+        raw = bytearray(
+            whole[: int(rng.integers(len(whole)))] if rng.random() < 0.3 else whole
+        )
         for at in rng.integers(0, max(len(raw), 1), 3).tolist():
             if raw:
                 raw[at] = int(rng.integers(256))
@@ -333,7 +392,8 @@ def test_damaged_archives_of_frfs(tmp_path: Path) -> None:
         takes(lambda: read_frfs(tmp_path / "bad.npz"))
 
 
-SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
+# (channel, sample), at 256 Hz
+SIGNAL = np.random.default_rng(7).standard_normal((3, 500))
 TIMES = np.arange(500) / 256
 
 
@@ -344,7 +404,9 @@ def _is_the_signal(got):
 
 
 def _rows(times, delimiter=",", ending=""):
-    cells = ([t, *(f"{v:.9e}" for v in row)] for t, row in zip(times, SIGNAL.T, strict=True))
+    cells = (
+        [t, *(f"{v:.9e}" for v in row)] for t, row in zip(times, SIGNAL.T, strict=True)
+    )
     return "".join(delimiter.join(c) + ending + "\n" for c in cells)
 
 
@@ -365,10 +427,18 @@ def _rows(times, delimiter=",", ending=""):
             "time (ms),a,b,c\n",
             _rows([f"{1e3 * t:.3g}" for t in TIMES]),
         ),  # 996, 1e+03, 1e+03, 1.01e+03
-        ("Timestamp,a,b,c\n", _rows([str(np.datetime64(round(t * 1e6), "us")) for t in TIMES])),
         (
             "Timestamp,a,b,c\n",
-            _rows([str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ") for t in TIMES]),
+            _rows([str(np.datetime64(round(t * 1e6), "us")) for t in TIMES]),
+        ),
+        (
+            "Timestamp,a,b,c\n",
+            _rows(
+                [
+                    str(np.datetime64(round(t * 1e3), "ms")).replace("T", " ")
+                    for t in TIMES
+                ]
+            ),
         ),
     ],
     ids=[
@@ -391,7 +461,9 @@ def test_a_clock_that_goes_back_is_refused(tmp_path):
     rows = _rows(_stamps("%Y-%m-%d %H:%M:%S.")).splitlines()
     path = tmp_path / "r.csv"
     path.write_text("\n".join(["time,a,b,c", *rows[:100], *rows[50:]]))
-    with pytest.raises(DataError, match=r"goes back by .* behind row 100, 1 times in all"):
+    with pytest.raises(
+        DataError, match=r"goes back by .* behind row 100, 1 times in all"
+    ):
         read_record(path)
 
 
@@ -414,12 +486,20 @@ def test_a_dead_first_channel_is_no_time(tmp_path):
     np.save(tmp_path / "r.npy", np.vstack([np.zeros_like(TIMES), SIGNAL]).T)
     with pytest.raises(DataError, match="ch1 is constant"):
         read_record(tmp_path / "r.npy", 256.0)
-    assert read_record(tmp_path / "r.npy", 256.0, check=False).data.shape == (4, TIMES.size)
+    assert read_record(tmp_path / "r.npy", 256.0, check=False).data.shape == (
+        4,
+        TIMES.size,
+    )
 
 
 def test_csv_with_a_short_or_wrong_line_is_refused(tmp_path):
     path = tmp_path / "r.csv"
-    for bad in ("a,b\n1,2\n3\n4,5\n", "a,b\n1,x\n3,4\n", ",\n,\n", "a;b;c\n1,5;2,5\n1;2;3\n"):
+    for bad in (
+        "a,b\n1,2\n3\n4,5\n",
+        "a,b\n1,x\n3,4\n",
+        ",\n,\n",
+        "a;b;c\n1,5;2,5\n1;2;3\n",
+    ):
         path.write_text(bad)
         with pytest.raises(DataError):
             read_record(path, 10.0)
@@ -431,7 +511,9 @@ def _german(x):
 
 def _stamps(form, ms=True):
     t = [datetime(2024, 5, 1, 11, 59, 59) + timedelta(seconds=float(k)) for k in TIMES]
-    return [x.strftime(form) + (f"{x.microsecond // 1000:03d}" if ms else "") for x in t]
+    return [
+        x.strftime(form) + (f"{x.microsecond // 1000:03d}" if ms else "") for x in t
+    ]
 
 
 TOA5 = (
@@ -496,7 +578,12 @@ LOGGERS = {
     ),
     "Campbell TOA5, started anew": (
         TOA5,
-        [*_campbell(0, 200), *TOA5.splitlines(), *_campbell(200, 500), '"2024-05-01 12:0'],
+        [
+            *_campbell(0, 200),
+            *TOA5.splitlines(),
+            *_campbell(200, 500),
+            '"2024-05-01 12:0',
+        ],
     ),
     "days of a spreadsheet": (
         "Time,a,b,c\n",
@@ -523,7 +610,8 @@ LACKING = ["NA", "#N/A", "OVERFLOW", "--", "null", '"NAN"', "####", ""]
 
 
 @pytest.mark.parametrize(
-    ("word", "d"), [*((w, ",") for w in LACKING), *((w, ";") for w in LACKING), ("OVL", " ")]
+    ("word", "d"),
+    [*((w, ",") for w in LACKING), *((w, ";") for w in LACKING), ("OVL", " ")],
 )
 def test_words_for_values_that_are_lacking(tmp_path, word, d):
     """They are not numbers, in any column but that of times, also in the first row; a column of
@@ -567,7 +655,9 @@ def test_times_too_coarse_for_a_rate_want_one(tmp_path):
     np.testing.assert_allclose(got.data, SIGNAL)
 
 
-@pytest.mark.parametrize("name", ["vectors", "time", "days", "column", "column-and-rate"])
+@pytest.mark.parametrize(
+    "name", ["vectors", "time", "days", "column", "column-and-rate"]
+)
 def test_matlab_files_of_others(tmp_path, name):
     vectors = {"acc1": SIGNAL[0], "acc2": SIGNAL[1], "acc3": SIGNAL[2]}
     columns = np.vstack([TIMES, SIGNAL]).T
@@ -608,7 +698,10 @@ def test_a_vector_a_channel_in_hdf5_and_tdms(tmp_path):
                 for n, y in zip(["Time", *"abc"], [TIMES, *SIGNAL], strict=True)
             ]
         )
-    savemat(tmp_path / "r.mat", {"Data1_time_a": TIMES, **dict(zip("abc", SIGNAL, strict=True))})
+    savemat(
+        tmp_path / "r.mat",
+        {"Data1_time_a": TIMES, **dict(zip("abc", SIGNAL, strict=True))},
+    )
     for ending in ("h5", "tdms", "mat"):
         got = read_record(tmp_path / f"r.{ending}")
         assert [c.id for c in got.channels] == ["a", "b", "c"]
@@ -641,7 +734,9 @@ def test_vectors_of_one_group_have_their_own_names_units_and_rate(tmp_path, unit
     got = read_record(tmp_path / "r.h5")
     assert [c.id for c in got.channels] == ["a", "b", "c"]
     known = not isinstance(unit, str) or unit == "g"
-    assert {c.quantity for c in got.channels} == {"acceleration" if known else "unknown"}
+    assert {c.quantity for c in got.channels} == {
+        "acceleration" if known else "unknown"
+    }
     np.testing.assert_allclose(got.data, SIGNAL * (9.80665 if known else 1.0))
     with h5py.File(tmp_path / "r.h5", "a") as file:
         file["Wind/a"] = SIGNAL[0]
@@ -657,7 +752,9 @@ def test_an_array_of_channels_by_samples(tmp_path):
 
 
 def test_lvm_without_headers(tmp_path):
-    (tmp_path / "r.lvm").write_text(_rows([f"{t:.9e}" for t in TIMES], "\t").replace(".", ","))
+    (tmp_path / "r.lvm").write_text(
+        _rows([f"{t:.9e}" for t in TIMES], "\t").replace(".", ",")
+    )
     got = read_record(tmp_path / "r.lvm")
     assert got.rate == pytest.approx(256)
     np.testing.assert_allclose(got.data, SIGNAL)
@@ -681,27 +778,39 @@ def test_complex_cells(tmp_path: Path, delimiter: str, cell: str, comma: bool) -
     if comma and delimiter in ", ":
         return
     rng = np.random.default_rng(2)
-    h, f = rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2)), np.arange(1, 7) * 0.5
+    h, f = (
+        rng.standard_normal((6, 2)) + 1j * rng.standard_normal((6, 2)),
+        np.arange(1, 7) * 0.5,
+    )
     rows = [
         [f"{x:g}"]
         + [
-            cell.format(re=z.real, im=z.imag, sign="+-"[int(z.imag < 0)], size=abs(z.imag))
+            cell.format(
+                re=z.real, im=z.imag, sign="+-"[int(z.imag < 0)], size=abs(z.imag)
+            )
             for z in row.tolist()
         ]
         for x, row in zip(f.tolist(), h, strict=True)
     ]
     text = "\n".join(delimiter.join(r) for r in rows)
     head = delimiter.join(["Frequency", "1+Z/3+Z", "2+Z/3+Z"])
-    (tmp_path / "h.csv").write_text(f"{head}\n{text.replace('.', ',') if comma else text}\n")
+    (tmp_path / "h.csv").write_text(
+        f"{head}\n{text.replace('.', ',') if comma else text}\n"
+    )
     assert holds_frfs(tmp_path / "h.csv")
     got = read_frfs(tmp_path / "h.csv")
-    assert ([c.id for c in got.outputs], [c.id for c in got.inputs]) == (["1+Z", "2+Z"], ["3+Z"])
+    assert ([c.id for c in got.outputs], [c.id for c in got.inputs]) == (
+        ["1+Z", "2+Z"],
+        ["3+Z"],
+    )
     np.testing.assert_allclose(got.freqs, f)
     np.testing.assert_allclose(got.data[:, :, 0], h, atol=1e-3)
 
 
 @pytest.mark.parametrize("pause", [0.0, 1.0])
-def test_hourly_groups_of_tdms_are_one_ambient_record(tmp_path: Path, pause: float) -> None:
+def test_hourly_groups_of_tdms_are_one_ambient_record(
+    tmp_path: Path, pause: float
+) -> None:
     """Groups with the same channels and successive starts; two that ran at the same time are other
     channels.
     """
@@ -712,12 +821,17 @@ def test_hourly_groups_of_tdms_are_one_ambient_record(tmp_path: Path, pause: flo
             told = {"wf_increment": 1 / RATE, "wf_start_time": begin}
             part = slice(150 * k, 150 * (k + 1))
             writer.write_segment(
-                [ChannelObject(name, c, y[part], told) for c, y in zip("ab", Y, strict=True)]
+                [
+                    ChannelObject(name, c, y[part], told)
+                    for c, y in zip("ab", Y, strict=True)
+                ]
             )
     got = read_record(path, gaps=True)
     lost = round(pause * RATE)
     assert [c.id for c in got.channels] == ["a", "b"]
-    np.testing.assert_array_equal(np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y[:, :300])
+    np.testing.assert_array_equal(
+        np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y[:, :300]
+    )
     assert np.isnan(got.data).sum() == 2 * lost
     assert len(read_record(path).channels) == 4
 
@@ -727,6 +841,8 @@ def test_segments_of_lvm_with_pauses_are_one_ambient_record(tmp_path: Path) -> N
     got = read_record(tmp_path / "r.lvm", gaps=True)
     lost = round(0.5 * RATE)
     np.testing.assert_allclose(
-        np.delete(got.data, np.s_[150 : 150 + lost], axis=1), Y * [[9.80665], [1.0]], atol=1e-8
+        np.delete(got.data, np.s_[150 : 150 + lost], axis=1),
+        Y * [[9.80665], [1.0]],
+        atol=1e-8,
     )
     assert np.isnan(got.data[:, 150 : 150 + lost]).all()

@@ -18,13 +18,16 @@ from ringtrue.io.frfs import holds_frfs, read_frfs
 F = np.arange(2.0, 42.0, 0.5)
 W = 2 * np.pi * F[:, None]
 POLES = 2 * np.pi * np.array([12.0, 25.0])
-H = W**2 / (POLES**2 - W**2 + 0.02j * POLES * W) * np.array([0.02, -0.01])  # m/s^2/N, 1+Z and 2+Z
+# m/s^2/N, 1+Z and 2+Z
+H = W**2 / (POLES**2 - W**2 + 0.02j * POLES * W) * np.array([0.02, -0.01])
 G = 9.80665
 REAL_IMAG = np.stack([H.real, H.imag])
 SIZE_DEGREES = np.stack([np.abs(H), np.degrees(np.angle(H))])
 
 
-def body(*columns: np.ndarray, sep: str = "\t", comma: bool = False, end: str = "") -> str:
+def body(
+    *columns: np.ndarray, sep: str = "\t", comma: bool = False, end: str = ""
+) -> str:
     rows = np.column_stack(columns).tolist()
     lines = [sep.join(f"{x:.10e}" for x in row) + end for row in rows]
     text = "\n".join(lines) + "\n"
@@ -136,7 +139,11 @@ def test_layouts_of_several_frfs(layout: Callable[[], str], tmp_path: Path) -> N
     path.write_text(layout(), encoding="utf-8")
     assert holds_frfs(path)
     got = rt.read_frfs(path)
-    assert [c.id.replace(":", "") for c in (*got.outputs, *got.inputs)] == ["1+Z", "2+Z", "3+Z"]
+    assert [c.id.replace(":", "") for c in (*got.outputs, *got.inputs)] == [
+        "1+Z",
+        "2+Z",
+        "3+Z",
+    ]
     np.testing.assert_allclose(got.freqs, F)
     np.testing.assert_allclose(got.data[:, :, 0], H, rtol=1e-6)
 
@@ -144,7 +151,9 @@ def test_layouts_of_several_frfs(layout: Callable[[], str], tmp_path: Path) -> N
 @pytest.mark.parametrize("sep", ["\t", ";", ","])
 def test_groups_with_each_separator(sep: str, tmp_path: Path) -> None:
     (tmp_path / "h.txt").write_text(groups_above(sep))
-    np.testing.assert_allclose(read_frfs(tmp_path / "h.txt").data[:, :, 0], H, rtol=1e-6)
+    np.testing.assert_allclose(
+        read_frfs(tmp_path / "h.txt").data[:, :, 0], H, rtol=1e-6
+    )
 
 
 def pulse(*, counts: bool) -> str:
@@ -164,8 +173,17 @@ def pulse(*, counts: bool) -> str:
 
 def one_below_keys() -> str:
     """Response and reference in keys, columns without names."""
-    head = ["Response: 1+Z", "Reference: 3+Z", "Hz;(m/s^2)/N;(m/s^2)/N", "Frequency;Real;Imag"]
-    return "\n".join(head) + "\n" + body(F, H[:, 0].real, H[:, 0].imag, sep=";", comma=True)
+    head = [
+        "Response: 1+Z",
+        "Reference: 3+Z",
+        "Hz;(m/s^2)/N;(m/s^2)/N",
+        "Frequency;Real;Imag",
+    ]
+    return (
+        "\n".join(head)
+        + "\n"
+        + body(F, H[:, 0].real, H[:, 0].imag, sep=";", comma=True)
+    )
 
 
 def counted() -> str:
@@ -197,15 +215,21 @@ def test_axes_that_differ_are_refused(tmp_path: Path) -> None:
     lines = own_axes().splitlines()
     changed = lines[-1].split(",")
     changed[3] = "43.0"
-    (tmp_path / "h.csv").write_text("\n".join([*lines[:-1], ",".join(changed)]), encoding="utf-8")
-    with pytest.raises(DataError, match=r"column 4, Frequency .* other frequencies than the first"):
+    (tmp_path / "h.csv").write_text(
+        "\n".join([*lines[:-1], ",".join(changed)]), encoding="utf-8"
+    )
+    with pytest.raises(
+        DataError, match=r"column 4, Frequency .* other frequencies than the first"
+    ):
         read_frfs(tmp_path / "h.csv")
 
 
 def test_records_are_no_frfs(tmp_path: Path) -> None:
     """A record with the same three columns, and a spectrum without a phase."""
     t = np.arange(80) / 200
-    (tmp_path / "r.txt").write_text("Time [s];a [g];b [g]\n" + body(t, t**2, t**3, sep=";"))
+    (tmp_path / "r.txt").write_text(
+        "Time [s];a [g];b [g]\n" + body(t, t**2, t**3, sep=";")
+    )
     (tmp_path / "s.txt").write_text("X axis unit: Hz\nAutospectrum\n" + body(F, F**2))
     assert not holds_frfs(tmp_path / "r.txt")
     assert not holds_frfs(tmp_path / "s.txt")

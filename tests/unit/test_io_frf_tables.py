@@ -39,7 +39,8 @@ def write(
     rows = np.column_stack([lines, *(c[:, k] for k in range(2) for c in (one, two))])
     body = "\n".join(";".join(f"{x:.9g}" for x in row) for row in rows.tolist())
     path.write_text(
-        "\n".join([";".join(titles), *([units] if units else []), body]), encoding="utf-8"
+        "\n".join([";".join(titles), *([units] if units else []), body]),
+        encoding="utf-8",
     )
     return path
 
@@ -49,12 +50,20 @@ def write(
     [
         ("Frequency (Hz);$ dB;$ deg", LEVEL, np.degrees(ANGLE)),
         ("f_Hz;$_real;$_imag", H.real, H.imag),
-        ("Linear Frequency (Hz);$ Real ((m/s^2)/N);$ Imaginary ((m/s^2)/N)", H.real, H.imag),
+        (
+            "Linear Frequency (Hz);$ Real ((m/s^2)/N);$ Imaginary ((m/s^2)/N)",
+            H.real,
+            H.imag,
+        ),
         ("Frequenz in Hz;Realteil $;Imaginärteil $", H.real, H.imag),
         ("Frequenz [Hz];$ Betrag [m/s²/N];$ Phase [°]", SIZE, np.degrees(ANGLE)),
         ("Fréquence [Hz];partie réelle $;partie imaginaire $", H.real, H.imag),
         ("Frequency(Hz);$_mag_dB;$_phase_rad", LEVEL, ANGLE),
-        ("Frequency (Hz);Amplitude ((m/s^2)/N) $;Phase (Degrees) $", SIZE, np.degrees(ANGLE)),
+        (
+            "Frequency (Hz);Amplitude ((m/s^2)/N) $;Phase (Degrees) $",
+            SIZE,
+            np.degrees(ANGLE),
+        ),
         ("Frequency;$ Amplitude - dB;$ Phase", LEVEL, np.degrees(ANGLE)),
         ("Hz;|H| $;arg H $", SIZE, np.degrees(ANGLE)),
         ("Hz;Re(H $);Im(H $)", H.real, H.imag),
@@ -105,7 +114,13 @@ def test_motions_of_several_kinds_become_those_of_most(tmp_path: Path) -> None:
         .replace("2+Z imag", "2+Z imag [mm/s/N]")
     )
     rows = np.column_stack(
-        [F, H[:, 0].real, H[:, 0].imag, 1e3 * MOBILITY[:, 1].real, 1e3 * MOBILITY[:, 1].imag]
+        [
+            F,
+            H[:, 0].real,
+            H[:, 0].imag,
+            1e3 * MOBILITY[:, 1].real,
+            1e3 * MOBILITY[:, 1].imag,
+        ]
     )
     head = text.partition("\n")[0]
     np.savetxt(path, rows, delimiter=";", header=head, comments="", fmt="%.9g")
@@ -114,16 +129,22 @@ def test_motions_of_several_kinds_become_those_of_most(tmp_path: Path) -> None:
     np.testing.assert_allclose(got.data[:, :, 0], H, rtol=1e-6)
 
 
-def test_lines_without_any_value_are_left_out_and_others_refused(tmp_path: Path) -> None:
+def test_lines_without_any_value_are_left_out_and_others_refused(
+    tmp_path: Path,
+) -> None:
     gap = H.copy()
     gap[3] = np.nan
-    got = read_frfs(write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag))
+    got = read_frfs(
+        write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag)
+    )
     np.testing.assert_allclose(got.freqs, np.delete(F, 3))
     gap[5, 1] = np.nan
     with pytest.raises(
         DataError, match=r"3 values are not finite, the first of 2\+Z/in1 at 6.5 Hz"
     ):
-        read_frfs(write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag))
+        read_frfs(
+            write(tmp_path / "h.csv", "Frequency;$ real;$ imag", gap.real, gap.imag)
+        )
     with pytest.raises(DataError, match="the same part"):
         read_frfs(write(tmp_path / "h.csv", "Frequency;real;imag", H.real, H.imag))
 
@@ -133,5 +154,11 @@ def test_what_no_unit_tells_is_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, unit: str
 ) -> None:
     head = f"f [Hz];$ magnitude{unit};$ phase [deg]"
-    read_frfs(write(tmp_path / "f.csv", head, LEVEL if "dB" in unit else SIZE, np.degrees(ANGLE)))
-    assert ("quantity of the responses is unknown" in caplog.text) == ("m/s" not in unit)
+    read_frfs(
+        write(
+            tmp_path / "f.csv", head, LEVEL if "dB" in unit else SIZE, np.degrees(ANGLE)
+        )
+    )
+    assert ("quantity of the responses is unknown" in caplog.text) == (
+        "m/s" not in unit
+    )

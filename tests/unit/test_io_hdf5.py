@@ -67,7 +67,11 @@ def test_dataclasses_with_arrays_inside_containers(tmp_path: Path) -> None:
     channels = (Channel("1+Z", "acceleration", "m/s^2"), Channel("F:1+Z", "force", "N"))
     record = TimeHistory(np.arange(8.0).reshape(2, 4), 100.0, channels, "r")
     modes = ModeSet(
-        np.array([1.0]), np.array([0.01]), np.ones((2, 1)), DofSet.parse(["1+X", "2-RY"]), Norm.MASS
+        np.array([1.0]),
+        np.array([0.01]),
+        np.ones((2, 1)),
+        DofSet.parse(["1+X", "2-RY"]),
+        Norm.MASS,
     )
     got = through(tmp_path, {"records": (record, record), "modes": modes})
     assert got["records"][1].channels == channels

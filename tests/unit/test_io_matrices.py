@@ -13,7 +13,9 @@ from scipy import sparse
 from ringtrue.errors import DataError
 from ringtrue.io.matrices import read_matrices
 
-A = np.array([[4.0, -1.5, 0, 0], [-1.5, 3.25, 0, 1e-3], [0, 0, 7.0, 0], [0, 1e-3, 0, -2.5e10]])
+A = np.array(
+    [[4.0, -1.5, 0, 0], [-1.5, 3.25, 0, 1e-3], [0, 0, 7.0, 0], [0, 1e-3, 0, -2.5e10]]
+)
 SPARSE = sparse.csr_array(A)
 
 
@@ -34,13 +36,23 @@ def test_matlab_5(tmp_path: Path) -> None:
 def test_matlab_73_and_hdf5(tmp_path: Path) -> None:
     c = sparse.csc_array(A + np.triu(A, 1))
     for path in (tmp_path / "k.mat", tmp_path / "k.h5"):
-        with h5py.File(path, "w", userblock_size=512 if path.suffix == ".mat" else 0) as f:
+        with h5py.File(
+            path, "w", userblock_size=512 if path.suffix == ".mat" else 0
+        ) as f:
             g = f.create_group("K")
             g.attrs["MATLAB_sparse"] = np.uint64(4)
-            g["data"], g["ir"], g["jc"] = c.data, c.indices.astype("u8"), c.indptr.astype("u8")
+            g["data"], g["ir"], g["jc"] = (
+                c.data,
+                c.indices.astype("u8"),
+                c.indptr.astype("u8"),
+            )
             s = f.create_group("S")
             s.attrs["shape"] = (4, 4)
-            s["data"], s["indices"], s["indptr"] = SPARSE.data, SPARSE.indices, SPARSE.indptr
+            s["data"], s["indices"], s["indptr"] = (
+                SPARSE.data,
+                SPARSE.indices,
+                SPARSE.indptr,
+            )
             f["dense"] = c.toarray().T if path.suffix == ".mat" else c.toarray()
             f["list"] = np.arange(3.0)
         if path.suffix == ".mat":
@@ -53,7 +65,9 @@ def test_matlab_73_and_hdf5(tmp_path: Path) -> None:
 
 
 def test_matrix_market_and_npz(tmp_path: Path) -> None:
-    scipy_io.mmwrite(tmp_path / "k.mtx", sparse.coo_array(A), symmetry="symmetric", precision=16)
+    scipy_io.mmwrite(
+        tmp_path / "k.mtx", sparse.coo_array(A), symmetry="symmetric", precision=16
+    )
     sparse.save_npz(tmp_path / "k.npz", SPARSE)
     _same(tmp_path / "k.mtx", "k")
     _same(tmp_path / "k.npz", "k")
@@ -126,7 +140,9 @@ def _op4_ascii(dense: bool, big: bool) -> str:
         for row, v in runs:
             if not dense:
                 length = 2 * v.size + 1
-                lines.append(f"{length:8d}{row:8d}" if big else f"{row + (length << 16):12d}")
+                lines.append(
+                    f"{length:8d}{row:8d}" if big else f"{row + (length << 16):12d}"
+                )
             text = [f"{x:23.16E}" for x in v]
             lines += ["".join(text[i : i + 3]) for i in range(0, len(text), 3)]
     return "\n".join([*lines, f"{5:8d}{1:8d}{1:8d}", f"{1.0:23.16E}", ""])
@@ -149,7 +165,9 @@ def _op4_binary(dense: bool, big: bool, order: str, single: bool) -> bytes:
         if dense:
             first, last = runs[0][0], runs[-1][0] + runs[-1][1].size
             v = A[first - 1 : last - 1, j]
-            out.append(record(ints(j + 1, first, per * v.size), v.astype(number).tobytes()))
+            out.append(
+                record(ints(j + 1, first, per * v.size), v.astype(number).tobytes())
+            )
             continue
         body, words = b"", 0
         for row, v in runs:
@@ -171,7 +189,8 @@ def test_output4(tmp_path: Path, dense: bool, big: bool) -> None:
         path.write_bytes(_op4_binary(dense, big, order, False))
         _same(path, "KAA")
     path.write_bytes(_op4_binary(dense, big, "<", True))
-    assert np.allclose(read_matrices(path)["KAA"].toarray(), A, rtol=1e-7)  # single precision
+    # single precision
+    assert np.allclose(read_matrices(path)["KAA"].toarray(), A, rtol=1e-7)
 
 
 ROWS = 10_000_005  # more than fit into eight characters beside a sign
@@ -188,7 +207,9 @@ def test_output4_of_ten_million_rows(tmp_path: Path, big: bool) -> None:
         lines += [f"{2:8d}{0:8d}{6:8d}", f"{5:8d}{row:8d}", value]
     else:
         lines += [f"{2:8d}{row:8d}{2:8d}", value]
-    (tmp_path / "k.op4").write_text("\n".join([*lines, f"{3:8d}{1:8d}{1:8d}", " 1.0", ""]))
+    (tmp_path / "k.op4").write_text(
+        "\n".join([*lines, f"{3:8d}{1:8d}{1:8d}", " 1.0", ""])
+    )
     found = read_matrices(tmp_path / "k.op4")["WIDE"]
     assert found.shape == (ROWS, 2)
     assert [found[row - 1, 1], found[row, 1], found.nnz] == [-2.5, 3.5, 2]
@@ -209,7 +230,10 @@ def test_output4_of_words_of_eight_bytes(tmp_path: Path, order: str) -> None:
     def reals(*values: float) -> bytes:
         return np.array(values, f"{order}f8").tobytes()
 
-    records = [record(ints(1, 3, 2, 2), b"SE_S    TART    "), record(ints(1, 2, 2), reals(5, 6))]
+    records = [
+        record(ints(1, 3, 2, 2), b"SE_S    TART    "),
+        record(ints(1, 2, 2), reals(5, 6)),
+    ]
     records.append(record(ints(2, 1, 1), reals(1)))
     (tmp_path / "k.op4").write_bytes(b"".join(records))
     found = read_matrices(tmp_path / "k.op4")
@@ -221,7 +245,10 @@ def test_broken_files(tmp_path: Path) -> None:
         ("k.op4", _op4_binary(False, False, "<", False)[:-40]),
         ("k.hb", b"nothing\nhere\n"),
         ("k.mtx", b"1 2\n"),
-        ("k.mat", b"not a file of that kind at all, but long enough to be looked at" * 4),
+        (
+            "k.mat",
+            b"not a file of that kind at all, but long enough to be looked at" * 4,
+        ),
         ("k.xyz", b"1 2 3\x00"),
     ):
         (tmp_path / name).write_bytes(content)
@@ -232,7 +259,9 @@ def test_broken_files(tmp_path: Path) -> None:
 
 
 def test_matrices_in_a_structure(tmp_path: Path) -> None:
-    scipy_io.savemat(tmp_path / "m.mat", {"model": {"K": SPARSE, "part": {"M": A}, "name": "x"}})
+    scipy_io.savemat(
+        tmp_path / "m.mat", {"model": {"K": SPARSE, "part": {"M": A}, "name": "x"}}
+    )
     _same(tmp_path / "m.mat", "model.K")
     _same(tmp_path / "m.mat", "model.part.M")
     scipy_io.savemat(tmp_path / "none.mat", {"text": "x"})
@@ -243,8 +272,12 @@ def test_matrices_in_a_structure(tmp_path: Path) -> None:
 def test_formats_without_a_count(tmp_path: Path) -> None:
     one_a_line = _harwell("RUA", sparse.csc_array(A)).splitlines()[:3]
     a = sparse.csc_array(A)
-    numbers = [f"{x + 1:14d}" for x in (*a.indptr, *a.indices)] + [f"{x:25.18E}" for x in a.data]
-    text = "\n".join([*one_a_line, f"{'(I14)':16s}{'(1I14)':16s}{'(E25.18)':20s}", *numbers, ""])
+    numbers = [f"{x + 1:14d}" for x in (*a.indptr, *a.indices)] + [
+        f"{x:25.18E}" for x in a.data
+    ]
+    text = "\n".join(
+        [*one_a_line, f"{'(I14)':16s}{'(1I14)':16s}{'(E25.18)':20s}", *numbers, ""]
+    )
     (tmp_path / "a.matrix").write_text(text)
     _same(tmp_path / "a.matrix", "a")
 

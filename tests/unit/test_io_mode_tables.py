@@ -50,11 +50,15 @@ def test_a_mode_a_row_with_decimal_commas(tmp_path: Path) -> None:
     found = read_modes(path)
     assert found.frequencies.tolist() == [6.37, 16.1]
     assert found.damping == pytest.approx([0.008, 0.007])
-    np.testing.assert_allclose(found.rows(["101+Z", "102+Z"]).shapes, [[1, -0.3 + 0.1j], [0.5, 1]])
+    np.testing.assert_allclose(
+        found.rows(["101+Z", "102+Z"]).shapes, [[1, -0.3 + 0.1j], [0.5, 1]]
+    )
 
 
 def test_frequencies_alone_and_angular_ones(tmp_path: Path) -> None:
-    found = read_modes(table(tmp_path, "frequency [rad/s]\n62.8318530718\n31.4159265359\n"))
+    found = read_modes(
+        table(tmp_path, "frequency [rad/s]\n62.8318530718\n31.4159265359\n")
+    )
     assert found.frequencies == pytest.approx([5.0, 10.0])
     assert found.channels == ()
     assert np.isnan(read_std(tmp_path / "modes.csv")[0]).all()
@@ -69,8 +73,12 @@ def test_frequencies_alone_and_angular_ones(tmp_path: Path) -> None:
         ("Frequency (rpm)", 1 / 60),
     ],
 )
-def test_titles_and_units_of_frequencies(tmp_path: Path, head: str, hertz: float) -> None:
-    path = table(tmp_path, f"No.,{head},± [Hz],Modal damping [%]\n1,6,0.5,0.8\n2,30,,0.7\n")
+def test_titles_and_units_of_frequencies(
+    tmp_path: Path, head: str, hertz: float
+) -> None:
+    path = table(
+        tmp_path, f"No.,{head},± [Hz],Modal damping [%]\n1,6,0.5,0.8\n2,30,,0.7\n"
+    )
     found = read_modes(path)
     assert found.frequencies == pytest.approx([6 * hertz, 30 * hertz])
     assert found.damping == pytest.approx([0.008, 0.007])
@@ -88,11 +96,19 @@ def test_a_table_as_a_spreadsheet_saves_it_abroad(tmp_path: Path) -> None:
 
 def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
-    for row in (["mode", 1, 2], ["f [Hz]", 4.5, 7], ["zeta", 0.01, 0.02], ["3+Z", 1, -0.25]):
+    for row in (
+        ["mode", 1, 2],
+        ["f [Hz]", 4.5, 7],
+        ["zeta", 0.01, 0.02],
+        ["3+Z", 1, -0.25],
+    ):
         book.active.append(row)
     book.save(tmp_path / "modes.xlsx")
     found = read_modes(tmp_path / "modes.xlsx")
-    assert (found.frequencies.tolist(), found.damping.tolist()) == ([4.5, 7.0], [0.01, 0.02])
+    assert (found.frequencies.tolist(), found.damping.tolist()) == (
+        [4.5, 7.0],
+        [0.01, 0.02],
+    )
     assert found.shapes.tolist() == [[1.0, -0.25]]
     assert not np.iscomplexobj(found.shapes)
 

@@ -42,7 +42,9 @@ EVERY = sorted(SEEDS.glob("*/*"))
 READ = [p for p in EVERY if p.parent.name not in ("study", "log", "record")]
 
 
-@pytest.mark.parametrize("name", ["data", "data.dat", "data.csv", "data.h5", "data.mat"])
+@pytest.mark.parametrize(
+    "name", ["data", "data.dat", "data.csv", "data.h5", "data.mat"]
+)
 def test_the_content_tells_the_format(name: str, tmp_path: Path) -> None:
     for path in EVERY:
         if path.suffix != ".mtx":
@@ -61,7 +63,9 @@ def test_readers_take_files_of_any_name(path: Path, tmp_path: Path) -> None:
 def test_a_record_of_any_name_is_the_same(path: Path, tmp_path: Path) -> None:
     shutil.copy(path, tmp_path / "data.dat")
     rate = 200.0 if path.suffix == ".npy" else None
-    by_name, by_content = (read_record(p, rate, gaps=True) for p in (path, tmp_path / "data.dat"))
+    by_name, by_content = (
+        read_record(p, rate, gaps=True) for p in (path, tmp_path / "data.dat")
+    )
     np.testing.assert_array_equal(by_name.data, by_content.data)
     assert by_name.channels == by_content.channels
 

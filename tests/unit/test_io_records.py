@@ -27,18 +27,24 @@ CHANNELS = (
 
 def test_own_layout(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
-    write_record(path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS)
+    write_record(
+        path, (VOLTS[:, a : a + 64] for a in range(0, 200, 64)), 100.0, CHANNELS
+    )
     info = record_info(path)
     assert info.channels == CHANNELS
     assert info.samples == 200
     assert info.full_scale()["1+Z"] == pytest.approx(5 / 0.1 * 9.80665)
     record = read_record(path)
-    np.testing.assert_allclose(record.data[0], VOLTS[0] / 0.1 * 9.80665, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(
+        record.data[0], VOLTS[0] / 0.1 * 9.80665, rtol=1e-5, atol=1e-4
+    )
     np.testing.assert_allclose(record.data[1], VOLTS[1] / -0.002, rtol=1e-5, atol=1e-2)
     assert [c.unit for c in record.channels] == ["m/s^2", "N"]
     some = read_record(path, channels=["F:1+Z", "1+Z"], start=10, stop=60)
     np.testing.assert_array_equal(some.data, record.data[::-1, 10:60])
-    np.testing.assert_array_equal(np.hstack([b.data for b in record_blocks(path, 77)]), record.data)
+    np.testing.assert_array_equal(
+        np.hstack([b.data for b in record_blocks(path, 77)]), record.data
+    )
 
 
 def as_npy(path: Path) -> Path:
@@ -66,7 +72,8 @@ def as_h5(path: Path) -> Path:
 
 def as_csv(path: Path) -> Path:
     rows = "\n".join(
-        f"{t:.4f};{a:.9f};{b:.9f}".replace(".", ",") for t, a, b in zip(T, *VOLTS, strict=True)
+        f"{t:.4f};{a:.9f};{b:.9f}".replace(".", ",")
+        for t, a, b in zip(T, *VOLTS, strict=True)
     )
     path.with_suffix(".csv").write_text("time;1+Z [m/s^2];F [N]\n" + rows)
     return path.with_suffix(".csv")
@@ -114,7 +121,8 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
     path = tmp_path / "r.csv"
     path.write_text("\n".join([head, *rows[:400], *rows[650:900], *rows[903:]]))
     with pytest.raises(
-        DataError, match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where"
+        DataError,
+        match=r"samples are missing: 2.51 s behind row 400, 0.04 s behind row 650, where",
     ):
         read_record(path)
     whole = read_record(path, gaps=True)
@@ -129,20 +137,40 @@ def test_missing_rows_and_samples_are_told_with_what_to_do(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    "form", ["clock", "array", "mat", "mat named", "hdf5", "hdf5 named", "vectors named", "tdms"]
+    "form",
+    [
+        "clock",
+        "array",
+        "mat",
+        "mat named",
+        "hdf5",
+        "hdf5 named",
+        "vectors named",
+        "tdms",
+    ],
 )
-def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path, form: str) -> None:
+def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(
+    tmp_path: Path, form: str
+) -> None:
     k = np.r_[0:3000, 6400:9000, 9001:10000]
     if form == "clock":
         start = np.datetime64("2026-03-01T23:59:00.000")
-        stamps = [str(start + np.timedelta64(int(i * 8), "ms")).replace("T", " ") for i in k]
-        rows = [f"{s};{np.sin(i):.5f};{np.cos(i):.5f}" for s, i in zip(stamps, k, strict=True)]
+        stamps = [
+            str(start + np.timedelta64(int(i * 8), "ms")).replace("T", " ") for i in k
+        ]
+        rows = [
+            f"{s};{np.sin(i):.5f};{np.cos(i):.5f}"
+            for s, i in zip(stamps, k, strict=True)
+        ]
         path = tmp_path / "r.csv"
         path.write_text("\n".join(["Timestamp;a;b", *rows]))
     elif form.startswith("mat"):
         path = tmp_path / "r.mat"
         named = {"fs": 125.0} if "named" in form else {}
-        savemat(path, {"t": k / 125.0, "y": np.stack([np.sin(k), np.cos(k)], axis=1), **named})
+        savemat(
+            path,
+            {"t": k / 125.0, "y": np.stack([np.sin(k), np.cos(k)], axis=1), **named},
+        )
     elif form.startswith(("hdf5", "vectors")):
         path = tmp_path / "r.h5"
         with h5py.File(path, "w") as file:
@@ -158,14 +186,18 @@ def test_rows_that_a_logger_dropped_have_their_place_on_the_grid(tmp_path: Path,
         with TdmsWriter(path) as writer:
             signals = {"Time": k / 125.0, "a": np.sin(k), "b": np.cos(k)}
             step = {"wf_increment": 1 / 125.0}
-            writer.write_segment([ChannelObject("g", n, x, step) for n, x in signals.items()])
+            writer.write_segment(
+                [ChannelObject("g", n, x, step) for n, x in signals.items()]
+            )
     else:
         path = tmp_path / "r.npy"
         np.save(path, np.stack([k / 125.0, np.sin(k), np.cos(k)], axis=1))
     h = read_record(path, gaps=True)
     assert h.rate == pytest.approx(125.0)
     assert np.array_equal(np.flatnonzero(np.isfinite(h.data).all(axis=0)), k)
-    with pytest.raises(DataError, match=r"samples are missing: 27.2\d* s behind row 3000"):
+    with pytest.raises(
+        DataError, match=r"samples are missing: 27.2\d* s behind row 3000"
+    ):
         read_record(path)
 
 
@@ -176,7 +208,8 @@ def test_times_in_other_units_leave_a_named_rate_alone(tmp_path: Path) -> None:
         np.sort(np.random.default_rng(0).uniform(0, 50, k.size)),
     ):  # days, times of arrival
         savemat(
-            tmp_path / "r.mat", {"fs": 125.0, "t": t, "y": np.stack([np.sin(k), np.cos(k)], axis=1)}
+            tmp_path / "r.mat",
+            {"fs": 125.0, "t": t, "y": np.stack([np.sin(k), np.cos(k)], axis=1)},
         )
         assert read_record(tmp_path / "r.mat", gaps=True).data.shape == (2, k.size)
 
@@ -184,7 +217,9 @@ def test_times_in_other_units_leave_a_named_rate_alone(tmp_path: Path) -> None:
 def test_a_record_that_is_mostly_missing_is_refused(tmp_path: Path) -> None:
     k = np.r_[0:300, 5000:5300]
     path = tmp_path / "r.csv"
-    path.write_text("\n".join(["Time [s],a", *(f"{i / 100:.2f},{np.sin(i):.5f}" for i in k)]))
+    path.write_text(
+        "\n".join(["Time [s],a", *(f"{i / 100:.2f},{np.sin(i):.5f}" for i in k)])
+    )
     with pytest.raises(DataError, match="samples are missing"):
         read_record(path, gaps=True)
 
@@ -220,7 +255,9 @@ def test_refuses_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
         read_record(tmp_path / "no.h5")
     (tmp_path / "r.xyz").write_bytes(b"1\x00")
-    with pytest.raises(DataError, match="no binary format that is known; looked for: a Nastran"):
+    with pytest.raises(
+        DataError, match="no binary format that is known; looked for: a Nastran"
+    ):
         read_record(tmp_path / "r.xyz")
     (tmp_path / "r.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     with pytest.raises(DataError, match="not a readable HDF5"):
@@ -233,8 +270,11 @@ def test_refuses_what_is_not_there(tmp_path: Path) -> None:
 def test_real_files() -> None:
     lvm = read_record(DATA / "ema/image_beam/acceleration.lvm")
     assert lvm.rate == pytest.approx(50e3)
-    assert lvm.data[1].max() == pytest.approx(195.605522, rel=1e-6)  # N, as printed in the file
+    # N, as printed in the file
+    assert lvm.data[1].max() == pytest.approx(195.605522, rel=1e-6)
     assert lvm.data[0, 0] == pytest.approx(-0.007387 * 9.80665, rel=1e-6)
-    text, binary = (read_record(DATA / f"uff/Sample_UFF58{x}.uff") for x in ("_ascii", "b_bin"))
+    text, binary = (
+        read_record(DATA / f"uff/Sample_UFF58{x}.uff") for x in ("_ascii", "b_bin")
+    )
     np.testing.assert_allclose(text.data, binary.data, rtol=1e-5, atol=1e-5)
     assert read_record(DATA / "uff/BK_4_channels.uff").data.shape == (4, 288768)

@@ -67,13 +67,33 @@ def write_model(path: Path, order: str = "<", word: int = 4, post: int = -1) -> 
     )
     head = [1, 2, -0.5, 0.0, 0.0, 0, 0.0, 0.0]
     plies = [1, 0.25, 45.0, 1, 1, 0.75, 0.0, 0]
-    stations = [*station(0.0, 1.0), *station(0.5, 0.5), *station(1.0, 0.25), *[0.0] * 16 * 8]
+    stations = [
+        *station(0.0, 1.0),
+        *station(0.5, 0.5),
+        *station(1.0, 0.25),
+        *[0.0] * 16 * 8,
+    ]
     tail = [1.0, 1.0, *[0.0] * 14]
     w.table(
         "EPT",
         [
             [2706, 27, 287, *head, *plies],
-            [2302, 23, 283, 1, 100000001, 1.0, 200000001, 1.0, 0, 1.0, 0.0, -0.5, 0.5, 0],
+            [
+                2302,
+                23,
+                283,
+                1,
+                100000001,
+                1.0,
+                200000001,
+                1.0,
+                0,
+                1.0,
+                0.0,
+                -0.5,
+                0.5,
+                0,
+            ],
             [5402, 54, 262, 2, 1, 3, 1, 1.0, *stations, *tail],
         ],
     )
@@ -90,19 +110,27 @@ def test_deck_of_made_file(tmp_path: Path, order: str, word: int, post: int) -> 
     write_model(tmp_path / "m.op2", order, word, post)
     found = read_recorded_model(tmp_path / "m.op2")
     assert list(found.missing.values()) == [3, 3]
-    assert [name.split(" (")[0] for name in found.missing] == ["GEOM2 PLOTEL", "DYNAMICS FREQ2"]
+    assert [name.split(" (")[0] for name in found.missing] == [
+        "GEOM2 PLOTEL",
+        "DYNAMICS FREQ2",
+    ]
     deck = tmp_path / "m.bdf"
     deck.write_text(found.deck())
     model = read_deck(deck)
     case = model.case
     assert (case.spc, case.mpc, case.method) == (6, 7, 5)
     assert model.params["WTMASS"] == 0.5
-    assert model["GRID"]["X2"].tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1], rel=SINGLE)
+    assert model["GRID"]["X2"].tolist() == pytest.approx(
+        [0, 1 / 3, 2 / 3, 1], rel=SINGLE
+    )
     assert model["GRID"]["CD"].tolist() == [2] * 4
     assert model["CQUAD4"]["MCID"].tolist() == [2]
     assert np.isnan(model["CQUAD4"]["T1"]).all()
     assert model["CBEAM"]["G0"].tolist() == [4]
-    assert [model["SPC1"].ragged("G").row(i).tolist() for i in (0, 1)] == [[3, 4], [1, 2]]
+    assert [model["SPC1"].ragged("G").row(i).tolist() for i in (0, 1)] == [
+        [3, 4],
+        [1, 2],
+    ]
     assert model["MPC"].ragged("A").row(0).tolist() == [1.0, -0.5]
     assert model["RBE2"].ragged("GM").row(0).tolist() == [2, 3]
     assert model["RBE3"].ragged("WT").row(0).tolist() == [0.5, 0.5, 1.0]
@@ -114,11 +142,16 @@ def test_deck_of_made_file(tmp_path: Path, order: str, word: int, post: int) -> 
     assert np.isnan(model["EIGRL"]["V1"]).all()
     assert model["EIGRL"]["V2"].tolist() == [100.0]
     text = deck.read_text()
-    assert "LOAD*                  9             1.5             2.0               8" in text
+    assert (
+        "LOAD*                  9             1.5             2.0               8"
+        in text
+    )
     assert "$ GEOM2 PLOTEL (5201, 52, 11), 3 words" in text
 
 
-def test_the_deck_is_found_by_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_deck_is_found_by_inspect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_model(tmp_path / "m.op2")
     assert run(["inspect", str(tmp_path / "m.op2")]) == 0
     said = capsys.readouterr().out
@@ -147,7 +180,9 @@ def test_coordinates_of_double_precision(tmp_path: Path, rows: int) -> None:
     """GRID of eleven words; with 8 rows the length is that of 11 rows of eight words, too."""
     place = np.arange(rows) / 7 + 0.1
     kinds = ["i4", "i4", "f8", "f8", "f8", "i4", "i4", "i4"]
-    record = np.zeros(rows, np.dtype([(f"f{k}", f"<{kind}") for k, kind in enumerate(kinds)]))
+    record = np.zeros(
+        rows, np.dtype([(f"f{k}", f"<{kind}") for k, kind in enumerate(kinds)])
+    )
     record["f0"] = np.arange(rows) + 1
     record["f2"] = record["f3"] = record["f4"] = place
     words = np.frombuffer(record.tobytes(), "<i4").tolist()
@@ -189,14 +224,17 @@ def test_shapes_are_turned_by_the_frames_in_the_file(tmp_path: Path) -> None:
     w = Op2Writer()
     w.head()
     nodes = [v for n in (1, 2) for v in (n, 0, float(n), 0.0, 0.0, 5, 0, 0)]
-    turned = [5, 1, 2, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0]  # its x is basic y
+    # its x is basic y
+    turned = [5, 1, 2, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0]
     w.table("GEOM1", [[4501, 45, 1, *nodes], [2101, 21, 8, *turned]])
     motion = np.zeros((2, 6, 1))
     motion[:, 0, 0] = (0.5, 1.0)
     w.modes(np.array([4.0]), np.array([1, 2]), motion, np.ones(1))
     w.write(tmp_path / "m.op2")
     modes = read_nastran_modes(tmp_path / "m.op2")
-    np.testing.assert_allclose(modes.rows(["1+Y", "2+Y"]).shapes[:, 0], [0.5, 1.0], atol=1e-7)
+    np.testing.assert_allclose(
+        modes.rows(["1+Y", "2+Y"]).shapes[:, 0], [0.5, 1.0], atol=1e-7
+    )
     np.testing.assert_allclose(modes.rows(["1+X", "2+X"]).shapes, 0, atol=1e-7)
 
 
@@ -254,10 +292,13 @@ RECORDED = [
     "msc2019/system_verification/002_svanberg_beam/nastran_runs/static.op2 static.dat",
     "naca_wing/0012_flutter.op2",
 ]
-COMPUTED = {"ZOFFS", "Z0", "TST", "NORM", "DIMB", "NSMB"}  # Nastran fills in the default
+# Nastran fills in the default
+COMPUTED = {"ZOFFS", "Z0", "TST", "NORM", "DIMB", "NSMB"}
 
 
-@pytest.mark.parametrize(("order", "word", "form"), [("<", 4, 14), ("<", 4, 4), (">", 8, 4)])
+@pytest.mark.parametrize(
+    ("order", "word", "form"), [("<", 4, 14), ("<", 4, 4), (">", 8, 4)]
+)
 def test_frames_of_cstm(tmp_path: Path, order: str, word: int, form: int) -> None:
     """Points of BGPDT and frames of CSTM in the forms of older and newer versions: node 2 lies at 90
     degrees of cylinder 7, whose z axis is basic X and whose x axis is basic Y.
@@ -287,7 +328,9 @@ def test_frames_of_cstm(tmp_path: Path, order: str, word: int, form: int) -> Non
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("names", RECORDED, ids=lambda n: n.split()[0].rpartition("/")[2])
+@pytest.mark.parametrize(
+    "names", RECORDED, ids=lambda n: n.split()[0].rpartition("/")[2]
+)
 def test_recorded_deck_is_the_deck_beside(tmp_path: Path, names: str) -> None:
     results, *beside = names.split()
     source = DATA / results
@@ -324,11 +367,17 @@ def _row(model: Model, card: str, i: int) -> tuple[tuple[object, ...], ...]:
     return tuple(out)
 
 
-def _close(x: tuple[tuple[object, ...], ...], y: tuple[tuple[object, ...], ...]) -> bool:
+def _close(
+    x: tuple[tuple[object, ...], ...], y: tuple[tuple[object, ...], ...]
+) -> bool:
     for a, b in zip(x, y, strict=True):
         if len(a) != len(b):
             return False
         for p, q in zip(a, b, strict=True):
-            if p != pytest.approx(q, rel=SINGLE, abs=0) if isinstance(p, float) else p != q:
+            if (
+                p != pytest.approx(q, rel=SINGLE, abs=0)
+                if isinstance(p, float)
+                else p != q
+            ):
                 return False
     return True

@@ -51,7 +51,9 @@ def recorded(name: str) -> Path:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["beam_modes.f06", "beam_modes_m1.op2", "beam_modes_m2.op2"])
+@pytest.mark.parametrize(
+    "name", ["beam_modes.f06", "beam_modes_m1.op2", "beam_modes_m2.op2"]
+)
 def test_recorded_beam(name: str) -> None:
     modes = read_nastran_modes(recorded(f"beam_modes/{name}"))
     np.testing.assert_allclose(modes.frequencies, BEAM, rtol=PRINTED)
@@ -64,13 +66,17 @@ def test_formats_of_one_run_agree() -> None:
     """MSC 2019, one job: HDF5 in double precision, OP2 in single, F06 in seven digits."""
     deck = read_deck(recorded(f"{SVANBERG}.dat"))
     h5, f06, op2 = (
-        read_nastran_modes(recorded(f"{SVANBERG}.{e}"), deck) for e in ("h5", "f06", "op2")
+        read_nastran_modes(recorded(f"{SVANBERG}.{e}"), deck)
+        for e in ("h5", "f06", "op2")
     )
     for other in (f06, op2):
         assert other.norm is Norm.MASS  # the OP2 holds no modal masses: EIGRL says MASS
         np.testing.assert_allclose(other.frequencies, h5.frequencies, rtol=PRINTED)
-        np.testing.assert_allclose(other.shapes, h5.shapes, atol=1e-6 * np.abs(h5.shapes).max())
-    alone = read_nastran_modes(recorded(f"{SVANBERG}.op2"))  # with the EIGRL of its DYNAMICS
+        np.testing.assert_allclose(
+            other.shapes, h5.shapes, atol=1e-6 * np.abs(h5.shapes).max()
+        )
+    # with the EIGRL of its DYNAMICS
+    alone = read_nastran_modes(recorded(f"{SVANBERG}.op2"))
     assert alone.norm is Norm.MASS
     np.testing.assert_array_equal(alone.shapes, op2.shapes)
 
@@ -80,7 +86,9 @@ def test_shapes_scaled_by_maximum_become_mass_normalised() -> None:
     """The deck asks for unit maximum: modal masses of 0.0088 and more."""
     deck = read_deck(recorded("beam_modes/beam_modes.dat"))
     raw = read_recorded(recorded("beam_modes/beam_modes_m1.op2"))
-    assert np.abs(raw.motion).max(axis=(0, 1))[:4] == pytest.approx(np.ones(4), rel=1e-6)
+    assert np.abs(raw.motion).max(axis=(0, 1))[:4] == pytest.approx(
+        np.ones(4), rel=1e-6
+    )
     modes = read_nastran_modes(recorded("beam_modes/beam_modes_m1.op2"), deck)
     assert np.abs(modes.shapes).max() == pytest.approx(
         np.abs(raw.motion / np.sqrt(raw.modal_mass)).max()
@@ -95,13 +103,25 @@ def made(seed: int = 1) -> np.ndarray:
 
 
 def write_op2(
-    path: Path, order: str = "<", word: int = 4, mass: float = 1.0, name: str = "OUGV1", cd: int = 0
+    path: Path,
+    order: str = "<",
+    word: int = 4,
+    mass: float = 1.0,
+    name: str = "OUGV1",
+    cd: int = 0,
 ) -> np.ndarray:
     writer, motion = Op2Writer(order, word), made()
     writer.head()
     writer.table(
         "GEOM1",
-        [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, cd, 0, 0))]],
+        [
+            [
+                4501,
+                45,
+                1,
+                *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, cd, 0, 0)),
+            ]
+        ],
     )
     writer.modes(VALUES, NODES, motion, np.full(2, mass), name)
     writer.write(path)
@@ -135,9 +155,7 @@ def write_f06(path: Path) -> np.ndarray:
                 "          CYCLES = 1.0         R E A L   E I G E N V E C T O R   N O .  "
                 f"{k + 1:10d}\n\n"
             )
-            text += (
-                "      POINT ID.   TYPE          T1             T2             T3             R1\n"
-            )
+            text += "      POINT ID.   TYPE          T1             T2             T3             R1\n"
             for n, v in zip(NODES[rows].tolist(), motion[rows, :, k], strict=True):
                 text += f" {n:13d}      G  " + "".join(f"{x:15.6E}" for x in v) + "\n"
     path.write_text(text)
@@ -148,7 +166,12 @@ def write_punch(path: Path) -> np.ndarray:
     motion = made()
     lines = []
     for k, lam in enumerate(VALUES):
-        lines += ["$TITLE   =", "$EIGENVECTOR", "$REAL OUTPUT", "$SUBCASE ID =           1"]
+        lines += [
+            "$TITLE   =",
+            "$EIGENVECTOR",
+            "$REAL OUTPUT",
+            "$SUBCASE ID =           1",
+        ]
         lines += [f"$EIGENVALUE = {lam:14.7E}  MODE = {k + 1:5d}"]
         for n, v in zip(NODES.tolist(), motion[:, :, k], strict=True):
             lines.append(f"{n:10d}       G" + "".join(f"{x:18.6E}" for x in v[:3]))
@@ -160,7 +183,9 @@ def write_punch(path: Path) -> np.ndarray:
 def write_h5(path: Path) -> np.ndarray:
     motion = made()
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
-    shapes = np.zeros(6, dtype=[("ID", "i8"), *((n, "f8") for n in names), ("DOMAIN_ID", "i8")])
+    shapes = np.zeros(
+        6, dtype=[("ID", "i8"), *((n, "f8") for n in names), ("DOMAIN_ID", "i8")]
+    )
     shapes["ID"], shapes["DOMAIN_ID"] = np.tile(NODES, 2), np.repeat([5, 9], 3)
     for c, name in enumerate(names):
         shapes[name] = motion[:, c].T.ravel()
@@ -230,7 +255,9 @@ def test_op2_eigenvectors_of_something_else_are_no_shapes(
     alone = Op2Writer()
     alone.modes(VALUES, NODES, rigid, np.ones(2), other)
     alone.write(tmp_path / "alone.op2")
-    with pytest.raises(DataError, match=f"no real eigenvectors in a table .* but those of {other}"):
+    with pytest.raises(
+        DataError, match=f"no real eigenvectors in a table .* but those of {other}"
+    ):
         read_nastran_modes(tmp_path / "alone.op2")
 
 
@@ -242,7 +269,9 @@ def test_op2_in_sort2_is_read_as_in_sort1(tmp_path: Path, word: int) -> None:
     first.modes(VALUES, NODES, motion, np.ones(2))
     first.write(tmp_path / "sort1.op2")
     second = Op2Writer(word=word)
-    second.table("LAMA", [[21, 6, *[0] * 144], [1, 1, 4.0, *[1.0] * 4, 2, 2, 900.0, *[1.0] * 4]])
+    second.table(
+        "LAMA", [[21, 6, *[0] * 144], [1, 1, 4.0, *[1.0] * 4, 2, 2, 900.0, *[1.0] * 4]]
+    )
     second.motions("OUGV2", (2, 7), [1, 2], NODES, motion, sort2=True)
     second.write(tmp_path / "sort2.op2")
     one, two = (read_nastran_modes(tmp_path / f"sort{k}.op2") for k in (1, 2))
@@ -270,7 +299,9 @@ def test_deflections_of_an_op2_in_sort2(tmp_path: Path, keys: list[float]) -> No
 
 @pytest.mark.parametrize("sort2", [False, True])
 @pytest.mark.parametrize("polar", [False, True])
-def test_frequency_responses_of_an_op2(tmp_path: Path, sort2: bool, polar: bool) -> None:
+def test_frequency_responses_of_an_op2(
+    tmp_path: Path, sort2: bool, polar: bool
+) -> None:
     motion = made() + 1j * made(2)
     writer = Op2Writer()
     name = "OAG2" if sort2 else "OAG1"
@@ -299,16 +330,23 @@ def test_op2_in_sort2_that_is_damaged(tmp_path: Path) -> None:
         read_nastran_responses(tmp_path / "m.op2")
 
 
-def test_op2_eigenvalues_of_a_fluid_are_not_those_of_the_structure(tmp_path: Path) -> None:
+def test_op2_eigenvalues_of_a_fluid_are_not_those_of_the_structure(
+    tmp_path: Path,
+) -> None:
     writer, motion = Op2Writer(), made()
     writer.table(
         "LAMAF",
-        [[21, 6, *[0] * 144], [1, 1, 1e6, 1e3, 159.0, 4.0, 4e6, 2, 2, 4e6, 2e3, 318.0, 4.0, 16e6]],
+        [
+            [21, 6, *[0] * 144],
+            [1, 1, 1e6, 1e3, 159.0, 4.0, 4e6, 2, 2, 4e6, 2e3, 318.0, 4.0, 16e6],
+        ],
     )
     writer.modes(VALUES, NODES, motion, np.ones(2))
     writer.write(tmp_path / "m.op2")
     np.testing.assert_allclose(
-        read_nastran_modes(tmp_path / "m.op2").frequencies, [1 / np.pi, 15 / np.pi], rtol=1e-6
+        read_nastran_modes(tmp_path / "m.op2").frequencies,
+        [1 / np.pi, 15 / np.pi],
+        rtol=1e-6,
     )
 
 
@@ -319,7 +357,14 @@ def test_op2_in_the_enhanced_format_of_msc(tmp_path: Path, word: int) -> None:
     writer.head()
     writer.table(
         "GEOM1",
-        [[4501, 45, 1, *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, 0, 0, 0))]],
+        [
+            [
+                4501,
+                45,
+                1,
+                *(x for n in NODES.tolist() for x in (n, 0, 0.0, 0.0, 0.0, 0, 0, 0)),
+            ]
+        ],
     )
     writer.modes(VALUES, NODES, motion, np.ones(2))
     writer.write(tmp_path / "m.op2")
@@ -337,10 +382,14 @@ def deck(cd: int = 0) -> Model:
         "X3": [0.0, 0.0, 5.0],
     }
     cylinder = {"CID": [4], "RID": [0]} | {
-        f"{p}{i}": [float(v)] for p, v3 in FRAME.items() for i, v in zip("123", v3, strict=True)
+        f"{p}{i}": [float(v)]
+        for p, v3 in FRAME.items()
+        for i, v in zip("123", v3, strict=True)
     }
     zero = {"CD": [cd, cd, 0], "PS": [""] * 3, "SEID": [0] * 3}
-    return Model({"GRID": table("GRID", **grid, **zero), "CORD2C": table("CORD2C", **cylinder)})
+    return Model(
+        {"GRID": table("GRID", **grid, **zero), "CORD2C": table("CORD2C", **cylinder)}
+    )
 
 
 FRAME = {"A": (0, 0, 0), "B": (0, 0, 1), "C": (1, 0, 0)}
@@ -355,7 +404,9 @@ def test_displacement_frames_are_turned_to_basic(tmp_path: Path) -> None:
     assert modes.labels.node[::6].tolist() == [3, 7, 12]  # as in the deck
     three, seven, twelve = modes.shapes.reshape(3, 6, 2)
     np.testing.assert_allclose(
-        three[[1, 0, 2, 4, 3, 5]], motion[1] * [[1], [-1], [1], [1], [-1], [1]], atol=1e-6
+        three[[1, 0, 2, 4, 3, 5]],
+        motion[1] * [[1], [-1], [1], [1], [-1], [1]],
+        atol=1e-6,
     )
     np.testing.assert_allclose(seven, motion[0], atol=1e-6)
     np.testing.assert_allclose(twelve, motion[2], atol=1e-6)
@@ -391,7 +442,10 @@ def test_scalar_points(tmp_path: Path) -> None:
     )  # a row of an S line holds six points one after the other
     assert found.nodes.tolist() == [7, 3, 12, 13, 14, 15, 16, 17]
     model = Model(
-        {**deck().tables, "SPOINT": table("SPOINT", ID=Ragged(np.arange(12, 18), np.array([0, 6])))}
+        {
+            **deck().tables,
+            "SPOINT": table("SPOINT", ID=Ragged(np.arange(12, 18), np.array([0, 6]))),
+        }
     )
     model = Model({**model.tables, "GRID": read_rows(model, 2)})
     modes = read_nastran_modes(tmp_path / "s.f06", model)
@@ -482,7 +536,9 @@ def test_empty_foreign_and_missing_files(tmp_path: Path, ext: str) -> None:
         with pytest.raises(DataError, match=f"x{ext}"):
             read_nastran_modes(path)
     (tmp_path / "x.json").write_text("{}")
-    with pytest.raises(DataError, match=r"no results of a solver: .* allowed are OP2 of Nastran"):
+    with pytest.raises(
+        DataError, match=r"no results of a solver: .* allowed are OP2 of Nastran"
+    ):
         read_nastran_modes(tmp_path / "x.json")
 
 
@@ -493,7 +549,9 @@ def test_superelements_are_left_to_the_residual_structure() -> None:
     h5 = read_recorded(recorded(f"{folder}/cbSuper2Modes.h5"))
     f06 = read_recorded(recorded(f"{folder}/cbsuper2modes.f06"))
     assert h5.nodes.tolist() == f06.nodes.tolist()
-    np.testing.assert_allclose(h5.motion, f06.motion, atol=1e-6 * np.abs(h5.motion).max())
+    np.testing.assert_allclose(
+        h5.motion, f06.motion, atol=1e-6 * np.abs(h5.motion).max()
+    )
 
 
 @pytest.mark.data

@@ -13,7 +13,11 @@ from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError
 
 COLUMNS = np.array(
-    [[1, 1, 4, 1, 0, 1, 0, 0, 0], [2, 9, 5, 12, 3, 1, 0, 0, 0], [3, 9, 5, 40, 3, 1, 0, 0, 0]]
+    [
+        [1, 1, 4, 1, 0, 1, 0, 0, 0],
+        [2, 9, 5, 12, 3, 1, 0, 0, 0],
+        [3, 9, 5, 40, 3, 1, 0, 0, 0],
+    ]
 )
 VALUES = np.array([[2.5, -1.25e3], [0.125, -4e-3], [7.0, 1.5e-9]])  # response, variable
 
@@ -24,7 +28,11 @@ def write_op2(path: Path, word: int = 4, order: str = "<") -> None:
     writer.table("DSCMCOL", [COLUMNS.ravel().tolist()])
     writer.matrix("DSCM2", VALUES.T)
     writer.table(
-        "DESTAB", [[1, 1, b"X1", b"", 0.1, 2.0, -0.5, 0.0], [2, 7, b"X7", b"", 0.1, 2.0, -0.5, 0.0]]
+        "DESTAB",
+        [
+            [1, 1, b"X1", b"", 0.1, 2.0, -0.5, 0.0],
+            [2, 7, b"X7", b"", 0.1, 2.0, -0.5, 0.0],
+        ],
     )
     writer.write(path)
 
@@ -41,11 +49,12 @@ def write_f06(path: Path) -> None:
             f"0  {'-' * 100}\n     {head}\n     SUBCASE =        1     RESP VALUE =   "
             f"1.2345E+00\n   {'-' * 100}\n"
         )
+        text += "        DESIGN VARIABLE       COEFFICIENT        DESIGN VARIABLE       COEFFICIENT\n"
         text += (
-            "        DESIGN VARIABLE       COEFFICIENT        DESIGN VARIABLE       COEFFICIENT\n"
-        )
-        text += (
-            "".join(f"{v:12d}  X{v:<8d}{x:16.4E}    " for v, x in zip((1, 7), row, strict=True))
+            "".join(
+                f"{v:12d}  X{v:<8d}{x:16.4E}    "
+                for v, x in zip((1, 7), row, strict=True)
+            )
             + "\n"
         )
     path.write_text(text)

@@ -53,10 +53,18 @@ def test_npz_turns_axes_and_refuses(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", freq=np.arange(1, 10.0), H1=H.transpose(2, 1, 0))
     np.testing.assert_array_equal(read_frfs(tmp_path / "a.npz").data, H)
     for name, arrays, words in (
-        ("none", {"freq": np.arange(1, 10.0), "H1": np.zeros((0, 3, 9), complex)}, "no references"),
+        (
+            "none",
+            {"freq": np.arange(1, 10.0), "H1": np.zeros((0, 3, 9), complex)},
+            "no references",
+        ),
         ("key", {"freq": np.arange(9.0)}, "H1 missing"),
         ("shape", {"freq": np.arange(8.0), "H1": H.transpose(2, 1, 0)}, "must be"),
-        ("falling", {"freq": np.arange(9.0)[::-1], "H1": H.transpose(2, 1, 0)}, "must rise"),
+        (
+            "falling",
+            {"freq": np.arange(9.0)[::-1], "H1": H.transpose(2, 1, 0)},
+            "must rise",
+        ),
     ):
         np.savez(tmp_path / f"{name}.npz", **arrays)
         with pytest.raises(DataError, match=words):
@@ -82,7 +90,11 @@ def test_modes_go_round(tmp_path: Path, name: str, kind: str) -> None:
         1j * RNG.standard_normal((3, 2)) if kind == "complex" else 0
     )
     modes = ModeSet(
-        np.array([1.0, 2.5]), np.array([0.01, 0.02]), shapes, ("1+X", "1+Y", "1+Z"), Norm.UNSCALED
+        np.array([1.0, 2.5]),
+        np.array([0.01, 0.02]),
+        shapes,
+        ("1+X", "1+Y", "1+Z"),
+        Norm.UNSCALED,
     )
     write_modes(tmp_path / name, modes)
     got = read_modes(tmp_path / name)
@@ -109,13 +121,19 @@ def test_json_is_null_where_unknown(tmp_path: Path) -> None:
     [
         ("frequency_hz", None, "mode 1 has no frequency_hz"),
         ("damping", "x", "mode 1: damping is 'x'; it must be a number"),
-        ("std_frequency_hz", [0.1], r"mode 1: std_frequency_hz is \[0.1\]; it must be a number"),
+        (
+            "std_frequency_hz",
+            [0.1],
+            r"mode 1: std_frequency_hz is \[0.1\]; it must be a number",
+        ),
     ],
 )
 def test_json_of_modes_with_a_wrong_number(
     tmp_path: Path, key: str, value: object, message: str
 ) -> None:
-    table = modes_to_json(ModeSet(np.array([1.0]), np.array([0.01]), np.ones((1, 1)), ("1+X",)))
+    table = modes_to_json(
+        ModeSet(np.array([1.0]), np.array([0.01]), np.ones((1, 1)), ("1+X",))
+    )
     table["modes"][0][key] = value
     (tmp_path / "m.json").write_text(json.dumps(table))
     with pytest.raises(DataError, match=message):
@@ -178,7 +196,9 @@ def test_sensor_sheet(tmp_path: Path, ext: str) -> None:
         (3, 8, "101+X", "occurs twice"),
     ],
 )
-def test_sheet_refuses(tmp_path: Path, row: int, column: int, value: object, words: str) -> None:
+def test_sheet_refuses(
+    tmp_path: Path, row: int, column: int, value: object, words: str
+) -> None:
     rows = [list(r) for r in SHEET]
     rows[row][column] = value
     with pytest.raises(DataError, match=words):
@@ -193,7 +213,8 @@ def test_sheet_notes_doubtful_orientations(tmp_path: Path) -> None:
     notes = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows)).notes
     assert len(notes) == 3
     assert all(
-        w in n for w, n in zip(("oppose", "left-handed", "right angles"), notes, strict=True)
+        w in n
+        for w, n in zip(("oppose", "left-handed", "right angles"), notes, strict=True)
     )
 
 
@@ -201,7 +222,9 @@ def test_a_sheet_tells_what_a_record_does_not(tmp_path: Path) -> None:
     """Volts and channels without a unit by the sheet; units of the record and channels elsewhere
     stand.
     """
-    rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
+    rows = [list(r) for r in SHEET] + [
+        [104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]
+    ]
     sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
     assert "F:104+Z" not in sheet.model.channels
     channels = (
@@ -226,7 +249,9 @@ def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     """Its motions; with another number of channels none are given: where the force is, nothing
     tells.
     """
-    rows = [list(r) for r in SHEET] + [[104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]]
+    rows = [list(r) for r in SHEET] + [
+        [104, "", "", "", "+Z", "N", 0.002, "", "F:104+Z"]
+    ]
     sheet = read_sensor_sheet(write_sheet(tmp_path / "s.csv", rows))
     names = sheet.model.channels
     bare = tuple(Channel(f"ch{i + 1}") for i in range(len(names) + 1))
@@ -256,12 +281,17 @@ def test_a_record_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
             [f"ch{i}" for i in range(12, 0, -1)],
             [f"ch{i}" for i in range(1, 13)],
         ),  # all are, in another order
-        (["ch2", *"abcdefghijk"], [f"ch{i}" for i in range(1, 13)]),  # one is, at another place
+        # one is, at another place
+        (["ch2", *"abcdefghijk"], [f"ch{i}" for i in range(1, 13)]),
     ],
 )
-def test_names_by_number_on_the_sheet(tmp_path: Path, order: list[str], read: list[str]) -> None:
+def test_names_by_number_on_the_sheet(
+    tmp_path: Path, order: list[str], read: list[str]
+) -> None:
     rows = "".join(f"{k},{k},0,0,Z,{name}\n" for k, name in enumerate(order, start=1))
     (tmp_path / "s.csv").write_text("point,x,y,z,direction,channel\n" + rows)
-    record = TimeHistory(np.ones((12, 4)), 100.0, tuple(Channel(f"ch{i}") for i in range(1, 13)))
+    record = TimeHistory(
+        np.ones((12, 4)), 100.0, tuple(Channel(f"ch{i}") for i in range(1, 13))
+    )
     found, _ = read_sensor_sheet(tmp_path / "s.csv").scaled(record)
     assert [c.id for c in found.channels] == read

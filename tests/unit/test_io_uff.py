@@ -27,12 +27,18 @@ X = np.arange(7) * 0.25
 Y = np.array([1.5, -2.25, 3e-7, -4.0, 5e10, -6.0, 7.0])
 
 
-def function58(body: str, ordinate: int, even: int, kind: int = 1, count: int = 7) -> str:
+def function58(
+    body: str, ordinate: int, even: int, kind: int = 1, count: int = 7
+) -> str:
     """A data set 58 of `count` points, its body given."""
     place = f"{kind:5d}{0:10d}{0:5d}{0:10d} {'NONE':<10}{3:10d}{-2:4d} {'NONE':<10}{4:10d}{1:4d}"
-    axes = [f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (17, 12, 0, 0)]
+    axes = [
+        f"{c:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}" for c in (17, 12, 0, 0)
+    ]
     form = f"{ordinate:10d}{count:10d}{even:10d}{0.0:13.5E}{0.25:13.5E}{0.0:13.5E}"
-    return "\n".join(["    -1", "    58", *("text",) * 5, place, form, *axes, body, "    -1", ""])
+    return "\n".join(
+        ["    -1", "    58", *("text",) * 5, place, form, *axes, body, "    -1", ""]
+    )
 
 
 def lines(values: np.ndarray, widths: tuple[int, ...]) -> str:
@@ -75,19 +81,24 @@ def test_every_case_of_58(tmp_path: Path, name: str, ends: str, letter: str) -> 
 
 def test_columns_without_blanks_and_exponents_of_three_digits(tmp_path: Path) -> None:
     values = np.array([-1.25, -2.5, -3.75, -4.5, -5.5, -6.5, -7.5])
-    touching = lines(values, (13,) * 6).replace(" ", "")  # 12 columns each: no blanks, no columns
+    # 12 columns each: no blanks, no columns
+    touching = lines(values, (13,) * 6).replace(" ", "")
     (tmp_path / "a.uff").write_text(function58(touching, 2, 1))
     np.testing.assert_allclose(read_functions(tmp_path / "a.uff")[0].y, values)
     full = "-1.000000-101-2.000000E+00-3.00000D+001"  # fields of 13
     (tmp_path / "b.uff").write_text(function58(full, 2, 1, count=3))
-    np.testing.assert_allclose(read_functions(tmp_path / "b.uff")[0].y, [-1e-101, -2.0, -30.0])
+    np.testing.assert_allclose(
+        read_functions(tmp_path / "b.uff")[0].y, [-1e-101, -2.0, -30.0]
+    )
 
 
 def test_a_cut_body_is_told(tmp_path: Path) -> None:
     (tmp_path / "a.uff").write_text(function58(lines(Y[:5], (13,) * 6), 2, 1))
     with pytest.raises(DataError, match=r"a\.uff: 5 numbers where 7"):
         read_functions(tmp_path / "a.uff")
-    (tmp_path / "b.uff").write_text(function58(lines(Y, (13,) * 6).replace("5", "x"), 2, 1))
+    (tmp_path / "b.uff").write_text(
+        function58(lines(Y, (13,) * 6).replace("5", "x"), 2, 1)
+    )
     with pytest.raises(DataError, match="not a number"):
         read_functions(tmp_path / "b.uff")
     (tmp_path / "c.uff").write_text("text\nmore text\n")
@@ -102,7 +113,9 @@ def test_binary_with_marks_inside_and_wrong_counts(tmp_path: Path, damage: str) 
     """
     y = np.concatenate([Y, np.frombuffer(b"\n    -1\n" * 2, "<f8")])
     codes = (17, 12, 0)
-    raw = write_function(1, np.arange(y.size) * 0.5, y, (1, 3), (0, 0), codes=codes, binary=True)
+    raw = write_function(
+        1, np.arange(y.size) * 0.5, y, (1, 3), (0, 0), codes=codes, binary=True
+    )
     count = f"{y.size * 8:12d}".encode()
     wrong = {
         "none": count,
@@ -144,7 +157,12 @@ def test_frfs_and_records_go_round(tmp_path: Path) -> None:
     h = rng.standard_normal((9, 2, 1)) + 1j * rng.standard_normal((9, 2, 1))
     out = (Channel("1+Z", "velocity", "m/s"), Channel("2-X", "velocity", "m/s"))
     frfs = FrfSet(
-        h, np.arange(9) * 0.5, out, (Channel("2-X", "force", "N"),), np.abs(h) / 9, np.array([3.0])
+        h,
+        np.arange(9) * 0.5,
+        out,
+        (Channel("2-X", "force", "N"),),
+        np.abs(h) / 9,
+        np.array([3.0]),
     )
     write_frfs(tmp_path / "f.uff", frfs)
     got = read_frfs(tmp_path / "f.uff")
@@ -153,7 +171,9 @@ def test_frfs_and_records_go_round(tmp_path: Path) -> None:
     assert got.kind == "mobility"
     skewed = Channel("2+Ys", "velocity", "m/s")
     record = TimeHistory(
-        rng.standard_normal((4, 50)), 128.0, (Channel("F:2-X", "force", "N"), *out, skewed)
+        rng.standard_normal((4, 50)),
+        128.0,
+        (Channel("F:2-X", "force", "N"), *out, skewed),
     )
     write_history(tmp_path / "t.uff", record)
     again = read_record(tmp_path / "t.uff")
@@ -169,7 +189,9 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
         + "\n  2.7315D+02\n    -1\n"
     )
     (tmp_path / "f.uff").write_text(units + function58(lines(Y, (13,) * 6), 2, 1))
-    np.testing.assert_allclose(read_record(tmp_path / "f.uff").data[0], Y / 1000, rtol=1e-5)
+    np.testing.assert_allclose(
+        read_record(tmp_path / "f.uff").data[0], Y / 1000, rtol=1e-5
+    )
 
 
 def test_rotations_and_moments_of_a_file_in_millimetres(tmp_path: Path) -> None:
@@ -215,7 +237,9 @@ def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> N
     oscillator.
     """
     f = np.arange(20) * 0.5
-    h = -((2 * np.pi * f) ** 2) / (30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f)
+    h = -((2 * np.pi * f) ** 2) / (
+        30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f
+    )
     velocity = np.divide(h, 2j * np.pi * f, out=np.zeros_like(h), where=f > 0)
     rows = [
         (h / 9.80665, 12, "g/lbf"),
@@ -232,7 +256,9 @@ def test_frfs_of_several_kinds_and_units_are_one_kind_in_si(tmp_path: Path) -> N
         assert mark in block
         assert under in block
         block = block.replace(mark, mark[:-4] + unit)
-        parts.append(block if "lbf" in unit else block.replace(under, under[:-4] + "lbf"))
+        parts.append(
+            block if "lbf" in unit else block.replace(under, under[:-4] + "lbf")
+        )
     (tmp_path / "f.uff").write_text("".join(parts))
     frfs = read_frfs(tmp_path / "f.uff")
     assert frfs.kind == "accelerance"
@@ -250,7 +276,9 @@ def test_an_unknown_response_is_taken_as_an_acceleration_and_strain_as_no_motion
 ) -> None:
     f = np.arange(1, 20) * 0.5
     h = 1 / (30.0**2 - (2 * np.pi * f) ** 2 + 2j * 0.05 * 30 * 2 * np.pi * f)
-    (tmp_path / "f.uff").write_bytes(write_function(4, f, h, (2, 3), (1, 3), codes=(18, code, 13)))
+    (tmp_path / "f.uff").write_bytes(
+        write_function(4, f, h, (2, 3), (1, 3), codes=(18, code, 13))
+    )
     frfs = read_frfs(tmp_path / "f.uff")
     assert frfs.kind == kind
     np.testing.assert_allclose(frfs.data[:, 0, 0], h, rtol=1e-10)
@@ -262,7 +290,9 @@ def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(
     tmp_path: Path, kind: int
 ) -> None:
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
-    (tmp_path / "f.uff").write_bytes(write_function(kind, f, h, (1, 3), (2, 3), codes=(18, 12, 12)))
+    (tmp_path / "f.uff").write_bytes(
+        write_function(kind, f, h, (1, 3), (2, 3), codes=(18, 12, 12))
+    )
     frfs = read_frfs(tmp_path / "f.uff")
     assert (frfs.kind, frfs.inputs[0].id, frfs.inputs[0].quantity) == (
         "accelerance",
@@ -274,16 +304,16 @@ def test_a_motion_over_that_of_the_base_is_read_as_an_acceleration(
     table = tmp_path / "f.csv"
     rows = [f"{a},{b.real},{b.imag}" for a, b in zip(f, h, strict=True)]
     table.write_text(
-        "\n".join(["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows])
+        "\n".join(
+            ["Frequency [Hz],1+Z/2+Z real [m/s^2/g],1+Z/2+Z imag [m/s^2/g]", *rows]
+        )
     )
     np.testing.assert_allclose(read_frfs(table).data[:, 0, 0], h / 9.80665, rtol=1e-9)
 
 
 def test_the_control_channel_on_the_base_is_no_driving_point(tmp_path: Path) -> None:
     rows = [f"{f},{3 * f},1,1,0" for f in range(1, 9)]
-    head = (
-        "Frequency [Hz],1+Z/2+Z real [g/g],1+Z/2+Z imag [g/g],2+Z/2+Z real [g/g],2+Z/2+Z imag [g/g]"
-    )
+    head = "Frequency [Hz],1+Z/2+Z real [g/g],1+Z/2+Z imag [g/g],2+Z/2+Z real [g/g],2+Z/2+Z imag [g/g]"
     (tmp_path / "f.csv").write_text("\n".join([head, *rows]))
     frfs = read_frfs(tmp_path / "f.csv")
     assert [c.id for c in frfs.outputs] == ["1+Z", "2+Z"]
@@ -301,11 +331,14 @@ def test_a_force_over_a_motion_is_no_frf(tmp_path: Path) -> None:
         read_frfs(tmp_path / "f.uff")
 
 
-def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(tmp_path: Path) -> None:
+def test_repeated_functions_are_averaged_and_the_line_at_0_may_be_missing(
+    tmp_path: Path,
+) -> None:
     freqs, h = np.arange(9) * 0.5, np.arange(9) + 1j
     h[0] = np.nan
     again = [
-        write_function(4, freqs, h * k, (1, 3), (2, 3), codes=(18, 12, 13)) for k in (1.0, 2.0, 6.0)
+        write_function(4, freqs, h * k, (1, 3), (2, 3), codes=(18, 12, 13))
+        for k in (1.0, 2.0, 6.0)
     ]
     (tmp_path / "f.uff").write_bytes(b"".join(again))
     got = read_frfs(tmp_path / "f.uff")
@@ -324,12 +357,20 @@ def _grid(
     """Functions of value 10 o + i from reference 100 + i to response o, without some."""
     freqs, gone = np.arange(1, 9) * 0.5, set(absent)
     pairs = [
-        (o, i) for o in range(1, outputs + 1) for i in range(1, inputs + 1) if (o, i) not in gone
+        (o, i)
+        for o in range(1, outputs + 1)
+        for i in range(1, inputs + 1)
+        if (o, i) not in gone
     ]
     path.write_bytes(
         b"".join(
             write_function(
-                4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (100 + i, 3), codes=(18, 12, 13)
+                4,
+                freqs,
+                np.full(8, 10 * o + i + 0j),
+                (o, 3),
+                (100 + i, 3),
+                codes=(18, 12, 13),
             )
             for o, i in pairs
         )
@@ -339,11 +380,17 @@ def _grid(
 def test_what_lacks_a_pair_is_left_out_and_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    _grid(tmp_path / "f.uff", [(4, 2)])  # one response was not measured from the second shaker
+    # one response was not measured from the second shaker
+    _grid(tmp_path / "f.uff", [(4, 2)])
     got = read_frfs(tmp_path / "f.uff")
     assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z", "5+Z", "6+Z"]
-    np.testing.assert_allclose(got.data[0].real, 10 * np.array([1, 2, 3, 5, 6])[:, None] + [1, 2])
-    assert "no values from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z" in caplog.text
+    np.testing.assert_allclose(
+        got.data[0].real, 10 * np.array([1, 2, 3, 5, 6])[:, None] + [1, 2]
+    )
+    assert (
+        "no values from 102+Z to 4+Z (1 pairs are absent); left out: response 4+Z"
+        in caplog.text
+    )
     _grid(
         tmp_path / "g.uff", [(o, 3) for o in range(2, 7)], inputs=3
     )  # a single function from a third reference
@@ -360,9 +407,16 @@ def test_what_is_left_out_may_be_at_fault(tmp_path: Path) -> None:
     freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
     _grid(path, [], outputs=2, inputs=1)
     bad = write_function(
-        4, freqs, np.where(freqs == 2, np.inf, freqs + 0j), (3, 3), (101, 3), codes=(18, 12, 13)
+        4,
+        freqs,
+        np.where(freqs == 2, np.inf, freqs + 0j),
+        (3, 3),
+        (101, 3),
+        codes=(18, 12, 13),
     )
-    other = write_function(4, 2 * freqs, freqs + 0j, (4, 3), (101, 3), codes=(18, 12, 13))
+    other = write_function(
+        4, 2 * freqs, freqs + 0j, (4, 3), (101, 3), codes=(18, 12, 13)
+    )
     sound = path.read_bytes()
     path.write_bytes(sound + bad)
     with pytest.raises(
@@ -373,17 +427,27 @@ def test_what_is_left_out_may_be_at_fault(tmp_path: Path) -> None:
     assert frf_ids(path) == ("1+Z", "101+Z", "2+Z", "3+Z", "4+Z")
     with pytest.raises(DataError, match="other frequency lines"):
         read_frfs(path)
-    assert [c.id for c in read_frfs(path, ["3+Z", "4+Z", "9+Z"]).outputs] == ["1+Z", "2+Z"]
+    assert [c.id for c in read_frfs(path, ["3+Z", "4+Z", "9+Z"]).outputs] == [
+        "1+Z",
+        "2+Z",
+    ]
     with pytest.raises(DataError, match="no function is left"):
         read_frfs(path, ["101+Z"])
 
 
-def test_references_without_a_point_are_told_apart_by_their_direction(tmp_path: Path) -> None:
+def test_references_without_a_point_are_told_apart_by_their_direction(
+    tmp_path: Path,
+) -> None:
     freqs, path = np.arange(1, 9) * 0.5, tmp_path / "f.uff"
     path.write_bytes(
         b"".join(
             write_function(
-                4, freqs, np.full(8, 10 * o + i + 0j), (o, 3), (0, i), codes=(18, 12, 13)
+                4,
+                freqs,
+                np.full(8, 10 * o + i + 0j),
+                (o, 3),
+                (0, i),
+                codes=(18, 12, 13),
             )
             for o in (1, 2)
             for i in (1, 3)
@@ -395,14 +459,20 @@ def test_references_without_a_point_are_told_apart_by_their_direction(tmp_path: 
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0, 44100.0, 1000.0, 16384.0, 300.0])
-def test_the_rate_is_not_rounded_by_the_six_digits_of_its_step(tmp_path: Path, rate: float) -> None:
+def test_the_rate_is_not_rounded_by_the_six_digits_of_its_step(
+    tmp_path: Path, rate: float
+) -> None:
     """1.953125E-04 s is written 1.95313E-04, and would be 5119.987 Hz."""
-    text = function58(lines(Y, (13,) * 6), 2, 1).replace(f"{0.25:13.5E}", f"{1 / rate:13.5E}")
+    text = function58(lines(Y, (13,) * 6), 2, 1).replace(
+        f"{0.25:13.5E}", f"{1 / rate:13.5E}"
+    )
     (tmp_path / "r.uff").write_text(text)
     assert read_record(tmp_path / "r.uff").rate == rate
 
 
-def _plain(kind: int, codes: str, title: str, body: str, even: int = 1, unit: str = "NONE") -> str:
+def _plain(
+    kind: int, codes: str, title: str, body: str, even: int = 1, unit: str = "NONE"
+) -> str:
     """A function without points, its axis and the unit of its abscissa named."""
     text = function58(body, 5 if kind in (4, 6) else 2, even, kind).replace(
         f"{3:10d}{-2:4d}", f"{0:10d}{0:4d}"
@@ -410,9 +480,12 @@ def _plain(kind: int, codes: str, title: str, body: str, even: int = 1, unit: st
     text = text.replace(f"{4:10d}{1:4d}", f"{0:10d}{0:4d}").replace(
         "    17    ", f"    {codes}    ", 1
     )
-    text = text.replace("NONE                 NONE", f"NONE                 {unit:<4}", 1)
+    text = text.replace(
+        "NONE                 NONE", f"NONE                 {unit:<4}", 1
+    )
     return text.replace(
-        f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20}", f"{12:10d}{0:5d}{0:5d}{0:5d} {title:<20}"
+        f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20}",
+        f"{12:10d}{0:5d}{0:5d}{0:5d} {title:<20}",
     )
 
 
@@ -422,7 +495,10 @@ def test_channels_without_points_have_the_names_of_their_axes(tmp_path: Path) ->
     (tmp_path / "t.uff").write_text(
         _plain(1, "17", "Acc left", body) + _plain(0, "17", "Acc right", body)
     )
-    assert [c.id for c in read_record(tmp_path / "t.uff").channels] == ["Acc left", "Acc right"]
+    assert [c.id for c in read_record(tmp_path / "t.uff").channels] == [
+        "Acc left",
+        "Acc right",
+    ]
     pairs = lines(PAIRS, (13,) * 6)
     (tmp_path / "f.uff").write_text(
         _plain(4, "18", "Acc left", pairs) + _plain(4, "18", "Acc right", pairs)
@@ -438,9 +514,12 @@ def test_channels_without_points_have_the_names_of_their_axes(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"), [("rad/s", 0.5 / np.pi), ("RPM", 1 / 60), ("kHz", 1e3), ("Hz", 1.0)]
+    ("unit", "factor"),
+    [("rad/s", 0.5 / np.pi), ("RPM", 1 / 60), ("kHz", 1e3), ("Hz", 1.0)],
 )
-def test_the_unit_of_the_abscissa_counts(tmp_path: Path, unit: str, factor: float) -> None:
+def test_the_unit_of_the_abscissa_counts(
+    tmp_path: Path, unit: str, factor: float
+) -> None:
     text = function58(lines(PAIRS, (13,) * 6), 5, 1, 4).replace(
         f"{17:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}",
         f"{18:10d}{0:5d}{0:5d}{0:5d} {'Freq':<20} {unit:<20}",
@@ -460,7 +539,9 @@ def test_a_form_that_is_not_finite_is_damage(tmp_path: Path) -> None:
 def test_coherence_on_other_lines_is_left_out(tmp_path: Path) -> None:
     f, h = np.arange(1, 9) * 0.5, np.arange(1, 9) * (1 + 1j)
     parts = [write_function(4, f, h, (1, 3), (2, 3), codes=(18, 12, 13))]
-    parts.append(write_function(6, 2 * f, np.full(8, 0.9), (1, 3), (2, 3), codes=(18, 0, 0)))
+    parts.append(
+        write_function(6, 2 * f, np.full(8, 0.9), (1, 3), (2, 3), codes=(18, 0, 0))
+    )
     (tmp_path / "f.uff").write_bytes(b"".join(parts))
     assert np.isnan(read_frfs(tmp_path / "f.uff").coherence).all()
 
@@ -468,7 +549,9 @@ def test_coherence_on_other_lines_is_left_out(tmp_path: Path) -> None:
 def test_the_rate_of_times_that_stand_beside_the_samples(tmp_path: Path) -> None:
     """Of six digits each; the median step of a long record would be off by their rounding."""
     t = np.arange(2000) / 512
-    text = function58(lines(np.column_stack([t, np.sin(t)]).ravel(), (13,) * 6), 2, 0, count=t.size)
+    text = function58(
+        lines(np.column_stack([t, np.sin(t)]).ravel(), (13,) * 6), 2, 0, count=t.size
+    )
     (tmp_path / "t.uff").write_text(text)
     assert read_record(tmp_path / "t.uff").rate == pytest.approx(512, rel=5e-6)
 
@@ -484,13 +567,17 @@ def test_functions_on_other_lines_are_read_at_those_they_share(tmp_path: Path) -
     (tmp_path / "f.uff").write_bytes(b"".join(parts))
     got = read_frfs(tmp_path / "f.uff")
     np.testing.assert_allclose(got.freqs, np.arange(1.5, 51.0))
-    np.testing.assert_allclose(got.data[:, :, 0], np.repeat((got.freqs + 1j)[:, None], 3, axis=1))
+    np.testing.assert_allclose(
+        got.data[:, :, 0], np.repeat((got.freqs + 1j)[:, None], 3, axis=1)
+    )
     (tmp_path / "f.uff").write_bytes(b"".join([*parts, frf58(x[:20], y[:20], 4)]))
     with pytest.raises(DataError, match=r"4\+Z/1\+Z has other frequency lines"):
         read_frfs(tmp_path / "f.uff")
 
 
-def test_lines_without_values_are_left_out_and_functions_without_any(tmp_path: Path) -> None:
+def test_lines_without_values_are_left_out_and_functions_without_any(
+    tmp_path: Path,
+) -> None:
     x = np.arange(1.0, 31.0)
     y = np.array(x + 1j)
     y[4] = np.nan
@@ -501,7 +588,9 @@ def test_lines_without_values_are_left_out_and_functions_without_any(tmp_path: P
     np.testing.assert_allclose(got.freqs, np.delete(x, 4))
     assert [c.id for c in got.outputs] == ["1+Z", "2+Z", "3+Z"]
     (tmp_path / "f.uff").write_bytes(frf58(x, y, 1) + frf58(x, x + 1j, 2))
-    with pytest.raises(DataError, match=r"1 values are not finite, the first of 1\+Z/1\+Z at 5 Hz"):
+    with pytest.raises(
+        DataError, match=r"1 values are not finite, the first of 1\+Z/1\+Z at 5 Hz"
+    ):
         read_frfs(tmp_path / "f.uff")
 
 

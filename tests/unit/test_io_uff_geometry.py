@@ -19,7 +19,9 @@ data_here = pytest.mark.skipif(not DATA.is_dir(), reason=f"needs {DATA}")
 
 def uff(path: Path, **sets: str) -> Path:
     """A universal file of these data sets, `set15="..."`."""
-    marked = (f"    -1\n{k.removeprefix('set'):>6}\n{v}    -1\n" for k, v in sets.items())
+    marked = (
+        f"    -1\n{k.removeprefix('set'):>6}\n{v}    -1\n" for k, v in sets.items()
+    )
     path.write_text("".join(marked))
     return path
 
@@ -44,14 +46,20 @@ def test_frames_units_and_lines(tmp_path: Path) -> None:
         "         3         0         0         8  0.00000E+00  0.00000E+00  2.50000E+02\n"
     )
     trace = "         1         5         8\nframe\n         1         2         0         2         3\n"
-    path = uff(tmp_path / "g.txt", set164=MILLIMETRES, set18=TURNED, set15=nodes, set82=trace)
+    path = uff(
+        tmp_path / "g.txt", set164=MILLIMETRES, set18=TURNED, set15=nodes, set82=trace
+    )
     sheet = rt.read_sensors(path)
     model = sheet.model
     np.testing.assert_array_equal(model.points, [1, 2, 3])
-    np.testing.assert_allclose(model.xyz, [[1, 0, 0], [0, -1, 0.5], [0, 0, 0.25]], atol=1e-12)
+    np.testing.assert_allclose(
+        model.xyz, [[1, 0, 0], [0, -1, 0.5], [0, 0, 0.25]], atol=1e-12
+    )
     np.testing.assert_array_equal(model.lines, [[1, 2], [2, 3]])
     assert model.channels[:4] == ("1+X", "1+Y", "1+Z", "2+X")
-    np.testing.assert_allclose(model.axes[:3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        model.axes[:3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12
+    )
     assert [c.id for c in sheet.channels] == list(model.channels)
 
 
@@ -78,7 +86,9 @@ def test_what_cannot_be_placed_is_refused(tmp_path: Path) -> None:
     node = "         1         0         7         8  1.00000E+00  0.00000E+00  0.00000E+00\n"
     round_frame = TURNED.replace("         7         0 ", "         7         1 ", 1)
     path = uff(tmp_path / "g.uff", set18=round_frame, set15=node)
-    with pytest.raises(DataError, match="motion of point 1 is in frame 7, which is cylindrical"):
+    with pytest.raises(
+        DataError, match="motion of point 1 is in frame 7, which is cylindrical"
+    ):
         rt.read_sensors(path)
     trace = "         1         2         8\nframe\n         1         4\n"
     path = uff(tmp_path / "h.uff", set15=node, set82=trace)
@@ -127,7 +137,9 @@ def test_shapes_are_drawn_on_the_geometry() -> None:
 
 
 @data_here
-@pytest.mark.parametrize("name", ["1858.uff", "BK_4_channels.uff", "uff55_translation.uff"])
+@pytest.mark.parametrize(
+    "name", ["1858.uff", "BK_4_channels.uff", "uff55_translation.uff"]
+)
 def test_files_without_nodes_say_so(name: str) -> None:
     with pytest.raises(DataError, match="no nodes"):
         rt.read_sensors(DATA / name)

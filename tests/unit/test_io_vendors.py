@@ -14,7 +14,8 @@ from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.records import read_record
 from ringtrue.io.times import to_si
 
-SIGNAL = np.random.default_rng(7).standard_normal((3, 500))  # (channel, sample), at 256 Hz
+# (channel, sample), at 256 Hz
+SIGNAL = np.random.default_rng(7).standard_normal((3, 500))
 TIMES = np.arange(500) / 256
 
 
@@ -35,7 +36,9 @@ def test_matlab_structures_of_measuring_systems(tmp_path: Path, name: str) -> No
     titles = ["a", "b", "c"]
     content = {
         "one": {"Signal": signal(SIGNAL.T, np.array(titles, dtype=object))},
-        "each": {f"Signal_{k}": signal(SIGNAL[k][:, None], t) for k, t in enumerate(titles)},
+        "each": {
+            f"Signal_{k}": signal(SIGNAL[k][:, None], t) for k, t in enumerate(titles)
+        },
         "headers": {f"Ch_{k}_Data": SIGNAL[k][:, None] for k in range(3)}
         | {
             f"Ch_{k}_Header": {"SignalName": t, "Unit": "g", "SampleFrequency": 256.0}
@@ -86,7 +89,9 @@ def test_names_in_cells_of_matlab_7_3(tmp_path: Path) -> None:
     with h5py.File(path, "w", userblock_size=512) as file:
         file["data"], file["fs"] = SIGNAL, np.array([[256.0]])
         texts = [
-            file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16))
+            file.create_dataset(
+                f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)
+            )
             for t in "abc"
         ]
         for t in texts:
@@ -103,10 +108,13 @@ def test_names_in_cells_of_matlab_7_3(tmp_path: Path) -> None:
 
 def test_empty_rows_of_a_spreadsheet_end_a_csv(tmp_path: Path) -> None:
     rows = "\n".join(
-        ";".join(f"{v:.9g}".replace(".", ",") for v in r) for r in np.vstack([TIMES, SIGNAL]).T
+        ";".join(f"{v:.9g}".replace(".", ",") for v in r)
+        for r in np.vstack([TIMES, SIGNAL]).T
     )
     (tmp_path / "r.csv").write_text(f"Time;a;b;c\n{rows}\n;;;\n")
-    np.testing.assert_allclose(read_record(tmp_path / "r.csv").data, SIGNAL, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        read_record(tmp_path / "r.csv").data, SIGNAL, rtol=1e-6, atol=1e-8
+    )
 
 
 def _csv(columns: np.ndarray) -> str:
@@ -134,7 +142,10 @@ def _csv(columns: np.ndarray) -> str:
 def test_text_of_programs(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / "r.csv").write_text(text)
     got = read_record(tmp_path / "r.csv")
-    assert ([c.id for c in got.channels], got.rate) == (["a", "b", "c"], pytest.approx(256))
+    assert ([c.id for c in got.channels], got.rate) == (
+        ["a", "b", "c"],
+        pytest.approx(256),
+    )
     np.testing.assert_allclose(got.data, SIGNAL, rtol=1e-8)
 
 
@@ -143,19 +154,28 @@ def test_arrays_of_structures_in_matlab_files(tmp_path: Path, form: str) -> None
     path = tmp_path / "r.mat"
     if form == "v5":
         rows = [(x[:, None], t, 1 / 256) for x, t in zip(SIGNAL, "abc", strict=True)]
-        savemat(path, {"ch": np.array(rows, dtype=[("data", "O"), ("name", "O"), ("dt", "O")])})
+        savemat(
+            path,
+            {"ch": np.array(rows, dtype=[("data", "O"), ("name", "O"), ("dt", "O")])},
+        )
     else:
         with h5py.File(path, "w", userblock_size=512) as file:
-            data = [file.create_dataset(f"#refs#/{i}", data=x[None]) for i, x in enumerate(SIGNAL)]
+            data = [
+                file.create_dataset(f"#refs#/{i}", data=x[None])
+                for i, x in enumerate(SIGNAL)
+            ]
             texts = [
-                file.create_dataset(f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16))
+                file.create_dataset(
+                    f"#refs#/{t}", data=np.array([[ord(t)]], dtype=np.uint16)
+                )
                 for t in "abc"
             ]
             for t in texts:
                 t.attrs["MATLAB_class"] = np.bytes_("char")
             for field, cells in (("data", data), ("name", texts)):
                 file.create_dataset(
-                    f"ch/{field}", data=np.array([[c.ref for c in cells]], dtype=h5py.ref_dtype)
+                    f"ch/{field}",
+                    data=np.array([[c.ref for c in cells]], dtype=h5py.ref_dtype),
                 )
             file["Sampling_Frequency_Hz"] = np.array([[256.0]])
         with path.open("r+b") as raw:
@@ -169,12 +189,17 @@ def test_the_rate_of_a_tdms_may_stand_at_its_root(tmp_path: Path) -> None:
     with TdmsWriter(tmp_path / "r.tdms") as file:
         root = RootObject(properties={"SampleRate": 256.0})
         file.write_segment(
-            [root, *(ChannelObject("g", t, x) for t, x in zip("abc", SIGNAL, strict=True))]
+            [
+                root,
+                *(ChannelObject("g", t, x) for t, x in zip("abc", SIGNAL, strict=True)),
+            ]
         )
     assert read_record(tmp_path / "r.tdms").rate == 256.0
 
 
-def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(tmp_path: Path) -> None:
+def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(
+    tmp_path: Path,
+) -> None:
     """LabVIEW writes 1/4096 s as 0.000244, which is 4098.4 Hz."""
     head = [
         "LabVIEW Measurement",
@@ -205,5 +230,7 @@ def test_a_step_of_three_digits_in_lvm_gives_way_to_its_column_of_times(tmp_path
      ("ft-lb", 4.4482216152605 * 12 * 0.0254, "moment"), ("lbf in", 4.4482216152605 * 0.0254, "moment"),
      ("nm", 1e-9, "displacement"), ("N·mm", 1e-3, "moment"), ("mrad", 1e-3, "rotation")],
 )  # fmt: skip
-def test_units_as_laboratories_write_them(unit: str, factor: float, quantity: str) -> None:
+def test_units_as_laboratories_write_them(
+    unit: str, factor: float, quantity: str
+) -> None:
     assert to_si(unit)[:2] == (quantity, factor)

@@ -49,7 +49,8 @@ def test_a_file_name_in_another_case(tmp_path: Path) -> None:
 def test_scalar_points_alone_are_a_model(tmp_path: Path) -> None:
     """Two masses 2 and 1 on springs 50 to ground and 100 between them."""
     path = write(
-        tmp_path, "SPOINT,1,2\nCELAS2,1,100.,1,,2\nCELAS4,2,50.,1\nCMASS4,3,2.,1\nCMASS2,4,1.,2\n"
+        tmp_path,
+        "SPOINT,1,2\nCELAS2,1,100.,1,,2\nCELAS4,2,50.,1\nCMASS4,3,2.,1\nCMASS2,4,1.,2\n",
     )
     lam = np.linalg.eigvals(np.array([[75.0, -50.0], [-100.0, 100.0]]))
     assert frequencies(path) == pytest.approx(np.sqrt(np.sort(lam)) / (2 * np.pi))
@@ -65,19 +66,20 @@ SETS = "GRID,1\nCONM2,2,1,,4.\nCELAS2,3,9.,1,1\nSPC1,5,2356,1\nSPC,6,1,4,0.\n"
         ("spc 5 $ blank\nBEGIN BULK\n", "", {2, 3, 5, 6}),
         ("SPC = 8\nBEGIN BULK\n", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
         ("", "SPCADD,8,5,6\n", {2, 3, 4, 5, 6}),
-        ("SPC = 5\nBEGIN BULK\n", "SPCADD,5,6\n", {4}),  # goes before the set of its own number
+        # goes before the set of its own number
+        ("SPC = 5\nBEGIN BULK\n", "SPCADD,5,6\n", {4}),
     ],
 )
 def test_sets_that_hold(tmp_path: Path, case: str, more: str, held: set[int]) -> None:
-    system = assemble(read_deck(write(tmp_path, "PARAM,AUTOSPC,NO\n" + case + SETS + more)))
+    system = assemble(
+        read_deck(write(tmp_path, "PARAM,AUTOSPC,NO\n" + case + SETS + more))
+    )
     assert set(range(1, 7)) - set(system.free.direction.tolist()) == held
 
 
 def test_the_only_sets_hold_without_case_control(tmp_path: Path) -> None:
     """A spring of 9 on a mass of 4, which moves twice as far as the spring."""
-    deck = (
-        "GRID,1\nGRID,2\nCONM2,2,2,,4.\nCELAS2,3,9.,1,1\nSPC1,5,23456,1,2\nMPC,7,2,1,1.,1,1,-2.\n"
-    )
+    deck = "GRID,1\nGRID,2\nCONM2,2,2,,4.\nCELAS2,3,9.,1,1\nSPC1,5,23456,1,2\nMPC,7,2,1,1.,1,1,-2.\n"
     assert frequencies(write(tmp_path, deck)) == pytest.approx([0.75 / (2 * np.pi)])
 
 
@@ -106,10 +108,16 @@ def test_a_choice_of_what_the_deck_has_none_of_is_told(
 def test_words_as_values_of_params(tmp_path: Path) -> None:
     model = read_deck(
         write(
-            tmp_path, "PARAM,COUPMASS,YES\nPARAM,K6ROT,NO\nPARAM,WTMASS\nPARAM,SNORM,ON\n" + SPRING
+            tmp_path,
+            "PARAM,COUPMASS,YES\nPARAM,K6ROT,NO\nPARAM,WTMASS\nPARAM,SNORM,ON\n"
+            + SPRING,
         )
     )
-    assert (model.param("COUPMASS", -1), model.param("K6ROT", 100.0), model.param("G", 0.5)) == (
+    assert (
+        model.param("COUPMASS", -1),
+        model.param("K6ROT", 100.0),
+        model.param("G", 0.5),
+    ) == (
         1.0,
         0.0,
         0.5,
@@ -133,14 +141,21 @@ def test_another_subcase_with_modes_is_told(
     assert "SUBCASE [7]" in caplog.text
     assert any("SUBCASE 7: not taken" in f.text for f in check_deck(model).findings)
     static = read_deck(
-        write(tmp_path, case.replace("METHOD = 1\n", "").replace("LABEL = b", "METHOD = 1") + SETS)
+        write(
+            tmp_path,
+            case.replace("METHOD = 1\n", "").replace("LABEL = b", "METHOD = 1") + SETS,
+        )
     )
     assert (static.case.spc, static.case.others) == (5, ())
 
 
 def test_sets_that_nothing_chooses_are_told(tmp_path: Path) -> None:
     model = read_deck(write(tmp_path, "CEND\nMETHOD = 1\nBEGIN BULK\n" + SETS))
-    told = [f.text for f in check_deck(model).findings if "case control chooses no SPC" in f.text]
+    told = [
+        f.text
+        for f in check_deck(model).findings
+        if "case control chooses no SPC" in f.text
+    ]
     assert len(told) == 2
 
 
@@ -148,7 +163,8 @@ def test_a_choice_that_is_no_number_is_refused(tmp_path: Path) -> None:
     """SPC = ALL held nothing."""
     for kind in ("SPC", "MPC", "NSM"):
         with pytest.raises(
-            DeckError, match=f"{kind} = ALL in case control: it must be the number of a set"
+            DeckError,
+            match=f"{kind} = ALL in case control: it must be the number of a set",
         ):
             read_deck(write(tmp_path, f"CEND\n{kind} = ALL\nBEGIN BULK\n{SPRING}"))
 
@@ -166,7 +182,9 @@ def test_a_choice_that_is_no_number_is_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_equations_that_contradict_have_their_lines(tmp_path: Path, last: str, told: str) -> None:
+def test_equations_that_contradict_have_their_lines(
+    tmp_path: Path, last: str, told: str
+) -> None:
     nodes = "GRID,1\nGRID,2,,1.\nGRID,3,,2.\n"
     text = f"CEND\nMPC = 1\nBEGIN BULK\n{nodes}MPC,1,1,1,1.,2,1,-1.\nMPC,1,2,1,1.,3,1,-1.\n{last}\n"
     with pytest.raises(DeckError, match=rf":9: MPC 1: .*{told}"):
@@ -191,14 +209,20 @@ def test_what_case_control_does_not_take_may_name_nodes_that_are_not_there(
         "77: not there" in f.text and f.severity == "warning"
         for f in check_deck(survey(path).model).findings
     )
-    with pytest.raises(DeckError, match="names GRID or SPOINT 77, which is not in the deck"):
+    with pytest.raises(
+        DeckError, match="names GRID or SPOINT 77, which is not in the deck"
+    ):
         read_deck(write(tmp_path, f"CEND\n{taken}\nBEGIN BULK\n{SPRING}{card}\n"))
 
 
 def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
-    model = read_deck(write(tmp_path, "SPC = 8\nBEGIN BULK\n" + SETS + "SPCADD,8,5,7\nASET1,1,1\n"))
+    model = read_deck(
+        write(tmp_path, "SPC = 8\nBEGIN BULK\n" + SETS + "SPCADD,8,5,7\nASET1,1,1\n")
+    )
     told = {
-        f.severity: f for f in check_deck(model).findings if "SPCADD" in f.text or "ASET1" in f.text
+        f.severity: f
+        for f in check_deck(model).findings
+        if "SPCADD" in f.text or "ASET1" in f.text
     }
     assert told["warning"].line == 8
     assert "not in the deck" in told["warning"].text
@@ -211,9 +235,21 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
         ("K2PP = KA, KB", "", "K2PP acts on responses (ringtrue frf), not on modes"),
         ("K42GG = KA", "", "case control asks for K42GG = KA: it is left out"),
         ("TFL = 3", "", "case control asks for TFL = 3: it is left out"),
-        ("M2GG = MX", "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.", "DMIG KX: it adds nothing"),
-        ("SPC = 5", "GRID,9,,1.,0.,0.,,,2", "superelements: ringtrue modes and frf condense"),
-        ("SPC = 5", "ROTORG,1,1,2", "ROTORG: kept, not applied: the modes are those at rest"),
+        (
+            "M2GG = MX",
+            "DMIG,KX,0,6,1,0\nDMIG,KX,1,3,,1,3,5.",
+            "DMIG KX: it adds nothing",
+        ),
+        (
+            "SPC = 5",
+            "GRID,9,,1.,0.,0.,,,2",
+            "superelements: ringtrue modes and frf condense",
+        ),
+        (
+            "SPC = 5",
+            "ROTORG,1,1,2",
+            "ROTORG: kept, not applied: the modes are those at rest",
+        ),
         (
             "SPC = 5",
             "CYSYM,6,ROT",
@@ -221,19 +257,26 @@ def test_what_a_check_says_of_sets_and_reductions(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_kept_and_left_out_is_told(tmp_path: Path, case: str, bulk: str, told: str) -> None:
+def test_what_is_kept_and_left_out_is_told(
+    tmp_path: Path, case: str, bulk: str, told: str
+) -> None:
     model = read_deck(write(tmp_path, f"CEND\n{case}\nBEGIN BULK\n{SPRING}{bulk}\n"))
     assert any(told in f.text for f in check_deck(model).findings)
 
 
 @pytest.mark.parametrize(
-    ("card", "told"), [("EIGRL,7,,,9", False), ("EIGR,7,LAN,,,,9", False), ("EIGRL,8,,,9", True)]
+    ("card", "told"),
+    [("EIGRL,7,,,9", False), ("EIGR,7,LAN,,,,9", False), ("EIGRL,8,,,9", True)],
 )
 def test_a_method_that_is_not_there_is_told(
     tmp_path: Path, card: str, told: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    model = read_deck(write(tmp_path, f"CEND\nMETHOD = 7\nBEGIN BULK\n{SPRING}{card}\n"))
-    text = "case control asks for METHOD = 7: the deck has no EIGRL or EIGR of that number"
+    model = read_deck(
+        write(tmp_path, f"CEND\nMETHOD = 7\nBEGIN BULK\n{SPRING}{card}\n")
+    )
+    text = (
+        "case control asks for METHOD = 7: the deck has no EIGRL or EIGR of that number"
+    )
     assert any(text in f.text for f in check_deck(model).findings) == told
     assert (text in caplog.text) == told
 
@@ -275,21 +318,31 @@ def test_solutions_under_load_stop_at_the_load(tmp_path: Path, solution: str) ->
 def test_a_bolt_that_joins_two_parts_stops_and_one_that_lists_elements_does_not(
     tmp_path: Path,
 ) -> None:
-    assert read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,1,5\n")).kept == {"BOLT": 1}
+    assert read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,1,5\n")).kept == {
+        "BOLT": 1
+    }
     with pytest.raises(UnsupportedCard, match=r"main\.bdf:5: BOLT .* shared nodes"):
-        read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,9\n,TOP,1,2\n,BOTTOM,3,4\n"))
+        read_deck(
+            write(tmp_path, f"BEGIN BULK\n{SPRING}BOLT,1,9\n,TOP,1,2\n,BOTTOM,3,4\n")
+        )
 
 
 def test_commands_that_are_skipped_do_not_count(tmp_path: Path) -> None:
     top = "CEND\nSPC = 1\nSKIPON\nSPC = 2\nMPC = 3\nSKIPOFF\nMETHOD = 4\n"
-    case = read_deck(write(tmp_path, f"{top}BEGIN BULK\n{SPRING}SPC1,1,1,1\nEIGRL,4,,,1\n")).case
+    case = read_deck(
+        write(tmp_path, f"{top}BEGIN BULK\n{SPRING}SPC1,1,1,1\nEIGRL,4,,,1\n")
+    ).case
     assert (case.spc, case.mpc, case.method) == (1, 0, 4)
     with pytest.raises(UnsupportedCard, match="SKIPON"):
-        read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}SKIPON\nCELAS2,9,1.,1,1\nSKIPOFF\n"))
+        read_deck(
+            write(tmp_path, f"BEGIN BULK\n{SPRING}SKIPON\nCELAS2,9,1.,1,1\nSKIPOFF\n")
+        )
 
 
 def test_a_point_that_is_a_node_too_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeckError, match=r"main\.bdf:5: SPOINT: 1 is the number of a GRID, too"):
+    with pytest.raises(
+        DeckError, match=r"main\.bdf:5: SPOINT: 1 is the number of a GRID, too"
+    ):
         read_deck(write(tmp_path, f"BEGIN BULK\n{SPRING}SPOINT,9,1\n"))
 
 
@@ -298,7 +351,10 @@ def test_what_no_answer_holds_is_said_by_every_command(
 ) -> None:
     read_deck(write(tmp_path, f"CEND\nA2GG = KX\nBEGIN BULK\n{SPRING}CYJOIN,1,,1\n"))
     assert "A2GG = KX: it is left out" in caplog.text
-    assert "CYJOIN: kept, not applied: the modes are those of this segment alone" in caplog.text
+    assert (
+        "CYJOIN: kept, not applied: the modes are those of this segment alone"
+        in caplog.text
+    )
 
 
 CHAIN = "SPOINT,1,THRU,9\n" + "".join(

@@ -83,7 +83,12 @@ def test_reading(tmp_path: Path) -> None:
     assert [m["PSHEAR"][c][0] for c in ("T", "NSM", "F1", "F2")] == [0.1, 2.0, 1.0, 0.5]
     assert m["CBUSH1D"].stack("GA", "GB", "CID").tolist() == [[1, 2, -1], [1, 0, 0]]
     assert [m["PBUSH1D"][c][0] for c in "KCM"] == [3000.0, 200.0, 300.0]
-    assert [m["PGAP"][c][0] for c in ("U0", "KA", "KT", "MU1")] == [0.025, 1e6, 2e4, 0.25]
+    assert [m["PGAP"][c][0] for c in ("U0", "KA", "KT", "MU1")] == [
+        0.025,
+        1e6,
+        2e4,
+        0.25,
+    ]
     assert (
         m["RBAR1"]["CB"][0],
         m["RROD"]["CMA"][0],
@@ -96,7 +101,14 @@ def test_reading(tmp_path: Path) -> None:
         "1246",
     )
     assert m["RSPLINE"].ragged("G").row(0).tolist() == [1, 2, 5, 3, 4, 6]
-    assert m["RSPLINE"].ragged("C").row(0).tolist() == ["", "123456", "", "123", "123", ""]
+    assert m["RSPLINE"].ragged("C").row(0).tolist() == [
+        "",
+        "123456",
+        "",
+        "123",
+        "123",
+        "",
+    ]
     p = m["PBEND"]
     assert [p[c].tolist() for c in ("FSI", "A", "RM", "T")] == [
         [0, 1],
@@ -114,7 +126,9 @@ def test_reading(tmp_path: Path) -> None:
     assert m["CBEND"].stack("G0", "X2", "GEOM").tolist() == [[0, 1, 3], [6, 0, 4]]
     w = m["CWELD"]
     assert w["TYPE"].tolist() == ["GRIDID", "ALIGN", "PARTPAT", "ELPAT", "ELEMID"]
-    assert w.stack("GA1", "GA4", "GB1", "GB3", "GB4", "GA", "SHIDB", "PIDA").tolist() == [
+    assert w.stack(
+        "GA1", "GA4", "GB1", "GB3", "GB4", "GA", "SHIDB", "PIDA"
+    ).tolist() == [
         [1, 4, 5, 3, 0, 0, 0, 0],
         [0, 0, 0, 0, 0, 5, 0, 0],
         [0, 0, 0, 0, 0, 0, 0, 101],
@@ -131,7 +145,12 @@ def test_reading(tmp_path: Path) -> None:
         0.5,
         0.01,
     ]
-    assert [m["PWELD"][c][0] for c in ("D", "MSET", "LDMIN", "LDMAX")] == [0.02, "OFF", 0.1, 5.0]
+    assert [m["PWELD"][c][0] for c in ("D", "MSET", "LDMIN", "LDMAX")] == [
+        0.02,
+        "OFF",
+        0.1,
+        5.0,
+    ]
     t = m["GENEL"]
     assert t["FORM"].tolist() == ["Z", "K"]
     assert [t.ragged(c).row(0).tolist() for c in ("UI", "CI", "UD", "CD")] == [
@@ -142,7 +161,10 @@ def test_reading(tmp_path: Path) -> None:
     ]
     assert t.ragged("KZ").row(0).tolist() == [float(i) for i in range(1, 11)]
     assert t.ragged("S").row(0).tolist() == [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5]
-    assert (t.ragged("KZ").row(1).tolist(), t.ragged("UD").row(1).size) == ([1, -1, 1], 0)
+    assert (t.ragged("KZ").row(1).tolist(), t.ragged("UD").row(1).size) == (
+        [1, -1, 1],
+        0,
+    )
 
 
 def test_writing_and_reading_again(tmp_path: Path) -> None:
@@ -193,7 +215,8 @@ def test_errors_name_the_card(tmp_path: Path, card: str, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "pipe", ["PBEND,9,1,2,.1,.01,,1.", "PBEND,9,1,1,.1,.01,,1.,\n,.3", "PBEND,9,1,3,.1,.01"]
+    "pipe",
+    ["PBEND,9,1,2,.1,.01,,1.", "PBEND,9,1,1,.1,.01,,1.,\n,.3", "PBEND,9,1,3,.1,.01"],
 )
 def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
     with pytest.raises(
@@ -204,7 +227,8 @@ def test_pipes_with_flexibility_factors_stop(tmp_path: Path, pipe: str) -> None:
 
 def test_other_welds_stop(tmp_path: Path) -> None:
     with pytest.raises(
-        UnsupportedCard, match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID"
+        UnsupportedCard,
+        match=r"main.bdf:10: CWELD is not supported: type ALL; allowed are GRIDID",
     ):
         read(tmp_path, NODES + "CWELD,1,2,,ALL\n,3,4\n,5.,5.,0.\n")
 
@@ -253,4 +277,6 @@ def test_a_number_in_the_place_of_a_continuation_name_is_told(
 ) -> None:
     (tmp_path / "d.bdf").write_text(f"BEGIN BULK\n{NODES}{line}\n")
     read_deck(tmp_path / "d.bdf")
-    assert (f"d.bdf:10: '{lost}' stands behind the eight data fields" in caplog.text) == bool(lost)
+    assert (
+        f"d.bdf:10: '{lost}' stands behind the eight data fields" in caplog.text
+    ) == bool(lost)

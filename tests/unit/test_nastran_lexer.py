@@ -67,9 +67,22 @@ def test_reals_of_many_digits_round_as_float_does() -> None:
 
 def test_integers() -> None:
     value, good = integers(
-        np.array([b"12", b"-3", b"+4", b"1.", b"-", b"99999999", b"1_0", b"1234567890123456789"])
+        np.array(
+            [
+                b"12",
+                b"-3",
+                b"+4",
+                b"1.",
+                b"-",
+                b"99999999",
+                b"1_0",
+                b"1234567890123456789",
+            ]
+        )
     )
-    np.testing.assert_array_equal(good, [True, True, True, False, False, True, False, False])
+    np.testing.assert_array_equal(
+        good, [True, True, True, False, False, True, False, False]
+    )
     assert value[[0, 1, 2, 5]].tolist() == [12, -3, 4, 99999999]
 
 
@@ -77,13 +90,20 @@ def test_integers() -> None:
     ("line", "style", "name", "fields"),
     [
         (b"GRID           1       0      1.", "small", "GRID", ["1", "0", "1."]),
-        (b"GRID*                  1               0", "large", "GRID", ["1", "0", "", ""]),
+        (
+            b"GRID*                  1               0",
+            "large",
+            "GRID",
+            ["1", "0", "", ""],
+        ),
         (b"grid,1,,1.,2. $ here", "free", "GRID", ["1", "", "1.", "2."]),
         (b"GRID\t1\t\t1.\t2.", "small", "GRID", ["1", "", "1.", "2."]),
         (b"+A            1.", "small", "", ["1."]),
     ],
 )
-def test_fields_of_a_line(line: bytes, style: str, name: str, fields: list[str]) -> None:
+def test_fields_of_a_line(
+    line: bytes, style: str, name: str, fields: list[str]
+) -> None:
     got = split_line(line)
     assert (got.style, got.name) == (style, name)
     text = [line[a:b].strip().decode() for a, b in got.spans]

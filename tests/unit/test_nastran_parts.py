@@ -36,10 +36,22 @@ def bars(first: int, last: int, shift: int = 0) -> str:
     return "".join(f"CBAR,{i},7,{a},{b},0.,1.,0.\n" for i, a, b in ends)
 
 
-WHOLE = CASE + "BEGIN BULK\n" + PROPERTIES + points(1, 5) + bars(1, 4) + "SPC1,1,123456,1\n"
-TIP = PROPERTIES + points(3, 5) + bars(1, 2).replace(",1,2,", ",3,4,").replace(",2,3,", ",4,5,")
+WHOLE = (
+    CASE + "BEGIN BULK\n" + PROPERTIES + points(1, 5) + bars(1, 4) + "SPC1,1,123456,1\n"
+)
+TIP = (
+    PROPERTIES
+    + points(3, 5)
+    + bars(1, 2).replace(",1,2,", ",3,4,").replace(",2,3,", ",4,5,")
+)
 ROOT = PROPERTIES + points(1, 3) + bars(1, 2) + "SPC1,1,123456,1\n"
-PARTS = CASE + "BEGIN BULK\nGRID,3,,3.,0.,0.\nBEGIN SUPER=1\n" + TIP + "BEGIN SUPER=2\n" + ROOT
+PARTS = (
+    CASE
+    + "BEGIN BULK\nGRID,3,,3.,0.,0.\nBEGIN SUPER=1\n"
+    + TIP
+    + "BEGIN SUPER=2\n"
+    + ROOT
+)
 
 
 def read(folder: Path, text: str) -> Model:
@@ -62,7 +74,9 @@ def test_parts_without_condensation_are_the_whole(tmp_path: Path) -> None:
     assert model["GRID"]["SEID"].tolist() == [0, 1, 1, 2, 2]
 
 
-def test_parts_are_joined_to_each_other_and_listed_ones_are_the_same(tmp_path: Path) -> None:
+def test_parts_are_joined_to_each_other_and_listed_ones_are_the_same(
+    tmp_path: Path,
+) -> None:
     """Without a point of the residual structure, and with SEID of GRID in one bulk data section."""
     model = read(tmp_path, PARTS.replace("GRID,3,,3.,0.,0.\n", "", 1))
     assert model["GRID"]["SEID"].tolist() == [0, 1, 1, 2, 2]
@@ -76,14 +90,20 @@ def test_parts_are_joined_to_each_other_and_listed_ones_are_the_same(tmp_path: P
 
 
 def test_case_control_chooses_sets_for_each_superelement(tmp_path: Path) -> None:
-    cases = "SUBCASE 1\nSUPER = 2\nSPC = 1\nSUBCASE 2\nSET 7 = 0, 1\nSUPER = 7\nBEGIN BULK"
+    cases = (
+        "SUBCASE 1\nSUPER = 2\nSPC = 1\nSUBCASE 2\nSET 7 = 0, 1\nSUPER = 7\nBEGIN BULK"
+    )
     text = PARTS.replace("SPC = 1\n", "").replace("BEGIN BULK", cases, 1)
     text = text.replace("BEGIN SUPER=2", "begin bulk super = 2")
     whole = frequencies(read(tmp_path, WHOLE))
-    np.testing.assert_allclose(frequencies(whole_mesh(read(tmp_path, text))), whole, rtol=1e-10)
+    np.testing.assert_allclose(
+        frequencies(whole_mesh(read(tmp_path, text))), whole, rtol=1e-10
+    )
 
 
-def test_numbers_that_two_parts_have_get_that_of_their_superelement(tmp_path: Path) -> None:
+def test_numbers_that_two_parts_have_get_that_of_their_superelement(
+    tmp_path: Path,
+) -> None:
     model = read(tmp_path, PARTS)
     assert sorted(model["CBAR"].ids.tolist()) == [1, 2, 2001, 2002]
     assert model["PBAR"].ids.tolist() == [7, 2007]
@@ -152,15 +172,23 @@ def test_the_modulus_of_a_part_is_a_parameter_of_the_whole_mesh(tmp_path: Path) 
     twin = rt.solve_modes(whole_mesh(rt.at_factors(model, root, [0.7])), count=3)
     found = rt.update(model, twin.at(["2+Y", "4+Y", "5+Y"]), root)
     np.testing.assert_allclose(found.factors, 0.7, rtol=1e-6)
-    with EmbeddedSolver().open(model) as analysis, pytest.raises(UnsupportedError, match="whole"):
+    with (
+        EmbeddedSolver().open(model) as analysis,
+        pytest.raises(UnsupportedError, match="whole"),
+    ):
         analysis.derivatives(analysis.modes(ModesRequest(2)).modes, root)
 
 
-def test_component_modes_follow_the_case_control_of_their_superelement(tmp_path: Path) -> None:
+def test_component_modes_follow_the_case_control_of_their_superelement(
+    tmp_path: Path,
+) -> None:
     """Two coordinates, of which METHOD of part 1 asks for one mode, and up to 1 Hz for none."""
     modal = "QSET1,0,101,102\nSPOINT,101,102\nEIGRL,10,,{high},{count}\n"
     for count, high, taken in ((1, "", 1), (5, "", 2), (5, "1.", 0)):
-        case = CASE + "METHOD = 1\nSUBCASE 1\nSUPER = 1\nMETHOD = 10\nSUBCASE 2\nMETHOD = 1\n"
+        case = (
+            CASE
+            + "METHOD = 1\nSUBCASE 1\nSUPER = 1\nMETHOD = 10\nSUBCASE 2\nMETHOD = 1\n"
+        )
         part = TIP + modal.format(high=high, count=count)
         text = (
             PARTS.replace(CASE, case)
@@ -175,9 +203,9 @@ def test_component_modes_follow_the_case_control_of_their_superelement(tmp_path:
 def test_pairs_and_ranges_of_points_are_joined(tmp_path: Path) -> None:
     """As EXTSEOUT writes them: pairs of boundary points, then ranges of modal coordinates."""
     joints = "SECONCT,1,0\n,3,3,11,13\n,101,THRU,103,201,THRU,203\n"
-    table = read(tmp_path, "BEGIN BULK\n" + PROPERTIES + points(1, 2) + bars(1, 1) + joints)[
-        "SECONCT"
-    ]
+    table = read(
+        tmp_path, "BEGIN BULK\n" + PROPERTIES + points(1, 2) + bars(1, 1) + joints
+    )["SECONCT"]
     assert table.ragged("GIDA").row(0).tolist() == [3, 11, 101, 102, 103]
     assert table.ragged("GIDB").row(0).tolist() == [3, 13, 201, 202, 203]
     with pytest.raises(DeckError, match="3 points are joined to 2"):
@@ -187,23 +215,68 @@ def test_pairs_and_ranges_of_points_are_joined(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "error", "told"),
     [
-        ("GRID,3,,3.", "SEBULK,1,OTHER\nGRID,3,,3.", UnsupportedCard, "PRIMARY, EXTERNAL, EXTOP4"),
-        ("GRID,3,,3.", "SEBULK,9,MIRROR,1\nGRID,3,,3.", UnsupportedCard, "copies are not made"),
-        ("GRID,3,,3.", "SEBULK,9,EXTOP2\nGRID,3,,3.", UnsupportedCard, "EXTSEOUT with MATOP4=n"),
-        ("GRID,3,,3.", "SELOC,1,3,4,5,3,4,5\nGRID,3,,3.", UnsupportedCard, "moved to its place"),
-        ("GRID,3,,3.", "SEMPLN,1,PLANE,3,4,5\nGRID,3,,3.", UnsupportedCard, "mirrored points"),
-        ("GRID,3,,3.", "CSUPER,1,0,3\nGRID,3,,3.", UnsupportedCard, "MATOP4 or DMIGPCH"),
+        (
+            "GRID,3,,3.",
+            "SEBULK,1,OTHER\nGRID,3,,3.",
+            UnsupportedCard,
+            "PRIMARY, EXTERNAL, EXTOP4",
+        ),
+        (
+            "GRID,3,,3.",
+            "SEBULK,9,MIRROR,1\nGRID,3,,3.",
+            UnsupportedCard,
+            "copies are not made",
+        ),
+        (
+            "GRID,3,,3.",
+            "SEBULK,9,EXTOP2\nGRID,3,,3.",
+            UnsupportedCard,
+            "EXTSEOUT with MATOP4=n",
+        ),
+        (
+            "GRID,3,,3.",
+            "SELOC,1,3,4,5,3,4,5\nGRID,3,,3.",
+            UnsupportedCard,
+            "moved to its place",
+        ),
+        (
+            "GRID,3,,3.",
+            "SEMPLN,1,PLANE,3,4,5\nGRID,3,,3.",
+            UnsupportedCard,
+            "mirrored points",
+        ),
+        (
+            "GRID,3,,3.",
+            "CSUPER,1,0,3\nGRID,3,,3.",
+            UnsupportedCard,
+            "MATOP4 or DMIGPCH",
+        ),
         ("GRID,3,,3.", "SEBULK,5\nGRID,3,,3.", UnsupportedCard, "no BEGIN SUPER=5"),
-        ("GRID,3,,3.", "SECONCT,1,0\n,4,9\nGRID,3,,3.", DeckError, "superelement 0 has no point 9"),
+        (
+            "GRID,3,,3.",
+            "SECONCT,1,0\n,4,9\nGRID,3,,3.",
+            DeckError,
+            "superelement 0 has no point 9",
+        ),
         ("GRID,3,,3.", "SECONCT,7,0\n,4,3\nGRID,3,,3.", DeckError, "no superelement 7"),
-        ("GRID,3,,3.", "SECONCT,1,0\n,4,3\nGRID,3,,3.", DeckError, "joined to the same point"),
+        (
+            "GRID,3,,3.",
+            "SECONCT,1,0\n,4,3\nGRID,3,,3.",
+            DeckError,
+            "joined to the same point",
+        ),
         (
             "GRID,3,,3.",
             "SEBULK,1,,,MANUAL\nSECONCT,1,0\n,3,3\nGRID,3,,3.5",
             DeckError,
             "that lies 0.5 away",
         ),
-        ("BEGIN SUPER=2", "PARAM,WTMASS,2.\nBEGIN SUPER=2", DeckError, "PARAM,WTMASS is 2 in"),
+        (
+            "BEGIN SUPER=2",
+            "PARAM,WTMASS,2.\nBEGIN SUPER=2",
+            DeckError,
+            "PARAM,WTMASS is 2 in",
+        ),
         ("BEGIN SUPER=2", "ASET1,26,5\nBEGIN SUPER=2", DeckError, "join it by SECONCT"),
         ("BEGIN SUPER=2", "BEGIN SUPER=1", DeckError, "superelement 1 begins twice"),
     ],

@@ -56,7 +56,9 @@ def read(folder: Path, text: str) -> Model:
     ],
 )
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_every_field_format_reads_the_same(tmp_path: Path, card: str, newline: str) -> None:
+def test_every_field_format_reads_the_same(
+    tmp_path: Path, card: str, newline: str
+) -> None:
     model = read(tmp_path, (MATERIAL + card + "\nENDDATA\n").replace("\n", newline))
     row = {k: v[0] for k, v in model["PBAR"].columns.items()}
     assert [row[k] for k in ("PID", "MID", "A", "I1", "I2", "J", "NSM")] == [
@@ -106,7 +108,9 @@ def test_case_control_of_the_first_subcase(tmp_path: Path) -> None:
     assert dict(model.params) == {"WTMASS": 0.00259, "GRDPNT": 0, "AUTOSPC": "YES"}
 
 
-def test_includes_nest_relative_to_their_own_folder_then_the_main_one(tmp_path: Path) -> None:
+def test_includes_nest_relative_to_their_own_folder_then_the_main_one(
+    tmp_path: Path,
+) -> None:
     deck(
         tmp_path,
         "INCLUDE '../main_side.bdf'\nGRID,2,,1.,0.,0.\nINCLUDE \"c.bdf\"\n",
@@ -120,14 +124,21 @@ def test_includes_nest_relative_to_their_own_folder_then_the_main_one(tmp_path: 
         "broken\nGRID,5,,0.,0.,1.\n",
     )
     grid = model["GRID"]
-    assert [Path(f).name for f in model.files] == ["main.bdf", "b.bdf", "main_side.bdf", "c.bdf"]
+    assert [Path(f).name for f in model.files] == [
+        "main.bdf",
+        "b.bdf",
+        "main_side.bdf",
+        "c.bdf",
+    ]
     assert grid.ids.tolist() == [1, 3, 2, 4, 5]
     assert grid.file.tolist() == [0, 2, 1, 3, 0]
     assert grid.line.tolist() == [2, 1, 2, 2, 6]
 
 
 def test_a_missing_include_says_where_it_was_looked_for(tmp_path: Path) -> None:
-    with pytest.raises(DeckError, match=r"main\.bdf:2: INCLUDE: .*looked for .*no\.bdf"):
+    with pytest.raises(
+        DeckError, match=r"main\.bdf:2: INCLUDE: .*looked for .*no\.bdf"
+    ):
         read(tmp_path, "BEGIN BULK\nINCLUDE 'no.bdf'\n")
 
 
@@ -135,7 +146,8 @@ def test_a_missing_include_of_the_executive_control_is_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     model = read(
-        tmp_path, "SOL 103\ninclude '/site/alter.v9'\nCEND\nMETHOD=1\nBEGIN BULK\nGRID,1\n"
+        tmp_path,
+        "SOL 103\ninclude '/site/alter.v9'\nCEND\nMETHOD=1\nBEGIN BULK\nGRID,1\n",
     )
     assert (model["GRID"].ids.tolist(), model.case.method) == ([1], 1)
     assert "main.bdf:2: INCLUDE: the included file is not there" in caplog.text
@@ -159,8 +171,14 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ),
         ("CQUAD4,7,8,1,2,3,4", r"CQUAD4 7 field PID: names PSHELL, PCOMP or PCOMPG 8"),
         ("CQUAD4,7,1,1,2,3", r"CQUAD4 7 field G4: is blank"),
-        ("PSHELL,8,77,.1\nCTRIA3,9,8,1,2,3", r"PSHELL 8 field MID1: names MAT1, MAT2 or MAT8 77"),
-        ("GRID,1,,9.,0.,0.", r"main\.bdf:6: GRID: 1 is defined twice, first at .*main\.bdf:2"),
+        (
+            "PSHELL,8,77,.1\nCTRIA3,9,8,1,2,3",
+            r"PSHELL 8 field MID1: names MAT1, MAT2 or MAT8 77",
+        ),
+        (
+            "GRID,1,,9.,0.,0.",
+            r"main\.bdf:6: GRID: 1 is defined twice, first at .*main\.bdf:2",
+        ),
         ("MAT1,1,7.+10,,.3", r"MAT1: 1 is defined twice"),
         (
             "MAT8,1,7.+10,7.+10,.3,3.+10",
@@ -172,7 +190,10 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ),
         ("GRID,9,5,1.,0.,0.", r"GRID 9 field CP: names coordinate frame 5"),
         ("CROD,9,1,1,2,3,4", r"CROD: more than 4 data fields"),
-        ("PSHELL,9,1,.1\n,,,,30.", r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA"),
+        (
+            "PSHELL,9,1,.1\n,,,,30.",
+            r"main\.bdf:6: PSHELL: more than 11 data fields; give THETA",
+        ),
         ("SPC1,1,123,5,THRU,x", r"SPC1 field G: 'X' is not an integer"),
         ("SPC1,1,123,5,THRU,2", "a THRU b BY c needs a <= b"),
         (
@@ -191,15 +212,23 @@ def test_a_file_that_includes_itself(tmp_path: Path) -> None:
         ("RBE1,9,1,123456", r"RBE1 field UM: the dependent DOFs are missing"),
         ("DMIG,KA,1,1,,1,1,2.", r"DMIG field NAME: 'KA' has no header"),
         ("DMIG,KA,0,6,1\nDMIG,KA,1,1,,1,1,x", r"DMIG field A: 'X' is not a real"),
-        ("DMIG,KA,0,6,1\nDMIG,KA,0,6,1", r"main\.bdf:7: DMIG field NAME: KA has two headers"),
+        (
+            "DMIG,KA,0,6,1\nDMIG,KA,0,6,1",
+            r"main\.bdf:7: DMIG field NAME: KA has two headers",
+        ),
         ("=(200000)", "200000 repetitions; at most 100000"),
         ("=x", "'=X' is no replication"),
         ("=,*(a),==", r"GRID field ID: '\*\(A\)' is not an integer"),
         ("BAROR,,x\nCBAR,1,,1,2,0.,1.,0.", "BAROR field PID: 'X' is not an integer"),
-        ("BAROR,,1\nBAROR,,2\nCBAR,1,,1,2,0.,1.,0.", r"main\.bdf:7: BAROR: there are two of them"),
+        (
+            "BAROR,,1\nBAROR,,2\nCBAR,1,,1,2,0.,1.,0.",
+            r"main\.bdf:7: BAROR: there are two of them",
+        ),
     ],
 )
-def test_errors_name_file_line_card_and_field(tmp_path: Path, bad: str, message: str) -> None:
+def test_errors_name_file_line_card_and_field(
+    tmp_path: Path, bad: str, message: str
+) -> None:
     with pytest.raises(DeckError, match=message):
         read(tmp_path, MATERIAL + NODES + bad + "\nPSHELL,1,1,.1\n")
 
@@ -250,15 +279,24 @@ def test_unsupported_cards_stop_the_reader_and_are_listed_by_survey(
         ("CIHEX1,1,1,1,2,3,4", "old NASTRAN: give CQUAD4"),
     ],
 )
-def test_cards_that_are_not_read_say_what_to_do(tmp_path: Path, line: str, why: str) -> None:
+def test_cards_that_are_not_read_say_what_to_do(
+    tmp_path: Path, line: str, why: str
+) -> None:
     path = deck(tmp_path, "BEGIN BULK\n" + NODES + line + "\n")
     with pytest.raises(UnsupportedCard, match=f"is not supported: .*{why}"):
         read_deck(path)
     assert [w for w in survey(path).unsupported.values() if why in w]
 
 
-def test_repeated_identical_nodes_and_frames_are_allowed_and_kept_once(tmp_path: Path) -> None:
-    assert read(tmp_path, NODES + "GRID,1,,0.,0.,0.\n")["GRID"].ids.tolist() == [1, 2, 3, 4]
+def test_repeated_identical_nodes_and_frames_are_allowed_and_kept_once(
+    tmp_path: Path,
+) -> None:
+    assert read(tmp_path, NODES + "GRID,1,,0.,0.,0.\n")["GRID"].ids.tolist() == [
+        1,
+        2,
+        3,
+        4,
+    ]
     frame = "CORD2R,5,,0.,0.,0.,0.,0.,1.,\n,1.,0.,0.\n"
     assert read(tmp_path, NODES + 2 * frame)["CORD2R"].ids.tolist() == [5]
     with pytest.raises(DeckError, match="CORD2R: 5 is defined twice"):
@@ -277,7 +315,9 @@ def test_frames_in_a_circle_have_their_lines(tmp_path: Path) -> None:
 
 def test_other_cards_are_counted(tmp_path: Path) -> None:
     assert dict(
-        read(tmp_path, NODES + "FORCE,1,1,,1.,1.\nFORCE,1,2,,1.,1.\nPLOTEL,1,1,2\n").kept
+        read(
+            tmp_path, NODES + "FORCE,1,1,,1.,1.\nFORCE,1,2,,1.,1.\nPLOTEL,1,1,2\n"
+        ).kept
     ) == {
         "FORCE": 2,
         "PLOTEL": 1,
@@ -296,7 +336,9 @@ def test_grdset_fills_blanks_only(tmp_path: Path) -> None:
     assert model["GRID"]["PS"].tolist() == ["126", "", "3"]
 
 
-def test_an_include_by_a_logical_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_include_by_a_logical_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`SYMBOL:file`: the environment variable names the folder; without one the file stands beside
     the deck.
     """
@@ -308,11 +350,17 @@ def test_an_include_by_a_logical_name(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_blank_behind_the_name_of_a_free_line_separates(tmp_path: Path) -> None:
-    path = deck(tmp_path, NODES + "GRID   11,  , 5., 6.\nCONM2\t12, 11,, 3.\nGRID    13 ,,7.\n")
+    path = deck(
+        tmp_path, NODES + "GRID   11,  , 5., 6.\nCONM2\t12, 11,, 3.\nGRID    13 ,,7.\n"
+    )
     model = read_deck(path)
     assert model["GRID"].ids.tolist() == [1, 2, 3, 4, 11, 13]
     assert model["GRID"]["X1"][-2:].tolist() == [5.0, 7.0]
-    assert (model["CONM2"].ids[0], model["CONM2"]["G"][0], model["CONM2"]["M"][0]) == (12, 11, 3.0)
+    assert (model["CONM2"].ids[0], model["CONM2"]["G"][0], model["CONM2"]["M"][0]) == (
+        12,
+        11,
+        3.0,
+    )
     edit_fields(model, [FieldChange("CONM2", 12, "M", 4.5)], tmp_path / "new")
     assert (tmp_path / "new/main.bdf").read_text() == path.read_text().replace(
         "3.\nGRID    13", "4.5\nGRID    13"
@@ -321,7 +369,9 @@ def test_a_blank_behind_the_name_of_a_free_line_separates(tmp_path: Path) -> Non
 
 def test_column_73_of_a_continuation_is_free(tmp_path: Path) -> None:
     """Columns 74 to 80 name the continuation; what stands in column 73 does not count."""
-    line = "PBAR    1       1       1.      2.      3.                              KBAR"
+    line = (
+        "PBAR    1       1       1.      2.      3.                              KBAR"
+    )
     model = read(tmp_path, NODES + MATERIAL + line + "\n+BAR    .5      .25\n")
     assert (model["PBAR"]["C1"][0], model["PBAR"]["C2"][0]) == (0.5, 0.25)
 
@@ -360,7 +410,12 @@ def test_cards_with_a_pattern_of_their_own(tmp_path: Path) -> None:
     assert model["RBE3"].ragged("WT").row(0).tolist() == [1.0, 1.0, 0.5]
     assert model["RBE3"].ragged("C").row(0).tolist() == ["123", "123", "12"]
     assert model["RBE2"].ragged("GM").row(0).tolist() == [2, 3]
-    assert [model["PBUSH"][k][0] for k in ("K1", "K6", "B2", "GE")] == [1.0, 6.0, 0.2, 0.05]
+    assert [model["PBUSH"][k][0] for k in ("K1", "K6", "B2", "GE")] == [
+        1.0,
+        6.0,
+        0.2,
+        0.05,
+    ]
     assert (model["CBUSH"]["GB"][0], model["CBUSH"]["CID"][0]) == (0, 0)
     assert model["PELAS"].ids.tolist() == [2, 3]
     assert model["PELAS"]["K"].tolist() == [5.0, 6.0]
@@ -395,7 +450,10 @@ def test_an_element_without_property_takes_its_own_number(tmp_path: Path) -> Non
             "msc2019/system_verification/004_72_bar_truss/nastran_runs/modes.dat",
             {"CROD": 72, "PROD": 16},
         ),
-        ("naca_wing/0012_flutter.bdf", {"CQUAD4": 84, "GRID": 117, "RBE2": 1, "CELAS2": 2}),
+        (
+            "naca_wing/0012_flutter.bdf",
+            {"CQUAD4": 84, "GRID": 117, "RBE2": 1, "CELAS2": 2},
+        ),
         ("beam_modes/beam_modes.dat", {"CBEAM": 1, "PBEAM": 1, "PBAR": 1}),
     ],
 )
@@ -426,7 +484,9 @@ def test_replicated_cards(tmp_path: Path) -> None:
     model = read(tmp_path, MATERIAL + text.replace(",,3.", ",3."))
     grid = model["GRID"]
     assert grid.ids.tolist() == [1, 2, 3, 4, 5, 20, 30, 40, 50, 100]
-    np.testing.assert_allclose(grid["X1"], [0, 0.5, 1, 1.5, 2, 9, 8, 7, 6, 0.1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        grid["X1"], [0, 0.5, 1, 1.5, 2, 9, 8, 7, 6, 0.1], rtol=0, atol=1e-15
+    )
     assert grid["X3"].tolist() == [0.0] * 5 + [9.0] * 4 + [3.0]
     assert grid.line.tolist() == [2, 3, 4, 4, 4, 5, 6, 7, 7, 8]
     assert model["CROD"].stack("EID", "PID", "G1", "G2").tolist() == [
@@ -439,9 +499,9 @@ def test_replicated_cards(tmp_path: Path) -> None:
 def test_bars_take_what_baror_says(tmp_path: Path) -> None:
     bars = "CBAR,1,,1,2\nCBAR,2,8,1,2,3\nCBAR,3,,1,2,,1.\nCBAR,4,,1,2,1.,0.,0.,GOO\n"
     sections = "PBAR,7,1\nPBAR,8,1\n"
-    by_vector = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,.5,.6,.7,OGG\n")[
-        "CBAR"
-    ]
+    by_vector = read(
+        tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,.5,.6,.7,OGG\n"
+    )["CBAR"]
     assert by_vector["PID"].tolist() == [7, 8, 7, 7]
     assert by_vector["G0"].tolist() == [0, 3, 0, 0]
     assert by_vector.stack("X1", "X2", "X3").tolist() == [
@@ -451,7 +511,9 @@ def test_bars_take_what_baror_says(tmp_path: Path) -> None:
         [1.0, 0, 0],
     ]
     assert by_vector["OFFT"].tolist() == ["OGG", "OGG", "OGG", "GOO"]
-    by_node = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,4\n")["CBAR"]
+    by_node = read(tmp_path, NODES + MATERIAL + sections + bars + "BAROR,,7,,,4\n")[
+        "CBAR"
+    ]
     assert by_node["G0"].tolist() == [4, 3, 0, 0]
 
 
@@ -461,10 +523,21 @@ def test_laminates(tmp_path: Path) -> None:
     mat8 = "MAT8,8,1.4+11,9.+9,.3,5.+9,4.+9,3.+9,1600.\n,1.-6,2.-5,20.,,,,,\n,.002\n"
     model = read(
         tmp_path,
-        NODES + MATERIAL + mat8 + plies + glob + "CQUAD4,1,1,1,2,3,4,30.\nCQUAD4,2,2,1,2,3,4\n",
+        NODES
+        + MATERIAL
+        + mat8
+        + plies
+        + glob
+        + "CQUAD4,1,1,1,2,3,4,30.\nCQUAD4,2,2,1,2,3,4\n",
     )
     t = model["PCOMP"]
-    assert [t[c][0] for c in ("Z0", "NSM", "FT", "GE", "LAM")] == [-0.2, 0.5, "HILL", 0.01, "SYM"]
+    assert [t[c][0] for c in ("Z0", "NSM", "FT", "GE", "LAM")] == [
+        -0.2,
+        0.5,
+        "HILL",
+        0.01,
+        "SYM",
+    ]
     assert t.ragged("MID").row(0).tolist() == [8, 8, 8, 1]
     assert t.ragged("T").row(0).tolist() == [0.1, 0.1, 0.2, 0.2]
     assert t.ragged("THETA").row(0).tolist() == [45.0, -45.0, 0.0, 90.0]
@@ -489,7 +562,9 @@ def test_matrices_and_their_choice(tmp_path: Path) -> None:
         "DMIG*   KB                             2               3\n"
         "*                      2               3    1.23456789D3\n"
     )
-    model = read(tmp_path, "CEND\nK2GG = KA,\n 2.5*kb\nM2GG=MX\nBEGIN BULK\n" + NODES + bulk)
+    model = read(
+        tmp_path, "CEND\nK2GG = KA,\n 2.5*kb\nM2GG=MX\nBEGIN BULK\n" + NODES + bulk
+    )
     t = model["DMIG"]
     assert t["NAME"].tolist() == ["KA", "KB"]
     assert t.stack("ID", "IFO", "TIN", "NCOL").tolist() == [[1, 6, 1, 4], [2, 1, 2, 0]]
@@ -530,14 +605,23 @@ def test_the_subcase_with_a_method_is_taken(tmp_path: Path) -> None:
         "2\nAUTOSPC(PRINT)=NO\n"
     )
     sets = "SPC1,2,3,1\nMPC,9,1,2,1.,2,2,-1.\n"
-    model = read(tmp_path, text + "PARAM,WTMASS,.5\nBEGIN BULK\nPARAM,WTMASS,1.\n" + NODES + sets)
-    assert (model.case.title, model.case.method, model.case.spc, model.case.mpc) == ("a,", 3, 2, 9)
+    model = read(
+        tmp_path, text + "PARAM,WTMASS,.5\nBEGIN BULK\nPARAM,WTMASS,1.\n" + NODES + sets
+    )
+    assert (model.case.title, model.case.method, model.case.spc, model.case.mpc) == (
+        "a,",
+        3,
+        2,
+        9,
+    )
     assert dict(model.params) == {"WTMASS": 0.5, "AUTOSPC": "NO"}
 
 
 def test_free_fields_in_a_block_and_odd_lines_among_them(tmp_path: Path) -> None:
     long = "GRID,7,,7." + "0" * 90 + ",1.,2.\n"
-    model = read(tmp_path, NODES + long + " grid , 8 , , 8. , .5-1 , 3. , , , , $ c\nGRID,9\n")
+    model = read(
+        tmp_path, NODES + long + " grid , 8 , , 8. , .5-1 , 3. , , , , $ c\nGRID,9\n"
+    )
     assert model["GRID"].ids.tolist() == [1, 2, 3, 4, 7, 8, 9]
     assert model["GRID"].stack("X1", "X2", "X3")[4:].tolist() == [
         [7, 1, 2],
@@ -573,33 +657,47 @@ def test_a_long_free_deck_reads_as_a_small_field_one(tmp_path: Path) -> None:
         for i, v in enumerate(x.tolist())
     )
     free = "".join(
-        f"grid, {i + 1},,{v}.,{v / 1000:.3f}$ c,\n,,\n" for i, v in enumerate(x.tolist())
+        f"grid, {i + 1},,{v}.,{v / 1000:.3f}$ c,\n,,\n"
+        for i, v in enumerate(x.tolist())
     )
     a, b = read(tmp_path, small)["GRID"], read(tmp_path, free)["GRID"]
-    np.testing.assert_array_equal(a.stack("ID", "X1", "X2", "X3"), b.stack("ID", "X1", "X2", "X3"))
+    np.testing.assert_array_equal(
+        a.stack("ID", "X1", "X2", "X3"), b.stack("ID", "X1", "X2", "X3")
+    )
     np.testing.assert_array_equal(a["X2"], x / 1000)
     np.testing.assert_array_equal(b.line, 1 + 2 * np.arange(n))
 
 
-def test_a_frame_through_points_on_one_line_is_named_with_its_place(tmp_path: Path) -> None:
+def test_a_frame_through_points_on_one_line_is_named_with_its_place(
+    tmp_path: Path,
+) -> None:
     model = read(
-        tmp_path, "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n"
+        tmp_path,
+        "BEGIN BULK\nCORD2R,6,,0.,0.,0.,1.,0.,0.\n,2.,0.,0.\nGRID,1,6,0.,0.,0.\n",
     )
-    with pytest.raises(DeckError, match=r"main\.bdf:2: CORD2R 6: its three points lie on one line"):
+    with pytest.raises(
+        DeckError, match=r"main\.bdf:2: CORD2R 6: its three points lie on one line"
+    ):
         positions(model)
 
 
 def test_a_fluid_is_told_as_such(tmp_path: Path) -> None:
     square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
     corners = "".join(
-        f"GRID,{11 + 4 * z + i},,{x},{y},{z}.\n" for z in (0, 1) for i, (x, y) in enumerate(square)
+        f"GRID,{11 + 4 * z + i},,{x},{y},{z}.\n"
+        for z in (0, 1)
+        for i, (x, y) in enumerate(square)
     )
     solid = "CHEXA,1,1,11,12,13,14,15,16\n+,17,18\nPSOLID,1,10,,,,,PFLUID\nMAT10,10,2.+9,1000.\n"
-    with pytest.raises(DeckError, match=r"MAT10 makes a fluid \(fluids: give their mass"):
+    with pytest.raises(
+        DeckError, match=r"MAT10 makes a fluid \(fluids: give their mass"
+    ):
         read(tmp_path, corners + solid)
 
 
-def test_ids_of_more_than_eight_digits_are_written_in_large_fields(tmp_path: Path) -> None:
+def test_ids_of_more_than_eight_digits_are_written_in_large_fields(
+    tmp_path: Path,
+) -> None:
     rod = "GRID,123456789012,,1.,0.,0.\nCONROD,7,1,123456789012,1,.5\nMAT1,1,1.,,.3\n"
     model = read(tmp_path, NODES + rod)
     again = read(tmp_path, write_bulk(model))

@@ -155,7 +155,9 @@ BAR = b"PBAR    1       1       .01     1.-5    2.-5    1.-5"
 
 def wide(head: str, *fields: str, calls: str = "") -> bytes:
     """A line of large fields, and the continuation that it calls."""
-    return (head.ljust(8) + "".join(f.rjust(16) for f in fields).ljust(64) + calls).encode() + b"\n"
+    return (
+        head.ljust(8) + "".join(f.rjust(16) for f in fields).ljust(64) + calls
+    ).encode() + b"\n"
 
 
 def small(*changes: tuple[bytes, bytes], of: bytes = PLAIN) -> bytes:
@@ -234,7 +236,8 @@ def test_reads_as_the_plain_deck(tmp_path: Path, name: str) -> None:
     want, got = read(tmp_path, PLAIN), read(tmp_path, DECKS[name])
     for card in ("GRID", "CBAR", "PBAR", "MAT1", "EIGRL"):
         for column in want[card].columns:
-            if column not in ("MAXSET", "MSGLVL", "NORM"):  # Patran and others write them out
+            # Patran and others write them out
+            if column not in ("MAXSET", "MSGLVL", "NORM"):
                 a, b = want[card][column], got[card][column]
                 np.testing.assert_array_equal(b, a, err_msg=f"{card} {column}")
     assert got.case.method == 1
@@ -252,7 +255,11 @@ def test_reads_as_the_plain_deck(tmp_path: Path, name: str) -> None:
             DeckError,
             r"a\.bdf:9: GRID field ID: '3\.' is not an integer",
         ),
-        (PLAIN.replace(b".5      0.", b".5 0.   0."), DeckError, r"a\.bdf:9: GRID field X1"),
+        (
+            PLAIN.replace(b".5      0.", b".5 0.   0."),
+            DeckError,
+            r"a\.bdf:9: GRID field X1",
+        ),
         (FREE + b"CBUSH,9,9,3\nPBUSH,9,K,RIGID\n", DeckError, "use RBE2"),
         (
             FREE.replace(b"SPC=1", b"TEMPERATURE(INIT)=4") + b"MATT1,1,7\n",
@@ -261,19 +268,24 @@ def test_reads_as_the_plain_deck(tmp_path: Path, name: str) -> None:
         ),
     ],
 )
-def test_refused(tmp_path: Path, deck: bytes, error: type[RingtrueError], message: str) -> None:
+def test_refused(
+    tmp_path: Path, deck: bytes, error: type[RingtrueError], message: str
+) -> None:
     with pytest.raises(error, match=message):
         read(tmp_path, deck)
 
 
 def test_the_name_that_optistruct_has_for_a_pyramid(tmp_path: Path) -> None:
-    assert read(tmp_path, FREE + b"CPYRA,9,9,1,2,3,4,5\nGRID,4\nGRID,5\nPSOLID,9,1\n")["CPYRAM"][
-        "G5"
-    ].tolist() == [5]
+    assert read(tmp_path, FREE + b"CPYRA,9,9,1,2,3,4,5\nGRID,4\nGRID,5\nPSOLID,9,1\n")[
+        "CPYRAM"
+    ]["G5"].tolist() == [5]
 
 
 def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> None:
-    assert dict(read(tmp_path, FREE + b"MATT1,1,7\nTEMPD,4,20.\n").kept) == {"MATT1": 1, "TEMPD": 1}
+    assert dict(read(tmp_path, FREE + b"MATT1,1,7\nTEMPD,4,20.\n").kept) == {
+        "MATT1": 1,
+        "TEMPD": 1,
+    }
 
 
 @pytest.mark.parametrize(
@@ -282,7 +294,8 @@ def test_temperature_tables_that_nothing_chooses_are_kept(tmp_path: Path) -> Non
         (
             b".02",
             [0.02] * 6,
-        ),  # alone it holds for all, else a blank is 0 (Quick Reference Guide, PBUSH, remark 9)
+            # alone it holds for all, else a blank is 0 (Quick Reference Guide, PBUSH, remark 9)
+        ),
         (b".02,.02,.02,.02,.02,.02", [0.02] * 6),
         (b".02,,.03", [0.02, 0.0, 0.03, 0.0, 0.0, 0.0]),
         (b",,,.1", [0.0, 0.0, 0.0, 0.1, 0.0, 0.0]),

@@ -46,11 +46,16 @@ def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
     cut = segments(samples, 4, lags, HIGH, DOWN)
     r, lower = band_correlations.run(Signals(y, np.zeros(3)), cut, HIGH, DOWN, refs)
     # of the signal that leaves the filter on one side and of that which comes to it on the other
-    twice = filtered(filtered(np.pad(y, ((0, 0), (500, 500))), HIGH.taps), HIGH.taps)[:, 500:-500]
+    twice = filtered(filtered(np.pad(y, ((0, 0), (500, 500))), HIGH.taps), HIGH.taps)[
+        :, 500:-500
+    ]
     block = cut.each * cut.hop
     for b in (0, 2):
         t = np.arange(b * block, (b + 1) * block)
-        direct = np.stack([twice[:, t + k] @ y[refs][:, t].T for k in range(lags + 1)]) / block
+        direct = (
+            np.stack([twice[:, t + k] @ y[refs][:, t].T for k in range(lags + 1)])
+            / block
+        )
         assert np.abs(r[b] - direct).max() < 1e-4 * np.abs(direct).max()
     assert lower == pytest.approx(filtered(y, DOWN.taps)[:, ::4], abs=1e-4)
 
@@ -83,13 +88,17 @@ def test_detrended_signals_have_no_line():
     line = 1e3 - 2e-2 * t
     s = detrended(np.stack([wave + line, 5 * wave]).astype(np.float32))
     want = detrend(np.stack([wave, 5 * wave]))
-    assert s.part(100, 2000, np.array([1, 0])) == pytest.approx(want[[1, 0], 100:2000], abs=1e-3)
+    assert s.part(100, 2000, np.array([1, 0])) == pytest.approx(
+        want[[1, 0], 100:2000], abs=1e-3
+    )
     assert s.power() == pytest.approx((want**2).mean(1), rel=1e-4)
 
 
 def test_many_stretches_keep_few_blocks_of_one_length():
     y = np.random.default_rng(2).standard_normal((3, 4000))
-    sums = first_sums(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    sums = first_sums(
+        y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None
+    )
     once = sums[0].r.mean(0)
     for _ in range(22):
         sums = joined_sums(sums, stretch_sums(sums, y, 100.0))
@@ -101,7 +110,9 @@ def test_many_stretches_keep_few_blocks_of_one_length():
 
 def test_a_stretch_that_was_begun_with_shorter_blocks_joins_as_one_with_long_ones():
     y = np.random.default_rng(2).standard_normal((3, 4000))
-    sums = first_sums(y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None)
+    sums = first_sums(
+        y, 100.0, (Band(6.0, 34.0, 100.0),), SsiCov(10, 20, blocks=4), None
+    )
     early = stretch_sums(sums, y, 100.0)
     for _ in range(8):
         sums = joined_sums(sums, stretch_sums(sums, y, 100.0))
@@ -166,7 +177,9 @@ def test_shapes_of_a_close_pair_are_told_apart():
     nu = freqs[:, None] / f
     q = np.abs(2 * z * nu**2 / (1 - nu**2 + 2j * z * nu)) ** 2
     cross = np.einsum("ci,fi,di->fcd", psi, q, psi.conj()) + 1e-4 * np.eye(4)
-    bins = SpectralBins(freqs, np.full(freqs.size, 4.0), cross.astype(np.complex64), 2000.0)
+    bins = SpectralBins(
+        freqs, np.full(freqs.size, 4.0), cross.astype(np.complex64), 2000.0
+    )
     mixed = psi @ np.array([[1.0, 0.1], [-0.08j, 1.0]])
     found = unmix(bins, EstimatedModes(f, z, mixed), 4.0)
     found = unmix(bins, EstimatedModes(f, z, mixed), 4.0, start=found.matrix)

@@ -11,14 +11,28 @@ from numpy.lib.stride_tricks import as_strided
 
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.errors import ConfigError, InputError
-from ringtrue.identification.ambient.confidence import all_clear, confidence, evidence, weakest
+from ringtrue.identification.ambient.confidence import (
+    all_clear,
+    confidence,
+    evidence,
+    weakest,
+)
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
 from ringtrue.identification.ambient.record_bands import bands_of_use
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
-from ringtrue.identification.ambient.ssi_cov import SsiCov, decompose, hankel_gram, squared_hankel
+from ringtrue.identification.ambient.ssi_cov import (
+    SsiCov,
+    decompose,
+    hankel_gram,
+    squared_hankel,
+)
 from ringtrue.identification.common.merging import merge_modes
 from ringtrue.identification.common.stabilisation import cluster_poles, least_deviations
-from ringtrue.identification.common.uncertainty import frequency_damping, hankel, perturb
+from ringtrue.identification.common.uncertainty import (
+    frequency_damping,
+    hankel,
+    perturb,
+)
 from ringtrue.shapes import mac
 from ringtrue.signal.transients import NONE, Events
 
@@ -70,13 +84,15 @@ def test_bands_reach_from_one_event_to_the_next_only_below_its_lines():
     first, slow = bands_of_use(bands, 4000.0, events, 50)
     assert (first.rate, first.low, first.high) == (64.0, 0.2, bands[0].high)
     assert (slow.rate, slow.low, slow.high) == (1.0, bands[-1].low, 0.2)
-    often = replace(events, window=0.125, times=times / 2)  # lags of 1.6 s, impacts every 2.5 s
+    # lags of 1.6 s, impacts every 2.5 s
+    often = replace(events, window=0.125, times=times / 2)
     assert bands_of_use(bands, 4000.0, often, 50) == bands
     assert bands_of_use(bands, 4000.0, replace(events, share=0.1), 50) == bands
 
 
 @pytest.mark.parametrize(
-    ("shape", "rows", "order"), [((80, 4, 3), 40, 6), ((40, 30, 3), 20, 25), ((20, 40, 1), 10, 10)]
+    ("shape", "rows", "order"),
+    [((80, 4, 3), 40, 6), ((40, 30, 3), 20, 25), ((20, 40, 1), 10, 10)],
 )
 def test_leading_triplets_are_those_of_the_full_decomposition(
     shape: tuple[int, int, int], rows: int, order: int
@@ -94,20 +110,32 @@ def test_perturbations_are_those_of_the_hankel_matrices_of_the_blocks():
     rng = np.random.default_rng(9)
     rows, ch, n = 8, 3, 5
     dr = rng.standard_normal((6, 2 * rows, ch, 2))
-    u, vs = np.linalg.qr(rng.standard_normal((rows * ch, n)))[0], rng.standard_normal((rows * 2, n))
+    u, vs = (
+        np.linalg.qr(rng.standard_normal((rows * ch, n)))[0],
+        rng.standard_normal((rows * 2, n)),
+    )
     q = np.linalg.qr(u[:-ch])[0]
     p = perturb(dr, rows, u, vs, q)
     t = np.stack([hankel(x, rows) @ vs for x in dr])
-    want = {"up": q.T @ t[:, :-ch], "down": q.T @ t[:, ch:], "output": t[:, :ch], "inner": u.T @ t}
+    want = {
+        "up": q.T @ t[:, :-ch],
+        "down": q.T @ t[:, ch:],
+        "output": t[:, :ch],
+        "inner": u.T @ t,
+    }
     for name, value in want.items():
-        assert getattr(p, name) == pytest.approx(value, abs=1e-5 * np.abs(t).max()), name
+        assert getattr(p, name) == pytest.approx(value, abs=1e-5 * np.abs(t).max()), (
+            name
+        )
 
 
 def test_deviation_of_a_pole_is_its_derivative():
     pole, d = np.array([-0.3 + 20j]), np.array([[1e-6 - 2e-6j]])
     df, dz = frequency_damping(pole, d)
     moved = pole + d[:, 0]
-    assert df[0, 0] == pytest.approx((np.abs(moved) - np.abs(pole))[0] / (2 * np.pi), rel=1e-4)
+    assert df[0, 0] == pytest.approx(
+        (np.abs(moved) - np.abs(pole))[0] / (2 * np.pi), rel=1e-4
+    )
     assert dz[0, 0] == pytest.approx(
         (-moved.real / np.abs(moved) + pole.real / np.abs(pole))[0], rel=1e-4
     )
@@ -127,7 +155,10 @@ def _record(
     truth = np.cos(np.outer(np.arange(8), [0.3, 0.9]))
     shapes = truth[at] * factor + 1e-3 * abs(factor) * rng.standard_normal((len(at), 2))
     modes = ModeSet(
-        np.array(f), np.array([0.01, 0.02]), shapes.astype(complex), tuple(f"{i}+X" for i in at)
+        np.array(f),
+        np.array([0.01, 0.02]),
+        shapes.astype(complex),
+        tuple(f"{i}+X" for i in at),
     )
     u = Uncertainty.independent(
         np.full(2, std), np.full(2, 1e-3), np.full((len(at), 2), 1e-3 * abs(factor))
@@ -175,7 +206,9 @@ def test_weights_and_outliers():
 def test_a_mode_of_one_record_is_kept_and_no_records_are_refused():
     a = (*_record([0, 1, 2], [1.0, 3.0], 0.01, 1.0, 1), "a")
     b = (*_record([0, 1, 2], [1.0, 7.0], 0.01, 1.0, 2), "b")
-    assert merge_modes([a, b]).modes.frequencies == pytest.approx([1.0, 3.0, 7.0], abs=0.01)
+    assert merge_modes([a, b]).modes.frequencies == pytest.approx(
+        [1.0, 3.0, 7.0], abs=0.01
+    )
     with pytest.raises(InputError, match="no record"):
         merge_modes([])
 
@@ -196,7 +229,9 @@ def test_a_common_channel_that_is_wrong_in_one_record_is_undone_and_said(wrong):
             shapes.astype(complex),
             tuple(f"{i}+X" for i in at),
         )
-        std = Uncertainty.independent(np.full(4, 0.01), np.full(4, 1e-3), np.full((5, 4), 0.01))
+        std = Uncertainty.independent(
+            np.full(4, 0.01), np.full(4, 1e-3), np.full((5, 4), 0.01)
+        )
         records.append((modes, std, f"r{k}"))
     m = merge_modes(records)
     assert len(m.modes) == 4
@@ -224,19 +259,28 @@ def test_two_poor_shapes_are_no_exchanged_channels():
         else:
             shapes[:, 6:] = np.array([[0.2, -0.2], [0.4, 0.4], [1.0, 1.0]])
         modes = ModeSet(
-            np.arange(1.0, 9.0), np.full(8, 0.01), shapes.astype(complex), ("0+X", "1+X", "2+X")
+            np.arange(1.0, 9.0),
+            np.full(8, 0.01),
+            shapes.astype(complex),
+            ("0+X", "1+X", "2+X"),
         )
-        std = Uncertainty.independent(np.full(8, 0.01), np.full(8, 1e-3), np.full((3, 8), 0.01))
+        std = Uncertainty.independent(
+            np.full(8, 0.01), np.full(8, 1e-3), np.full((3, 8), 0.01)
+        )
         records.append((modes, std, f"r{k}"))
     assert merge_modes(records).notes == ()
 
 
 @pytest.mark.parametrize("rows", [7, 12])
-def test_the_gram_matrix_of_a_hankel_matrix_by_convolution_and_along_its_diagonals(rows: int):
+def test_the_gram_matrix_of_a_hankel_matrix_by_convolution_and_along_its_diagonals(
+    rows: int,
+):
     r = np.random.default_rng(8).standard_normal((2 * rows, 3, 2))
     h = hankel(r, rows)
     assert squared_hankel(h, 3, 2) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
-    assert hankel_gram(r, rows) @ np.eye(2 * rows) == pytest.approx(h.T @ h, rel=1e-12, abs=1e-12)
+    assert hankel_gram(r, rows) @ np.eye(2 * rows) == pytest.approx(
+        h.T @ h, rel=1e-12, abs=1e-12
+    )
 
 
 def test_hankel_of_one_channel():

@@ -24,14 +24,19 @@ from ringtrue.signal.spectra import (
 from ringtrue.signal.tonal_lines import harmonics
 
 
-def history(data: np.ndarray, rate: float, quantity: str = "acceleration") -> TimeHistory:
+def history(
+    data: np.ndarray, rate: float, quantity: str = "acceleration"
+) -> TimeHistory:
     channels = tuple(Channel(f"{i + 1}+Z", quantity) for i in range(len(data)))  # type: ignore[arg-type]
     return TimeHistory(data, rate, channels, "made")
 
 
 def test_samples_of_a_channel_are_side_by_side_however_the_table_came():
     table = np.random.default_rng(0).standard_normal((50, 3))
-    turned, rows = history(table.T, 100.0).data, history(np.ascontiguousarray(table.T), 100.0).data
+    turned, rows = (
+        history(table.T, 100.0).data,
+        history(np.ascontiguousarray(table.T), 100.0).data,
+    )
     assert turned.strides[1] == turned.itemsize
     np.testing.assert_array_equal(turned, rows)
     assert np.shares_memory(
@@ -40,7 +45,9 @@ def test_samples_of_a_channel_are_side_by_side_however_the_table_came():
 
 
 def test_spectrum_of_white_noise_has_its_variance_and_no_cross_terms():
-    y = np.random.default_rng(1).standard_normal((3, 60000)) * np.array([[1.0], [2.0], [3.0]])
+    y = np.random.default_rng(1).standard_normal((3, 60000)) * np.array(
+        [[1.0], [2.0], [3.0]]
+    )
     s = csd(history(y, 100.0), Welch(0.5))
     power = s.data.real[:, range(3), range(3)].sum(0) * 0.5
     assert power == pytest.approx(
@@ -61,10 +68,14 @@ def test_spectrum_needs_one_segment():
 def test_correlations_are_exact_to_the_last_sample(samples: int):
     y = np.random.default_rng(2).standard_normal((3, samples))
     refs = np.array([2, 0])
-    want = np.stack([y[:, k:] @ y[refs, : samples - k].T / (samples - k) for k in range(31)])
+    want = np.stack(
+        [y[:, k:] @ y[refs, : samples - k].T / (samples - k) for k in range(31)]
+    )
     assert correlations(y, refs, 30) == pytest.approx(want, abs=1e-12)
     r, count = block_correlations(y, refs, 30, block_bounds(samples, 7))
-    assert np.einsum("bk,bkij->kij", count / count.sum(0), r) == pytest.approx(want, abs=1e-12)
+    assert np.einsum("bk,bkij->kij", count / count.sum(0), r) == pytest.approx(
+        want, abs=1e-12
+    )
 
 
 def test_bands_keep_a_sine_and_its_phase():
@@ -125,10 +136,17 @@ def test_modes_in_three_directions_are_no_line():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         slow = np.array(
-            [np.interp(t, np.arange(0, 1220, 20.0), x) for x in rng.standard_normal((6, 61))]
+            [
+                np.interp(t, np.arange(0, 1220, 20.0), x)
+                for x in rng.standard_normal((6, 61))
+            ]
         )
-        y = slow[:3] * np.cos(2 * np.pi * 12.5 * t) + slow[3:] * np.sin(2 * np.pi * 12.5 * t)
-        found += bool(harmonics(history(y + 1e-3 * rng.standard_normal(y.shape), 100.0)))
+        y = slow[:3] * np.cos(2 * np.pi * 12.5 * t) + slow[3:] * np.sin(
+            2 * np.pi * 12.5 * t
+        )
+        found += bool(
+            harmonics(history(y + 1e-3 * rng.standard_normal(y.shape), 100.0))
+        )
     assert found <= 1
 
 
@@ -136,7 +154,9 @@ def test_geophone_is_undone_within_its_band():
     sensor, rate, t = Geophone(4.5, 0.56), 100.0, np.arange(20000) / 100.0
     envelope = np.exp(-(((t - 100) / 30) ** 2))
     velocity = envelope * np.cos(2 * np.pi * 1.3 * t)
-    spectrum = np.fft.rfft(velocity) * sensor.response(np.fft.rfftfreq(t.size, 1 / rate))
+    spectrum = np.fft.rfft(velocity) * sensor.response(
+        np.fft.rfftfreq(t.size, 1 / rate)
+    )
     recorded = np.fft.irfft(spectrum, t.size)
     back = deconvolve(history(recorded[None], rate, "unknown"), sensor, low=0.8)
     assert back.data[0] == pytest.approx(velocity, abs=2e-3)

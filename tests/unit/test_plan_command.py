@@ -80,12 +80,18 @@ def test_sets_are_ranked_as_they_are_told_where_few_points_can_be_struck(
         run([*words, "--strike-at", spots, "--json", "-"])
         told = json.loads(capsys.readouterr().out)
         worst = {
-            n: [s["worst_reach"] for s in told["reference_sets"] if len(s["references"]) == n]
+            n: [
+                s["worst_reach"]
+                for s in told["reference_sets"]
+                if len(s["references"]) == n
+            ]
             for n in (1, 2, 3)
         }
         assert worst[2] == sorted(worst[2], reverse=True)
         assert worst[1] <= worst[2][:1] <= worst[3]
-        assert sorted(told["reference_sets"][1]["references"]) == sorted(told["references"])
+        assert sorted(told["reference_sets"][1]["references"]) == sorted(
+            told["references"]
+        )
 
 
 def settings(deck: Path, text: str) -> list[str]:
@@ -143,7 +149,9 @@ def test_modes_that_the_points_do_not_part_are_named(
     assert told["notes"] == []
 
 
-def test_targets_and_points_by_regions(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_targets_and_points_by_regions(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Points are among the nodes of the regions, which may share some; modes that hardly move one
     are no targets.
     """

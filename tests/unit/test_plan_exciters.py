@@ -14,7 +14,12 @@ from scipy.sparse import csgraph
 from ringtrue.errors import InputError
 from ringtrue.planning import exciters, geometry
 from ringtrue.planning.exciters import rank_sets, reciprocity_pairs
-from ringtrue.planning.geometry import drawn_mac, mesh_edges, relative_neighbours, wireframe
+from ringtrue.planning.geometry import (
+    drawn_mac,
+    mesh_edges,
+    relative_neighbours,
+    wireframe,
+)
 from ringtrue.planning.plan_files import loaded_frequencies, quiet, suspension_points
 
 
@@ -40,7 +45,9 @@ def test_a_pool_of_rows_comes_close_to_all(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_reciprocity_needs_both_ways() -> None:
-    assert reciprocity_pairs(("1+Z", "2+Z", "9+Z"), ("1+Z", "2+Z", "3+Z")) == (("1+Z", "2+Z"),)
+    assert reciprocity_pairs(("1+Z", "2+Z", "9+Z"), ("1+Z", "2+Z", "3+Z")) == (
+        ("1+Z", "2+Z"),
+    )
 
 
 def test_a_free_beam_hangs_where_its_modes_have_nodes() -> None:
@@ -66,10 +73,16 @@ def test_the_centre_of_gravity_hangs_between_the_points() -> None:
     g = np.linspace(0, 1, 5)
     xyz = np.array([[a, b, 0.0] for a in g for b in g])
     motion = (0.1 + xyz[:, 0])[:, None, None]
-    hung = suspension_points(motion, xyz, 3, np.array([0.5, 0.5, 0.3]), min_distance=0.3)
+    hung = suspension_points(
+        motion, xyz, 3, np.array([0.5, 0.5, 0.3]), min_distance=0.3
+    )
     assert hung.steady
     a, b, c = xyz[hung.points][:, :2] - 0.5
-    turns = [a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]]
+    turns = [
+        a[0] * b[1] - a[1] * b[0],
+        b[0] * c[1] - b[1] * c[0],
+        c[0] * a[1] - c[1] * a[0],
+    ]
     assert min(turns) >= -1e-12 or max(turns) <= 1e-12
     with pytest.raises(InputError, match="lower min_distance"):
         suspension_points(motion, xyz, 3, np.zeros(3), min_distance=5.0)
@@ -83,7 +96,9 @@ def test_mass_loading_is_exact_with_all_modes() -> None:
     f = np.sqrt(lam) / (2 * np.pi)
     added = np.array([0.3, 0, 0, 0.1, 0, 0])
     want = np.sqrt(linalg.eigh(K, M + np.diag(added), eigvals_only=True)) / (2 * np.pi)
-    np.testing.assert_allclose(loaded_frequencies(f, phi[:, None, :], added), want, rtol=1e-10)
+    np.testing.assert_allclose(
+        loaded_frequencies(f, phi[:, None, :], added), want, rtol=1e-10
+    )
     small = loaded_frequencies(f, phi[:, None, :], 1e-6 * added) / f - 1
     np.testing.assert_allclose(small, -0.5e-6 * (added @ phi**2), rtol=1e-3)
     with pytest.raises(InputError, match=">= 0"):
@@ -95,7 +110,10 @@ def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
     xyz = np.array([[i, j, 0.0] for j in range(n) for i in range(n)])
     low = np.array([i + n * j for j in range(n - 1) for i in range(n - 1)])
     tri = np.concatenate(
-        [np.column_stack([low, low + 1, low + n + 1]), np.column_stack([low, low + n + 1, low + n])]
+        [
+            np.column_stack([low, low + 1, low + n + 1]),
+            np.column_stack([low, low + n + 1, low + n]),
+        ]
     )
     return xyz, mesh_edges(tri, np.zeros((0, 2), dtype=int))
 
@@ -152,7 +170,8 @@ def test_a_line_that_cuts_through_the_air_is_left_out_unless_nothing_else_holds_
     xyz = np.array([[a, b, c] for a in x for b, c in zip(y, z, strict=True)])
     at = np.arange(xyz.shape[0]).reshape(7, 11)
     pairs = [
-        np.stack([p.ravel(), q.ravel()], 1) for p, q in ((at[:-1], at[1:]), (at[:, :-1], at[:, 1:]))
+        np.stack([p.ravel(), q.ravel()], 1)
+        for p, q in ((at[:-1], at[1:]), (at[:, :-1], at[:, 1:]))
     ]
     edges = np.concatenate(pairs)
     chosen = at[[0, 0, 3, 3, 6, 6], [0, 10, 0, 10, 0, 10]]  # on the tops of both walls

@@ -14,7 +14,12 @@ from ringtrue.planning.exciters import (
     select_references,
 )
 from ringtrue.planning.geometry import spacing_of_points
-from ringtrue.planning.sensors import Spacing, independence, lower_auto_mac, select_points
+from ringtrue.planning.sensors import (
+    Spacing,
+    independence,
+    lower_auto_mac,
+    select_points,
+)
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 
 
@@ -49,7 +54,8 @@ def test_fixed_points_stay_and_distances_hold() -> None:
     at = select_points(shapes, xyz, 6, fixed=fixed, min_distance=0.1)
     assert 7 in at
     assert np.diff(np.sort(xyz[at, 0])).min() > 0.1
-    fixed[:5] = True  # more than are asked for, and nearer to each other than others may be
+    # more than are asked for, and nearer to each other than others may be
+    fixed[:5] = True
     assert select_points(shapes, xyz, 4, fixed=fixed, min_distance=0.1).tolist() == [
         0,
         1,
@@ -68,7 +74,10 @@ def test_selection_does_not_depend_on_the_order_of_candidates() -> None:
     rng = np.random.default_rng(1)
     shapes, xyz = rng.standard_normal((40, 3, 5)), rng.standard_normal((40, 3))
     mix = rng.permutation(40)
-    plain, mixed = select_points(shapes, xyz, 6), select_points(shapes[mix], xyz[mix], 6)
+    plain, mixed = (
+        select_points(shapes, xyz, 6),
+        select_points(shapes[mix], xyz[mix], 6),
+    )
     assert set(plain.tolist()) == set(mix[mixed].tolist())
 
 

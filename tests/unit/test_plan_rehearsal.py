@@ -49,7 +49,9 @@ NAMES = tuple(f"{k + 1}+Z" for k in range(POINTS))
 
 
 def planned(struck: tuple[int, ...], fmax: float = 36.0) -> Planned:
-    return Planned(F, PHI, PHI[list(struck)], NAMES, tuple(NAMES[k] for k in struck), 4.0, fmax)
+    return Planned(
+        F, PHI, PHI[list(struck)], NAMES, tuple(NAMES[k] for k in struck), 4.0, fmax
+    )
 
 
 def test_the_model_is_that_of_modal_superposition() -> None:
@@ -61,7 +63,9 @@ def test_the_model_is_that_of_modal_superposition() -> None:
     np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12)
     # a rigid-body mode is a mass: accelerance φφ
     free = replace(plan, frequencies=np.array([0.0, *F[1:]]))
-    low = modal_model(free, free.frequencies, zeta).synthesise(np.array([1e-3]))[0, 0, 0]
+    low = modal_model(free, free.frequencies, zeta).synthesise(np.array([1e-3]))[
+        0, 0, 0
+    ]
     assert low == pytest.approx(PHI[0, 0] * PHI[3, 0], rel=1e-3)
 
 
@@ -70,22 +74,32 @@ def test_the_hammer_fits_the_sensors() -> None:
     plan = planned((3, 6))
     model = modal_model(plan, F, np.full(MODES, 0.01))
     hammer = fitting_hammer(model, plan.fmax, ICP)
-    assert hammer.contact[1] * plan.fmax < 1.5  # the first zero of the spectrum is beyond the band
-    assert np.exp(-0.01 * 2 * np.pi * F[0] * hammer.block) == pytest.approx(0.01, rel=1e-3)
+    # the first zero of the spectrum is beyond the band
+    assert hammer.contact[1] * plan.fmax < 1.5
+    assert np.exp(-0.01 * 2 * np.pi * F[0] * hammer.block) == pytest.approx(
+        0.01, rel=1e-3
+    )
     heavy = fitting_hammer(replace(model, shapes=model.shapes / 4), plan.fmax, ICP)
     assert heavy.peak[1] == pytest.approx(4 * hammer.peak[1])
-    frfs = measured(model, hammer, Conditions(), 3.2 * plan.fmax, np.random.default_rng(0))
+    frfs = measured(
+        model, hammer, Conditions(), 3.2 * plan.fmax, np.random.default_rng(0)
+    )
     truth = model.synthesise(frfs.freqs[1:])
     assert frfs.data.shape[1:] == (POINTS, 2)
     assert frfs.driving_points() == [(3, 0), (6, 1)]
     peak = int(np.abs(truth[:, 6, 1]).argmax())
     # calibration errors of 1 % at most on either side; an exponential window widens the peak
-    at = np.abs(frfs.freqs[1:] - 12.0).argmin()  # between resonances the window does not matter
-    np.testing.assert_allclose(np.abs(frfs.data[1 + at, 6, 1]), np.abs(truth[at, 6, 1]), rtol=0.05)
+    # between resonances the window does not matter
+    at = np.abs(frfs.freqs[1:] - 12.0).argmin()
+    np.testing.assert_allclose(
+        np.abs(frfs.data[1 + at, 6, 1]), np.abs(truth[at, 6, 1]), rtol=0.05
+    )
     assert 0 < peak < truth.shape[0]
 
 
-@pytest.mark.parametrize(("lost", "found"), [((0, 17, 18), True), (tuple(range(9)), False)])
+@pytest.mark.parametrize(
+    ("lost", "found"), [((0, 17, 18), True), (tuple(range(9)), False)]
+)
 def test_channels_that_a_virtual_test_leaves_out_count_as_not_seen(
     lost: tuple[int, ...], found: bool
 ) -> None:
@@ -108,8 +122,15 @@ def test_soft_suspensions_do_not_lengthen_the_block() -> None:
     plan, zeta = planned((3, 6)), np.full(MODES, 0.01)
     hung = replace(plan, frequencies=np.array([0.05 * plan.fmin, *F[1:]]))
     free = replace(plan, frequencies=np.array([0.0, *F[1:]]))
-    block = fitting_hammer(modal_model(hung, hung.frequencies, zeta), plan.fmax, ICP).block
-    assert block == fitting_hammer(modal_model(free, free.frequencies, zeta), plan.fmax, ICP).block
+    block = fitting_hammer(
+        modal_model(hung, hung.frequencies, zeta), plan.fmax, ICP
+    ).block
+    assert (
+        block
+        == fitting_hammer(
+            modal_model(free, free.frequencies, zeta), plan.fmax, ICP
+        ).block
+    )
 
 
 def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
@@ -119,7 +140,8 @@ def test_a_good_plan_finds_all_modes_and_a_node_loses_its_mode() -> None:
     rng = np.random.default_rng(1)
     good = simulate_impact_test(planned((3, 6)), Conditions(trials=3), rng)
     assert (good.found == 1).all()
-    np.testing.assert_allclose(good.at_least, 0.05 ** (1 / 3))  # three of three, one-sided 95 %
+    # three of three, one-sided 95 %
+    np.testing.assert_allclose(good.at_least, 0.05 ** (1 / 3))
     assert np.abs(good.frequency_bias).max() < 1e-3
     assert np.abs(good.damping_bias).max() < 0.05
     assert good.mac.min() > 0.99
@@ -137,7 +159,9 @@ def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
     drown the blows.
     """
     heavy, rng = planned((3, 6)), np.random.default_rng(6)
-    light = replace(heavy, outputs=heavy.outputs * 1000**0.5, inputs=heavy.inputs * 1000**0.5)
+    light = replace(
+        heavy, outputs=heavy.outputs * 1000**0.5, inputs=heavy.inputs * 1000**0.5
+    )
     found = simulate_impact_test(light, Conditions(trials=2), rng)
     assert found.force < 20  # N, far below the smallest hammer's range
     assert (found.found == 1).all()
@@ -146,7 +170,9 @@ def test_a_light_structure_is_struck_with_a_small_hammer() -> None:
 
 def test_noise_makes_what_is_found_worse() -> None:
     plan, seed = planned((3,), 20.0), 2
-    quiet = simulate_impact_test(plan, Conditions(trials=4), np.random.default_rng(seed))
+    quiet = simulate_impact_test(
+        plan, Conditions(trials=4), np.random.default_rng(seed)
+    )
     loud = simulate_impact_test(
         plan, Conditions(trials=4, background=2.0), np.random.default_rng(seed)
     )
@@ -154,7 +180,9 @@ def test_noise_makes_what_is_found_worse() -> None:
 
 
 @pytest.mark.parametrize("coherence", [0.98, 0.85])
-def test_forces_in_the_background_leave_the_expected_coherence(coherence: float) -> None:
+def test_forces_in_the_background_leave_the_expected_coherence(
+    coherence: float,
+) -> None:
     """Noise over signal of the typical line as wanted; a coherence of 20 blows has an error √2(1 −
     γ²)/(γ√n).
     """
@@ -163,7 +191,10 @@ def test_forces_in_the_background_leave_the_expected_coherence(coherence: float)
     hammer = fitting_hammer(model, plan.fmax, ICP, hits=20)
     rng, wanted = np.random.default_rng(3), Conditions(coherence=coherence)
     noise = replace(
-        wanted, background=background_density(model, hammer, wanted, (plan.fmin, plan.fmax), rng)
+        wanted,
+        background=background_density(
+            model, hammer, wanted, (plan.fmin, plan.fmax), rng
+        ),
     )
     frfs = measured(model, hammer, noise, 3.2 * plan.fmax, rng)
     there = (frfs.freqs > plan.fmin) & (frfs.freqs < plan.fmax)
@@ -185,7 +216,9 @@ def test_an_ambient_test_scatters_as_theory_foretells() -> None:
     assert found.mac.min() > 0.99
     # one standard deviation by 24 tests is known to 15 %, the mean of four modes to 7 %
     for got, floor in zip(
-        (found.frequency_std, found.damping_std), ambient_std(F[:4], 0.01, 600.0), strict=True
+        (found.frequency_std, found.damping_std),
+        ambient_std(F[:4], 0.01, 600.0),
+        strict=True,
     ):
         assert 0.8 < np.mean(got / floor) < 1.4
     quiet = simulate_ambient_test(
@@ -201,7 +234,9 @@ def test_an_ambient_test_scatters_as_theory_foretells() -> None:
 
 def test_the_same_seed_gives_the_same_answer() -> None:
     one, two = (
-        simulate_impact_test(planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5))
+        simulate_impact_test(
+            planned((3,), 12.0), Conditions(trials=2), np.random.default_rng(5)
+        )
         for _ in range(2)
     )
     assert one.frequency_bias.tolist() == two.frequency_bias.tolist()
@@ -238,7 +273,9 @@ def test_the_sheet_reads_back(tmp_path: Path) -> None:
     frequencies = np.array([5.0, 9.0])
     struck = PlannedExcitation(("11+X", "12-Z"), frequencies, reach)
     files = write_test_sheet(tmp_path / "sheet", test, struck, sensor=ICP)
-    again = read_sensor_sheet(tmp_path / "sheet/sensors.csv", tmp_path / "sheet/lines.csv")
+    again = read_sensor_sheet(
+        tmp_path / "sheet/sensors.csv", tmp_path / "sheet/lines.csv"
+    )
     assert again.model.channels == test.channels
     np.testing.assert_allclose(again.model.axes, test.axes)
     np.testing.assert_array_equal(again.model.lines, test.lines)
@@ -260,9 +297,13 @@ def test_the_universal_file_holds_points_and_lines(tmp_path: Path) -> None:
     assert [int(t) for t in file.get_set_types()] == [164, 15, 82]
     points, lines = file.read_sets(1), file.read_sets(2)
     assert [int(n) for n in points["node_nums"]] == [11, 12, 13]
-    np.testing.assert_allclose(np.stack([points["x"], points["y"], points["z"]], axis=1), test.xyz)
+    np.testing.assert_allclose(
+        np.stack([points["x"], points["y"], points["z"]], axis=1), test.xyz
+    )
     assert [int(n) for n in lines["nodes"]] == [11, 12, 0, 12, 13, 0]
-    none = replace(test, points=test.points - 11, at=test.at - 11, lines=test.lines - 11)
+    none = replace(
+        test, points=test.points - 11, at=test.at - 11, lines=test.lines - 11
+    )
     with pytest.raises(DataError, match="must be 1 to"):
         write_test_model(tmp_path / "none.uff", none)
 
@@ -421,22 +462,29 @@ def test_the_units_of_the_deck_do_not_matter(tmp_path: Path) -> None:
     np.testing.assert_allclose(si.sensors.loaded, mm.sensors.loaded, rtol=1e-4)
     assert si.sensors.setups.setup.tolist() == mm.sensors.setups.setup.tolist()
     assert si.sensors.setups.count == 2  # one of three sensors stays, two rove
-    np.testing.assert_allclose(si.sensors.setups.shift, mm.sensors.setups.shift, rtol=1e-3)
+    np.testing.assert_allclose(
+        si.sensors.setups.shift, mm.sensors.setups.shift, rtol=1e-3
+    )
     assert (si.sensors.setups.shift > 0).all()
     assert (si.sensors.setups.shift < -si.sensors.loaded).all()
     assert si.virtual_test.force == pytest.approx(mm.virtual_test.force, rel=1e-4)
     # four masses of 50 g on a strip of 23.55 kg: at most -½·0.2/23.55 times the square of the
     # shape's crest factor, 4
-    assert -0.5 * 4 * 0.2 / 23.55 < si.sensors.loaded.min() < si.sensors.loaded.max() < 0
+    assert (
+        -0.5 * 4 * 0.2 / 23.55 < si.sensors.loaded.min() < si.sensors.loaded.max() < 0
+    )
 
 
 def test_criteria_of_target_modes_in_a_study(deck: Path) -> None:
     """Modes that carry mass, and those whose frequencies tell the three storeys apart."""
     study = deck.with_name("study.toml")
-    head = '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[plan]\nfmax = 18.0\nsensors = 9\n'
+    head = (
+        '[model]\ndeck = "frame.bdf"\nfmax = 20.0\n[plan]\nfmax = 18.0\nsensors = 9\n'
+    )
     head += "min_distance = 0.1\nambient = false\n"
     candidates = "".join(
-        f'[[candidate]]\nname = "storey {k}"\ntargets = ["MAT1 {k} E"]\n' for k in (1, 2, 3)
+        f'[[candidate]]\nname = "storey {k}"\ntargets = ["MAT1 {k} E"]\n'
+        for k in (1, 2, 3)
     )
     study.write_text(head + "effective_mass = 0.5\n")
     heavy = run_study(study, until="plan").results["plan"]
@@ -488,7 +536,9 @@ def test_what_a_plan_asks_for_in_vain_is_said(
         "303,304,7777",
     ]
     path = deck.with_name("settings.toml")
-    path.write_text("[plan]\nexclude = [8888]\nkeep_out = [[3.9, -1.0, 8.9, 4.1, 1.0, 9.1]]\n")
+    path.write_text(
+        "[plan]\nexclude = [8888]\nkeep_out = [[3.9, -1.0, 8.9, 4.1, 1.0, 9.1]]\n"
+    )
     run([*words, "--settings", str(path), "--json", "-"])
     told = json.loads(capsys.readouterr().out)
     assert told["notes"] == [
@@ -498,10 +548,29 @@ def test_what_a_plan_asks_for_in_vain_is_said(
     assert all(r.startswith("304") for r in told["references"])
 
 
-def test_a_single_point_has_all_to_lose(deck: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(["plan", str(deck), "--modes", "1", "--points", "1", "--references", "1", "--json", "-"])
+def test_a_single_point_has_all_to_lose(
+    deck: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(
+        [
+            "plan",
+            str(deck),
+            "--modes",
+            "1",
+            "--points",
+            "1",
+            "--references",
+            "1",
+            "--json",
+            "-",
+        ]
+    )
     told = json.loads(capsys.readouterr().out)
-    assert (len(told["points"]), told["lost_points"], told["left_by_loss"]) == (1, 1, 0.0)
+    assert (len(told["points"]), told["lost_points"], told["left_by_loss"]) == (
+        1,
+        1,
+        0.0,
+    )
 
 
 def test_sensors_shift_no_mode_at_zero_hertz(
@@ -509,7 +578,9 @@ def test_sensors_shift_no_mode_at_zero_hertz(
 ) -> None:
     """The frame on no supports: what the sensors weigh shifts its elastic modes alone."""
     text = "".join(
-        x for x in small_study.deck().splitlines(keepends=True) if not x.startswith("SPC")
+        x
+        for x in small_study.deck().splitlines(keepends=True)
+        if not x.startswith("SPC")
     )
     deck.write_text(text)
     path = deck.with_name("settings.toml")

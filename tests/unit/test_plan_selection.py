@@ -14,8 +14,18 @@ import pytest
 from scipy import linalg
 
 from ringtrue.errors import InputError
-from ringtrue.planning.geometry import along, in_boxes, select_candidates, surface_normals
-from ringtrue.planning.sensors import Spacing, add_redundancy, select_points, worst_sensor_loss
+from ringtrue.planning.geometry import (
+    along,
+    in_boxes,
+    select_candidates,
+    surface_normals,
+)
+from ringtrue.planning.sensors import (
+    Spacing,
+    add_redundancy,
+    select_points,
+    worst_sensor_loss,
+)
 from ringtrue.shapes import auto_mac, worst_off_diagonal
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +34,9 @@ Array = npt.NDArray[np.float64]
 def string(n: int, m: int) -> tuple[Array, Array]:
     s = np.arange(1, n + 1) / (n + 1)
     xyz = np.stack([s, 0 * s, 0 * s], axis=1)
-    return np.sqrt(2) * np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))[:, None, :], xyz
+    return np.sqrt(2) * np.sin(np.pi * np.outer(s, np.arange(1, m + 1)))[
+        :, None, :
+    ], xyz
 
 
 def random(n: int, d: int, m: int, seed: int = 0) -> Array:
@@ -47,7 +59,9 @@ def test_loss_by_closed_form_and_by_brute_force() -> None:
     gram = np.einsum("ndi,ndj->ij", some, some)
     left = min(
         linalg.eigh(
-            gram - np.einsum("ndi,ndj->ij", some[list(c)], some[list(c)]), gram, eigvals_only=True
+            gram - np.einsum("ndi,ndj->ij", some[list(c)], some[list(c)]),
+            gram,
+            eigvals_only=True,
         )[0]
         for c in combinations(range(9), 3)
     )
@@ -57,7 +71,9 @@ def test_loss_by_closed_form_and_by_brute_force() -> None:
     # the combination that suffers keeps just that share
     q = loss.combination
     kept = np.delete(some, loss.points, axis=0)
-    assert ((kept @ q) ** 2).sum() / ((some @ q) ** 2).sum() == pytest.approx(left, rel=1e-9)
+    assert ((kept @ q) ** 2).sum() / ((some @ q) ** 2).sum() == pytest.approx(
+        left, rel=1e-9
+    )
 
 
 def test_redundant_layouts_survive_any_loss() -> None:
@@ -67,7 +83,9 @@ def test_redundant_layouts_survive_any_loss() -> None:
     safe = add_redundancy(shapes, few, 2)
     assert safe[:4].tolist() == few.tolist()
     for c in combinations(range(safe.size), 2):
-        assert np.linalg.matrix_rank(np.delete(shapes[safe, 0], c, axis=0), tol=1e-6) == 4
+        assert (
+            np.linalg.matrix_rank(np.delete(shapes[safe, 0], c, axis=0), tol=1e-6) == 4
+        )
     assert worst_sensor_loss(shapes[safe], 2).left >= 0.1
     with pytest.raises(InputError, match="allow more points or"):
         add_redundancy(shapes, few, 2, most=5)
@@ -89,7 +107,12 @@ def test_layouts_that_cannot_tell_modes_apart_have_nothing_to_lose() -> None:
     shapes, _ = string(59, 4)
     assert worst_sensor_loss(shapes[[0, 1, 58]], 1).left == 0.0
     assert worst_sensor_loss(shapes[:3], 1).points.size == 0
-    assert worst_sensor_loss(shapes[add_redundancy(shapes, np.array([3, 9, 20]), 1)], 1).left >= 0.1
+    assert (
+        worst_sensor_loss(
+            shapes[add_redundancy(shapes, np.array([3, 9, 20]), 1)], 1
+        ).left
+        >= 0.1
+    )
 
 
 def test_candidates_by_boxes_and_exclusions() -> None:

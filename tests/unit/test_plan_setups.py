@@ -25,7 +25,9 @@ def string(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("at_hand", [2, 5, 8, 29])
-def test_every_sensor_is_measured_and_no_setup_needs_more_than_are_at_hand(at_hand: int) -> None:
+def test_every_sensor_is_measured_and_no_setup_needs_more_than_are_at_hand(
+    at_hand: int,
+) -> None:
     shapes, xyz = string(30, 4)
     plan = roving_setups(shapes, xyz, at_hand)
     r = plan.references.size
@@ -75,18 +77,28 @@ def test_moved_masses_shift_modes_by_their_difference() -> None:
     one = roving_shift(f, phi[:, None, :], 1e-6, np.array([0, 0, -1, 1, 1, -1]))
     square = phi**2
     np.testing.assert_allclose(
-        one, 0.5e-6 * np.abs(square[:2].sum(axis=0) - square[3:5].sum(axis=0)), rtol=1e-3
+        one,
+        0.5e-6 * np.abs(square[:2].sum(axis=0) - square[3:5].sum(axis=0)),
+        rtol=1e-3,
     )
 
 
-def test_the_sheet_of_setups_keeps_the_numbers_of_sensors_that_stay(tmp_path: Path) -> None:
+def test_the_sheet_of_setups_keeps_the_numbers_of_sensors_that_stay(
+    tmp_path: Path,
+) -> None:
     shapes, xyz = string(7, 2)
     plan = roving_setups(shapes, xyz, 4)
     points = np.arange(101, 108)
     names = tuple(f"{p}+{a}" for p in points for a in "YZ")
     axes = np.tile(np.eye(3)[1:], (7, 1))
     test = TestModel(
-        points, xyz, names, np.repeat(points, 2), axes, np.zeros((0, 2), dtype=int), ("",) * 7
+        points,
+        xyz,
+        names,
+        np.repeat(points, 2),
+        axes,
+        np.zeros((0, 2), dtype=int),
+        ("",) * 7,
     )
     files = write_test_sheet(
         tmp_path,

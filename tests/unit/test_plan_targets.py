@@ -75,7 +75,9 @@ def test_reasons_are_told() -> None:
     f, phi = chain()
     strain = np.diff(phi, axis=0, prepend=0.0).T ** 2  # of each spring, (m, N)
     strain /= strain.sum(axis=1, keepdims=True)
-    chosen = choose_targets(f, {"band": in_band(f, 0, f[2]), "spring 6": strain[:, 5] > 0.2})
+    chosen = choose_targets(
+        f, {"band": in_band(f, 0, f[2]), "spring 6": strain[:, 5] > 0.2}
+    )
     assert chosen.modes[0] == 0
     assert chosen.reasons[0] == "band"
     assert all(r for r in chosen.reasons)
@@ -101,4 +103,6 @@ def test_modes_that_no_sensor_reads_are_no_targets() -> None:
     assert told[0].endswith("mode 1")
     assert wanted.among(readable(shapes + 0.01, 300.0))[1] == ()
     with pytest.raises(InputError, match="no candidate sensor"):
-        choose_targets(f, {"twist": f < 5}).among(readable(shapes[:, :, :1], 300.0).repeat(3))
+        choose_targets(f, {"twist": f < 5}).among(
+            readable(shapes[:, :, :1], 300.0).repeat(3)
+        )

@@ -21,6 +21,16 @@ def test_an_axis_is_logarithmic_where_the_ratios_ask_for_it(
 ) -> None:
     ratios, one = np.array([0.01, largest]), np.ones(2)
     found = DampedModes(
-        np.arange(2), ("1", "2"), one > 0, one, ratios, ratios, ratios, ratios, ratios, one, one
+        np.arange(2),
+        ("1", "2"),
+        one > 0,
+        one,
+        ratios,
+        ratios,
+        ratios,
+        ratios,
+        ratios,
+        one,
+        one,
     )
     assert modes(found).layout.yaxis.type == kind

@@ -21,7 +21,13 @@ def test_a_region_has_the_colour_of_what_changes_it_and_little_else() -> None:
     """A density of all parts does not cover the thickness of one, in whatever order they stand."""
     part = np.arange(3)
     scene = Scene(
-        part, np.eye(3), part[None, :], part[:1], np.zeros((0, 2), int), part[:0], ("a", "b", "c")
+        part,
+        np.eye(3),
+        part[None, :],
+        part[:1],
+        np.zeros((0, 2), int),
+        part[:0],
+        ("a", "b", "c"),
     )
     changed = {"thickness of b": [1], "density": [0, 1, 2], "far away": []}
     for order in (list(changed), list(reversed(changed))):
@@ -43,7 +49,16 @@ def test_cards_are_those_of_the_deck(tmp_path: Path) -> None:
         "MAT1,1,2.1+11,,.3,7850.",
         "SPC1,1,123456,1",
     ]
-    deck = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]
+    deck = [
+        "SOL 103",
+        "CEND",
+        "SPC = 1",
+        "BEGIN BULK",
+        *nodes,
+        *bars,
+        *cards,
+        "ENDDATA",
+    ]
     (tmp_path / "bar.bdf").write_text("\n".join(deck))
     (tmp_path / "study.toml").write_text('[model]\ndeck = "bar.bdf"\n')
     found = run_study(tmp_path / "study.toml", until="model").results["model"].cards
@@ -54,7 +69,8 @@ def test_the_skin_of_solids_and_shells_of_every_card(tmp_path: Path) -> None:
     """Two tetrahedra joined at 1, 2, 3, on a pyramid and a shell of the second order."""
     deck = tmp_path / "d.bdf"
     grids = "".join(
-        f"GRID,{i + 1},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(np.eye(9, 3).tolist())
+        f"GRID,{i + 1},,{x},{y},{z}\n"
+        for i, (x, y, z) in enumerate(np.eye(9, 3).tolist())
     )
     solids = "CTETRA,1,1,1,2,3,4\nCTETRA,2,1,1,3,2,5\nCPYRAM,3,1,1,2,6,7,8\n"
     deck.write_text(
@@ -81,7 +97,13 @@ def scene_of(tmp_path: Path, *cards: str) -> Scene:
 def test_shells_of_all_kinds_are_drawn(tmp_path: Path) -> None:
     """Four strips of one square metre each; those of second order by their corners."""
     places = [(float(x), float(y), 0.0) for y in (0, 1) for x in range(5)]
-    middle = [(0.5, 0.0, 0.0), (1.0, 0.5, 0.0), (0.5, 1.0, 0.0), (0.0, 0.5, 0.0), (1.5, 0.5, 0.0)]
+    middle = [
+        (0.5, 0.0, 0.0),
+        (1.0, 0.5, 0.0),
+        (0.5, 1.0, 0.0),
+        (0.0, 0.5, 0.0),
+        (1.5, 0.5, 0.0),
+    ]
     cards = [
         "CQUAD8,1,1,1,2,7,6,11,12",
         ",13,14",
@@ -90,7 +112,11 @@ def test_shells_of_all_kinds_are_drawn(tmp_path: Path) -> None:
         "CQUADR,4,1,3,4,9,8",
     ]
     s = scene_of(
-        tmp_path, *grids(*places, *middle), *cards, "CQUAD4,5,1,4,5,10,9", "PSHELL,1,1,.01,1"
+        tmp_path,
+        *grids(*places, *middle),
+        *cards,
+        "CQUAD4,5,1,4,5,10,9",
+        "PSHELL,1,1,.01,1",
     )
     a, b, c = (s.xyz[s.triangles[:, k]] for k in range(3))
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == 4.0
@@ -101,12 +127,17 @@ def test_the_faces_of_a_pyramid_look_outward(tmp_path: Path) -> None:
     corners = grids((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1))
     s = scene_of(tmp_path, *corners, "CPYRAM,1,1,1,2,3,4,5", "PSOLID,1,1")
     a, b, c = (s.xyz[s.triangles[:, k]] for k in range(3))
-    outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - s.xyz.mean(axis=0))
+    outward = np.einsum(
+        "ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - s.xyz.mean(axis=0)
+    )
     assert (outward > 0).all()
-    assert np.einsum("ij,ij->", np.cross(a, b), c) / 6 == 1 / 3  # the volume they enclose (Gauss)
+    # the volume they enclose (Gauss)
+    assert np.einsum("ij,ij->", np.cross(a, b), c) / 6 == 1 / 3
 
 
-def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_path: Path) -> None:
+def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(
+    tmp_path: Path,
+) -> None:
     places = grids((0, 0, 0), (1, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0))
     cards = [
         "CROD,1,1,1,2",
@@ -115,8 +146,14 @@ def test_what_springs_hold_is_drawn_and_a_joint_without_length_is_a_point(tmp_pa
         "PBUSH,2,K,1.+6",
         "CBUSH,3,2,3,4,,,,0",
     ]
-    cards += ["CELAS2,4,1.+6,4,1,1,1", "CELAS2,5,1.+6,4,2", "CONM2,6,5,,8.", "RBE2,7,4,123456,5"]
-    s = scene_of(tmp_path, *places, *cards)  # 5 is a mass in the air, which a sensor on 4 sees
+    cards += [
+        "CELAS2,4,1.+6,4,1,1,1",
+        "CELAS2,5,1.+6,4,2",
+        "CONM2,6,5,,8.",
+        "RBE2,7,4,123456,5",
+    ]
+    # 5 is a mass in the air, which a sensor on 4 sees
+    s = scene_of(tmp_path, *places, *cards)
     lines = {tuple(x) for x in s.node[s.lines].tolist()}
     assert lines == {(1, 2), (3, 4), (4, 1), (2, 2), (3, 3), (4, 4)}
 
@@ -125,7 +162,12 @@ def test_what_is_drawn_has_its_element_property_and_material(tmp_path: Path) -> 
     """Two solids that share a face, a shell, a rod of its own material and a spring without a
     property.
     """
-    places = [(float(x), float(y), float(z)) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)]
+    places = [
+        (float(x), float(y), float(z))
+        for z in (0, 1)
+        for y in (0, 1)
+        for x in (0, 1, 2)
+    ]
     cards = [
         "CHEXA,11,1,1,2,5,4,7,8",
         ",11,10",
@@ -146,7 +188,8 @@ def test_what_is_drawn_has_its_element_property_and_material(tmp_path: Path) -> 
     assert drawn["element_id"].tolist() == [11, 12, 21, 31, 32]
     assert drawn["property"].tolist() == [1, 1, 2, 0, 0]
     assert drawn["material"].tolist() == [1, 1, 9, 9, 0]
-    assert np.bincount(drawn["face_element"]).tolist() == [10, 10, 2]  # of each solid five faces
+    # of each solid five faces
+    assert np.bincount(drawn["face_element"]).tolist() == [10, 10, 2]
     assert sorted(drawn["line_element"].tolist()) == [3, 4]
     assert [drawn["groups"][g] for g in drawn["group"]] == [
         "property 1",

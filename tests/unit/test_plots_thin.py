@@ -23,7 +23,9 @@ def plate(n: int) -> Scene:
     lines = np.concatenate([np.stack([k[0, :-1], k[0, 1:]], 1), [[5, 5]]])
     xyz = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1)
     lgroup = np.r_[np.zeros(n - 1), 1].astype(np.int64)
-    return Scene(100 + np.arange(n * n), xyz, triangles, group, lines, lgroup, ("left", "right"))
+    return Scene(
+        100 + np.arange(n * n), xyz, triangles, group, lines, lgroup, ("left", "right")
+    )
 
 
 def area(s: Scene, group: int) -> float:
@@ -39,8 +41,11 @@ def test_a_thinned_plate_keeps_its_area_and_groups() -> None:
     np.testing.assert_array_equal(few.xyz, whole.xyz[few.node - 100])
     assert (np.diff(np.sort(few.triangles, axis=1), axis=1) > 0).all()
     for group in (0, 1):
-        assert abs(area(few, group) - 0.5) < 0.06  # a cell at the rim is drawn by a node inside it
-    assert (few.lines[few.line_group == 1][:, 0] == few.lines[few.line_group == 1][:, 1]).all()
+        # a cell at the rim is drawn by a node inside it
+        assert abs(area(few, group) - 0.5) < 0.06
+    assert (
+        few.lines[few.line_group == 1][:, 0] == few.lines[few.line_group == 1][:, 1]
+    ).all()
     assert len(few.lines[few.line_group == 0]) < 59
 
 

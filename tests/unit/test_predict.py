@@ -69,8 +69,13 @@ def outputs() -> list[Output]:
     ]
 
 
-def runs(draws: np.ndarray, freqs: np.ndarray, seed: int = 0, discrepancy: float = 0.0) -> RunUp:
-    damping, rng = Damping(np.array([1.0]), np.array([ZETA])), np.random.default_rng(seed)
+def runs(
+    draws: np.ndarray, freqs: np.ndarray, seed: int = 0, discrepancy: float = 0.0
+) -> RunUp:
+    damping, rng = (
+        Damping(np.array([1.0]), np.array([ZETA])),
+        np.random.default_rng(seed),
+    )
     load = unbalance_load(freqs, np.eye(2), UNBALANCE)
     known = KnownModel(jeffcott(), np.zeros(1), draws, damping, discrepancy)
     return run_up(known, load, outputs(), rng)
@@ -95,7 +100,9 @@ def test_run_up_is_the_jeffcott_rotor() -> None:
 def test_force_grows_with_the_stiffness_of_its_spring() -> None:
     freqs = np.linspace(1, 100, 100)
     found = runs(np.full((20, 1), np.log(1.5)), freqs)
-    np.testing.assert_allclose(found.amplitude.median[1], 1.5 * K * exact(1.5, freqs), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.amplitude.median[1], 1.5 * K * exact(1.5, freqs), rtol=1e-9
+    )
 
 
 def by_region(loss: float, std: float) -> RegionDamping:
@@ -117,7 +124,9 @@ def test_bands_do_not_depend_on_stiff_vectors_of_the_basis() -> None:
     def found(size: int) -> Bands:
         k = np.diag([K, 2 * K, 1e6 * K][:size])
         model = DenseModel.springs(k, M * np.eye(size), k[None], NAMES)
-        known = KnownModel(model, np.zeros(1), np.zeros((30, 1)), Damping(*[np.ones(1)] * 2), 0.05)
+        known = KnownModel(
+            model, np.zeros(1), np.zeros((30, 1)), Damping(*[np.ones(1)] * 2), 0.05
+        )
         load = unbalance_load(freqs, np.eye(size)[:, :2], UNBALANCE)
         rotor = Output("rotor", "m", Rows(np.eye(size)[:2]), 2)
         return run_up(known, load, [rotor], np.random.default_rng(0)).peak
@@ -129,9 +138,13 @@ def test_bands_do_not_depend_on_stiff_vectors_of_the_basis() -> None:
 def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
     """At every stiffness of the spring: η K of the nominal spring is a ratio of η K/2λM."""
     lam, y = np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)
-    np.testing.assert_allclose(by_region(2 * ZETA, 0.0).drawn(None)(lam, y), [ZETA, ZETA / 2])
+    np.testing.assert_allclose(
+        by_region(2 * ZETA, 0.0).drawn(None)(lam, y), [ZETA, ZETA / 2]
+    )
     freqs = np.linspace(1, 100, 100)
-    known = KnownModel(jeffcott(), np.zeros(1), np.zeros((20, 1)), by_region(2 * ZETA, 0.0))
+    known = KnownModel(
+        jeffcott(), np.zeros(1), np.zeros((20, 1)), by_region(2 * ZETA, 0.0)
+    )
     load = unbalance_load(freqs, np.eye(2), UNBALANCE)
     found = run_up(known, load, outputs(), np.random.default_rng(0))
     np.testing.assert_allclose(found.nominal[0], exact(1.0, freqs), rtol=1e-9)
@@ -139,31 +152,49 @@ def test_a_loss_factor_of_the_springs_is_twice_the_ratio() -> None:
 
 def test_a_dashpot_gives_c_over_twice_the_frequency() -> None:
     none, c = np.zeros((1, 1)), 300.0
-    one = RegionDamping(np.array([c]), none, np.ones((1, 1, 1)), np.array([True]), (none, none))
+    one = RegionDamping(
+        np.array([c]), none, np.ones((1, 1, 1)), np.array([True]), (none, none)
+    )
     w = np.sqrt(K / M)
     ratio = one.drawn(None)(np.array([w**2]), np.array([[1 / np.sqrt(M)]]))
     np.testing.assert_allclose(ratio, c / (2 * M * w))
 
 
 def test_drawn_damping_scatters_as_told_and_is_never_negative() -> None:
-    rng, lam, y = np.random.default_rng(3), np.array([K / M]), np.array([[1.0], [0.0]]) / np.sqrt(M)
-    small = np.array([by_region(2 * ZETA, 0.004).drawn(rng)(lam, y)[0] for _ in range(2000)])
+    rng, lam, y = (
+        np.random.default_rng(3),
+        np.array([K / M]),
+        np.array([[1.0], [0.0]]) / np.sqrt(M),
+    )
+    small = np.array(
+        [by_region(2 * ZETA, 0.004).drawn(rng)(lam, y)[0] for _ in range(2000)]
+    )
     assert small.mean() == pytest.approx(ZETA, rel=0.01)
     assert small.std() == pytest.approx(0.002, rel=0.06)
-    wide = np.array([by_region(2 * ZETA, 0.1).drawn(rng)(lam, y)[0] for _ in range(200)])
+    wide = np.array(
+        [by_region(2 * ZETA, 0.1).drawn(rng)(lam, y)[0] for _ in range(200)]
+    )
     assert wide.min() == 0.0
 
 
 def test_each_mode_has_a_damping_of_its_own_beside_that_of_the_regions() -> None:
-    rng, lam, y = np.random.default_rng(4), np.array([K / M, 2 * K / M]), np.eye(2) / np.sqrt(M)
+    rng, lam, y = (
+        np.random.default_rng(4),
+        np.array([K / M, 2 * K / M]),
+        np.eye(2) / np.sqrt(M),
+    )
     one = replace(by_region(2 * ZETA, 0.0), scatter=0.2)
-    drawn = np.log([one.drawn(rng)(lam, y) for _ in range(2000)]) - np.log([ZETA, ZETA / 2])
+    drawn = np.log([one.drawn(rng)(lam, y) for _ in range(2000)]) - np.log(
+        [ZETA, ZETA / 2]
+    )
     np.testing.assert_allclose(drawn.std(axis=0), 0.2, rtol=0.06)
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.08  # 2000 draws: 0.02
     np.testing.assert_allclose(one.drawn(None)(lam, y), [ZETA, ZETA / 2])
 
 
-@pytest.mark.parametrize(("own", "least", "most"), [(0.0, 0.0, 0.05), (0.3, 0.25, 0.35)])
+@pytest.mark.parametrize(
+    ("own", "least", "most"), [(0.0, 0.0, 0.05), (0.3, 0.25, 0.35)]
+)
 def test_scatter_of_damping_is_what_errors_of_test_and_regions_do_not_explain(
     own: float, least: float, most: float
 ) -> None:
@@ -172,7 +203,17 @@ def test_scatter_of_damping_is_what_errors_of_test_and_regions_do_not_explain(
     measured = at * np.exp(np.hypot(own, error) * rng.standard_normal(n))
     none = np.zeros(n)
     modes = DampedModes(
-        none, ("",) * n, none == 0, none, measured, error * measured, at, at, none, none, none
+        none,
+        ("",) * n,
+        none == 0,
+        none,
+        measured,
+        error * measured,
+        at,
+        at,
+        none,
+        none,
+        none,
     )
     assert least <= scatter(modes) <= most
 
@@ -181,7 +222,9 @@ def test_bands_hold_what_a_machine_of_the_same_kind_does() -> None:
     """90 % of new machines drawn from the posterior lie in the band at each speed."""
     rng, freqs = np.random.default_rng(1), np.linspace(5, 100, 60)
     found = runs(0.1 * rng.standard_normal((2000, 1)), freqs)
-    new = np.array([exact(float(np.exp(0.1 * z)), freqs) for z in rng.standard_normal(2000)])
+    new = np.array(
+        [exact(float(np.exp(0.1 * z)), freqs) for z in rng.standard_normal(2000)]
+    )
     low, high = found.amplitude.low[0], found.amplitude.high[0]
     assert ((low <= new) & (new <= high)).mean() == pytest.approx(
         0.9, abs=0.03
@@ -241,7 +284,9 @@ def test_forces_in_springs_of_a_deck(tmp_path: Path) -> None:
         np.testing.assert_allclose(along.rows.at(at) @ x, [1.0], rtol=1e-9)
         np.testing.assert_allclose(across.rows.at(at) @ x, [0.0], atol=1e-9)
     each = _forces(opened, names, "bearing", [58], v)[0]
-    np.testing.assert_allclose(each.rows.at(np.array([1.5])) @ x, [1.5, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        each.rows.at(np.array([1.5])) @ x, [1.5, 0, 0], atol=1e-9
+    )
     with pytest.raises(ConfigError, match="no CBUSH with PBUSH"):
         _forces(opened, names, "bearing", [59], v)
 
@@ -274,7 +319,18 @@ def test_command_on_a_finished_study(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     run_study(study)
     result = tmp_path / "p.json"
-    options = ["--rotor", "305", "--mass", "500", "--axis", "Z", "--to", "20", "--draws", "20"]
+    options = [
+        "--rotor",
+        "305",
+        "--mass",
+        "500",
+        "--axis",
+        "Z",
+        "--to",
+        "20",
+        "--draws",
+        "20",
+    ]
     assert (
         run(
             [
@@ -312,7 +368,9 @@ draws = 20
 """
 
 
-def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_stage_of_a_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """[predict] makes it a stage: stored, shown by the command, in summary and report."""
     study = write_study(tmp_path, FULL + PREDICT)
     ran = run_study(study)
@@ -328,9 +386,12 @@ def test_the_stage_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         run(["predict", str(study), "--seed", "5", "--json", "-"]) == 0
     )  # an option: computed, not stored
     other = json.loads(capsys.readouterr().out)["outputs"][0]
-    low_and_median = slice(2)  # the upper end of a band of 20 draws is that of one of them
+    # the upper end of a band of 20 draws is that of one of them
+    low_and_median = slice(2)
     np.testing.assert_allclose(
-        other["peak"][low_and_median], told["outputs"][0]["peak"][low_and_median], rtol=0.3
+        other["peak"][low_and_median],
+        told["outputs"][0]["peak"][low_and_median],
+        rtol=0.3,
     )
     assert other["peak"] != told["outputs"][0]["peak"]
     page = deliver(ran).read_text()
@@ -389,38 +450,56 @@ def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
     chain = CHAIN.replace("0.,1.", f"0.,{length}").replace("0.,2.", f"0.,{2 * length}")
     if units == "mm-t-s":  # N/mm and t
         chain = re.sub(r"(\d\.)\+6|(\d\.\d)\+6", lambda m: f"{(m[1] or m[2])}+3", chain)
-        chain = re.sub(r"(CONM2,\d,\d,,)(\d+)\.", lambda m: f"{m[1]}{float(m[2]) / 1000}", chain)
+        chain = re.sub(
+            r"(CONM2,\d,\d,,)(\d+)\.", lambda m: f"{m[1]}{float(m[2]) / 1000}", chain
+        )
     (tmp_path / "chain.bdf").write_text(chain)
     found = {51: 1.0, 52: 0.6, 53: 1.5}
     springs = [
-        Parameter(str(k), tuple(CardField("PBUSH", k, f) for f in ("K1", "K2", "K3")), 0.2, 5.0)
+        Parameter(
+            str(k),
+            tuple(CardField("PBUSH", k, f) for f in ("K1", "K2", "K3")),
+            0.2,
+            5.0,
+        )
         for k in found
     ]
     built = apply_factors(
-        read_deck(tmp_path / "chain.bdf"), ParameterSet(tuple(springs)), np.array([*found.values()])
+        read_deck(tmp_path / "chain.bdf"),
+        ParameterSet(tuple(springs)),
+        np.array([*found.values()]),
     )
     with EmbeddedSolver().open(built) as analysis:
-        modes = replace(analysis.modes(ModesRequest(count=9)).modes, damping=np.full(9, ZETA))
+        modes = replace(
+            analysis.modes(ModesRequest(count=9)).modes, damping=np.full(9, ZETA)
+        )
         write_modes(
             tmp_path / "test.json",
             modes.rows([d for d in modes.channels if d[1:3] in ("+X", "+Y", "+Z")]),
         )
     sheet = "point,x,y,z,direction,channel,quantity,unit\n"
     sheet += "".join(
-        f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n" for n in (1, 2, 3) for a in "XYZ"
+        f"{n},0,0,{n - 1},+{a},{n}+{a},acceleration,m/s^2\n"
+        for n in (1, 2, 3)
+        for a in "XYZ"
     )
     (tmp_path / "sensors.csv").write_text(sheet)
     text = f'[model]\ndeck = "chain.bdf"\nunits = "{units}"\nfmax = 200.0\n'
     text += '[test]\nsheet = "sensors.csv"\nmodes = "test.json"\n'
     text += "[update]\nleft_out = 0\nchoose = 2\n"
     for k in found:
-        text += f'[[candidate]]\nname = "spring {k}"\ntargets = ["PBUSH {k} K1,K2,K3"]\n'
-    text += (
-        '[predict]\nrotor = 3\nmass = 20.0\naxis = "Z"\nlines = 60\ndraws = 20\n[predict.springs]\n'
+        text += (
+            f'[[candidate]]\nname = "spring {k}"\ntargets = ["PBUSH {k} K1,K2,K3"]\n'
+        )
+    text += '[predict]\nrotor = 3\nmass = 20.0\naxis = "Z"\nlines = 60\ndraws = 20\n[predict.springs]\n'
+    (tmp_path / "study.toml").write_text(
+        text + "".join(f"s{k} = [{k}]\n" for k in found)
     )
-    (tmp_path / "study.toml").write_text(text + "".join(f"s{k} = [{k}]\n" for k in found))
     results = run_study(tmp_path / "study.toml").results
-    run, best = results["predict"].run_up, results["update"].sets[results["update"].chosen]
+    run, best = (
+        results["predict"].run_up,
+        results["update"].sets[results["update"].chosen],
+    )
     assert (
         best.parameters[0] != "spring 51"
     )  # positions in the set are not those among the candidates
@@ -428,7 +507,8 @@ def test_forces_stand_with_the_unbalance_however_the_springs_were_updated(
     for k in found:
         for axis in "XY":
             at = run.names.index(f"s{k}, sum along {axis}")
-            assert run.nominal[at, 0] == pytest.approx(force, rel=0.01)  # inertia: (1 Hz / 16 Hz)^2
+            # inertia: (1 Hz / 16 Hz)^2
+            assert run.nominal[at, 0] == pytest.approx(force, rel=0.01)
             assert run.amplitude.median[at, 0] == pytest.approx(force, rel=0.03)
 
 
@@ -436,7 +516,10 @@ def test_a_peak_is_checked_where_the_whole_band_of_its_speed_is() -> None:
     """The median of the second lies inside, the band of the third too, but not its low end."""
     one = np.ones(3)
     speed = Bands(
-        np.array([20.0, 35.0, 4.0]), np.array([25.0, 38.0, 30.0]), np.array([30.0, 61.0, 35.0]), 0.9
+        np.array([20.0, 35.0, 4.0]),
+        np.array([25.0, 38.0, 30.0]),
+        np.array([30.0, 61.0, 35.0]),
+        0.9,
     )
     found = RunUp(
         freqs=np.arange(1.0, 100.0),

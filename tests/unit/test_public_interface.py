@@ -14,7 +14,10 @@ from scipy.io import loadmat
 
 import ringtrue as rt
 
-FRAME = Path(__file__).parents[3] / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
+FRAME = (
+    Path(__file__).parents[3]
+    / "shared/data/updating/concrete_frame/ConcreteBuildingFrame.mat"
+)
 FUNCTIONS = """
     at_factors check_deck correlate estimate_frfs example_deck fit_damping frf identify_ambient
     identify_ambient_setups identify_frfs inspect_file localise modes_of_test open_study parameter
@@ -39,7 +42,9 @@ def test_the_public_names_are_these() -> None:
 
 def test_an_import_takes_no_heavy_part() -> None:
     code = "import sys, ringtrue; print([m for m in ('numpy', 'scipy') if m in sys.modules])"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert shown.stdout.strip() == "[]"
 
 
@@ -62,7 +67,10 @@ def test_results_show_themselves_with_units() -> None:
     assert head.split()[:5] == ["#", "test", "fe", "test", "[Hz]"]
     assert first.split()[:4] == ["1", "1", "1", "2.2399"]
     assert "deviation [%]" in head
-    assert "rate [Hz]" in rt.TimeHistory(np.zeros((1, 9)), 8.0, (rt.Channel("1+Z"),))._repr_html_()
+    assert (
+        "rate [Hz]"
+        in rt.TimeHistory(np.zeros((1, 9)), 8.0, (rt.Channel("1+Z"),))._repr_html_()
+    )
 
 
 def test_results_draw_themselves() -> None:
@@ -84,21 +92,32 @@ def test_results_draw_themselves() -> None:
 def test_a_deck_is_written_with_its_factors(tmp_path: Path) -> None:
     model = rt.read_deck(rt.example_deck())
     foot = rt.ParameterSet((rt.parameter("foot", "PELAS 1 K"),))
-    (written,) = rt.write_deck(rt.at_factors(model, foot, np.array([0.7])), tmp_path / "new")
-    before, after = rt.example_deck().read_text().splitlines(), written.read_text().splitlines()
-    assert [b for a, b in zip(before, after, strict=True) if a != b] == ["PELAS,1,700.0"]
+    (written,) = rt.write_deck(
+        rt.at_factors(model, foot, np.array([0.7])), tmp_path / "new"
+    )
+    before, after = (
+        rt.example_deck().read_text().splitlines(),
+        written.read_text().splitlines(),
+    )
+    assert [b for a, b in zip(before, after, strict=True) if a != b] == [
+        "PELAS,1,700.0"
+    ]
 
 
 def test_two_configurations_share_a_parameter() -> None:
     model = rt.read_deck(rt.example_deck())
     names = ("foot", "head")
     every = rt.ParameterSet(
-        tuple(rt.parameter(n, f"PELAS {i} K") for n, i in zip(names, (1, 3), strict=True))
+        tuple(
+            rt.parameter(n, f"PELAS {i} K") for n, i in zip(names, (1, 3), strict=True)
+        )
     )
     truth = np.array([0.7, 1.3])
     heavier = model.with_values("CONM2", "M", np.array([24]), np.array([1.5]))
     tests = [
-        rt.TestedModel(m, rt.solve_modes(rt.at_factors(m, every, truth)).at(["2+X", "4+X"]))
+        rt.TestedModel(
+            m, rt.solve_modes(rt.at_factors(m, every, truth)).at(["2+X", "4+X"])
+        )
         for m in (model, heavier)
     ]
     result = rt.update(tests, None, every)
@@ -120,9 +139,14 @@ def test_a_published_frame_of_bare_matrices_is_updated_in_twelve_lines() -> None
     truth = np.linspace(0.8, 1.25, 12)
     modes = rt.solve_modes(frame.at(parameters, truth), count=6)
     test = rt.modes_of_test(
-        modes.frequencies, modes.shapes[rows - 1], rows, std_frequency=1e-4 * modes.frequencies
+        modes.frequencies,
+        modes.shapes[rows - 1],
+        rows,
+        std_frequency=1e-4 * modes.frequencies,
     )
-    settings = rt.UpdateSettings(discrepancy="assumed", frequency_error=1e-4, mac_error=1e-4)
+    settings = rt.UpdateSettings(
+        discrepancy="assumed", frequency_error=1e-4, mac_error=1e-4
+    )
     result = rt.update(
         frame, test, parameters, shape_std=np.full(rows.size, 0.01), settings=settings
     )
@@ -131,7 +155,9 @@ def test_a_published_frame_of_bare_matrices_is_updated_in_twelve_lines() -> None
 
 
 def test_private_modules_say_so() -> None:
-    assert "private to the project" in (importlib.import_module("ringtrue").__doc__ or "")
+    assert "private to the project" in (
+        importlib.import_module("ringtrue").__doc__ or ""
+    )
 
 
 def test_the_modules_of_the_names_are_those_that_the_types_are_checked_with() -> None:

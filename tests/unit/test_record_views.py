@@ -23,11 +23,19 @@ from ringtrue.signal.frf import estimate_frf
 from ringtrue.signal.spectra import Welch, psd
 from ringtrue.study import record_views
 from ringtrue.study.log import Logged, read_log
-from ringtrue.study.record_views import force_of, hit_signals, kept_frfs, open_view, place_of
+from ringtrue.study.record_views import (
+    force_of,
+    hit_signals,
+    kept_frfs,
+    open_view,
+    place_of,
+)
 
 
 def noise(samples: int, channels: int = 2) -> np.ndarray:
-    return np.random.default_rng(0).standard_normal((channels, samples)).astype(np.float32)
+    return (
+        np.random.default_rng(0).standard_normal((channels, samples)).astype(np.float32)
+    )
 
 
 def reader(data: np.ndarray) -> overview.Read:
@@ -67,17 +75,24 @@ def test_extremes_of_any_part_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_spectra_are_those_of_welch() -> None:
     data = noise(40_000)
-    freqs, density, used = overview.spectra(reader(data), 0, 40_000, rate=100.0, resolution=0.25)
+    freqs, density, used = overview.spectra(
+        reader(data), 0, 40_000, rate=100.0, resolution=0.25
+    )
     wanted = psd(TimeHistory(data, 100.0, (Channel("a"), Channel("b"))), Welch(0.25))
     assert used == 160  # of 199, spread
     np.testing.assert_allclose(freqs, wanted[0])
     # 160 of the same segments, but for the places of most
     np.testing.assert_allclose(density.mean(axis=1), wanted[1].mean(axis=1), rtol=0.02)
     few = overview.spectra(reader(data), 0, 8_000, rate=100.0, resolution=0.25)
-    same = psd(TimeHistory(data[:, :8_000], 100.0, (Channel("a"), Channel("b"))), Welch(0.25))
+    same = psd(
+        TimeHistory(data[:, :8_000], 100.0, (Channel("a"), Channel("b"))), Welch(0.25)
+    )
     np.testing.assert_allclose(few[1], same[1], rtol=1e-5)
     data[1, 3_000] = np.nan
-    assert overview.spectra(reader(data), 0, 8_000, rate=100.0, resolution=0.25)[2] == few[2] - 2
+    assert (
+        overview.spectra(reader(data), 0, 8_000, rate=100.0, resolution=0.25)[2]
+        == few[2] - 2
+    )
 
 
 def test_a_spectrogram_follows_a_tone() -> None:
@@ -88,7 +103,9 @@ def test_a_spectrogram_follows_a_tone() -> None:
     loudest = seen.freqs[seen.level.argmax(axis=0)]
     middle = (seen.first + seen.freqs.size - 1) / 100.0
     away = np.abs(middle - 100) > 3
-    np.testing.assert_allclose(loudest[away], np.where(middle < 100, 10.0, 20.0)[away], atol=0.2)
+    np.testing.assert_allclose(
+        loudest[away], np.where(middle < 100, 10.0, 20.0)[away], atol=0.2
+    )
 
 
 def test_a_record_is_read_where_it_is_looked_at(
@@ -106,7 +123,9 @@ def test_a_record_is_read_where_it_is_looked_at(
     logged = hammer.model_copy(update={"channels": names})
     view = open_view(logged, sheet)
     assert view.samples == whole.data.shape[1]
-    assert [c.id for c in view.channels] == [c.id for k, c in enumerate(whole.channels) if k != 2]
+    assert [c.id for c in view.channels] == [
+        c.id for k, c in enumerate(whole.channels) if k != 2
+    ]
     turned = whole.channels[1].id
     np.testing.assert_allclose(view.read([turned], 10, 30)[0], -whole.data[1, 10:30])
     assert view.checked() == ()
@@ -125,7 +144,9 @@ def test_large_files_of_others_are_kept_outside_of_memory(
     monkeypatch.setattr(record_views, "IN_MEMORY", 1000)
     large = open_view(tmp_path / "b.csv")
     ids = [c.id for c in blows.channels]
-    np.testing.assert_allclose(large.read(ids, 100, 200), blows.data[:, 100:200], rtol=1e-6)
+    np.testing.assert_allclose(
+        large.read(ids, 100, 200), blows.data[:, 100:200], rtol=1e-6
+    )
     np.testing.assert_array_equal(large.read(ids, 0, 999), small.read(ids, 0, 999))
     assert large.name == "b"
 

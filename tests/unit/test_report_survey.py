@@ -32,21 +32,30 @@ def test_notes_stand_below_the_table() -> None:
     assert max(len(cell) for row in table.rows for cell in row) < 20
     assert notes.items == [f"b: {LONG}", "b: short"]
     assert len(_tests((record("a", ()),))) == 1
-    _, notes = _tests((record("a", ("mains hum", "short")), record("b", ("mains hum",))))
+    _, notes = _tests(
+        (record("a", ("mains hum", "short")), record("b", ("mains hum",)))
+    )
     assert isinstance(notes, Items)
     assert notes.items == ["a; b: mains hum", "a: short"]
 
 
 def test_records_of_a_setup_are_one_row() -> None:
     table, notes, fold = _tests(
-        (record("a", ("one",), "1"), record("b", ("one", "two"), "1"), record("c", (), "2"))
+        (
+            record("a", ("one",), "1"),
+            record("b", ("one", "two"), "1"),
+            record("c", (), "2"),
+        )
     )
     assert isinstance(table, ReportTable)
     assert isinstance(notes, Items)
     assert isinstance(fold, Fold)
     assert [row[1] for row in table.rows] == ["setup 1, 2 records", "c"]
     assert table.rows[0][-1] == "60.0"
-    assert notes.items == ["setup 1, 2 records: one (2 records)", "setup 1, 2 records: two"]
+    assert notes.items == [
+        "setup 1, 2 records: one (2 records)",
+        "setup 1, 2 records: two",
+    ]
     assert len(fold.blocks) == 2
 
 

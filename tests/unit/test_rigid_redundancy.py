@@ -15,7 +15,12 @@ XYZ = np.array(list(product((0.0, 4.0), (0.0, 3.0), (0.0, 2.0))))
 POINTS = np.arange(1, 9)
 CHANNELS = tuple(f"{p}+{a}" for p in POINTS for a in "XYZ")
 SHEET = TestModel(
-    POINTS, XYZ, CHANNELS, np.repeat(POINTS, 3), np.tile(np.eye(3), (8, 1)), np.zeros((0, 2))
+    POINTS,
+    XYZ,
+    CHANNELS,
+    np.repeat(POINTS, 3),
+    np.tile(np.eye(3), (8, 1)),
+    np.zeros((0, 2)),
 )
 
 
@@ -55,7 +60,9 @@ def test_two_swapped_channels_and_a_gain_are_named_together() -> None:
     }
 
 
-def test_a_reversed_channel_that_moves_like_a_swapped_one_is_no_round_of_three() -> None:
+def test_a_reversed_channel_that_moves_like_a_swapped_one_is_no_round_of_three() -> (
+    None
+):
     shapes = measured(5, turns=0.15)
     shapes[0] *= -1  # 1+X, in nearly all as 3+X
     shapes[[6, 13]] = shapes[[13, 6]]

@@ -16,7 +16,8 @@ import pytest
 from ringtrue.errors import SolverFailed, SolverMissing
 from ringtrue.solvers.runner import run_program
 
-SOLVER = "sleep 300 & echo $! $$ > pids; wait"  # a launcher and its program, as those of Nastran
+# a launcher and its program, as those of Nastran
+SOLVER = "sleep 300 & echo $! $$ > pids; wait"
 PARENT = """
 import sys
 from pathlib import Path
@@ -25,7 +26,9 @@ run_program(["sh", "-c", sys.argv[2]], Path(sys.argv[1]), name="solver", timeout
 """
 PATIENCE = 60.0  # s, on a machine under load
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="there are no process groups")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "killpg"), reason="there are no process groups"
+)
 
 
 def waited_for(what: object, folder: Path) -> None:
@@ -58,7 +61,9 @@ def test_a_solver_ends_with_its_killed_parent(tmp_path: Path) -> None:
     waited_for(gone, tmp_path)
 
 
-def test_a_solver_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Path) -> None:
+def test_a_solver_that_takes_too_long_ends_with_all_that_it_started(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(SolverFailed, match="did not end within 1 s"):
         run_program(["sh", "-c", SOLVER], tmp_path, name="solver", timeout=1.0)
     waited_for(gone, tmp_path)
@@ -67,11 +72,17 @@ def test_a_solver_that_takes_too_long_ends_with_all_that_it_started(tmp_path: Pa
 @pytest.mark.parametrize(
     ("line", "status"), [("exit 3", 3), ("exit 127", 127), ("kill -9 $$", 137)]
 )
-def test_the_exit_status_is_that_of_the_program(tmp_path: Path, line: str, status: int) -> None:
-    done = run_program(["sh", "-c", f"echo told; {line}"], tmp_path, name="solver", timeout=60.0)
+def test_the_exit_status_is_that_of_the_program(
+    tmp_path: Path, line: str, status: int
+) -> None:
+    done = run_program(
+        ["sh", "-c", f"echo told; {line}"], tmp_path, name="solver", timeout=60.0
+    )
     assert (done.status, done.log) == (status, "told\n")
 
 
 def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SolverMissing, match="solver: nowhere cannot be started: No such file"):
+    with pytest.raises(
+        SolverMissing, match="solver: nowhere cannot be started: No such file"
+    ):
         run_program(["nowhere"], tmp_path, name="solver", timeout=60.0)

@@ -31,16 +31,22 @@ QUICK = '[localise]\nkinds = ["material"]\n'
 
 def tree(folder: Path) -> dict[str, bytes]:
     return {
-        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
     }
 
 
 @pytest.mark.parametrize("way", ["name", "link", "hard link", "folder link", "dots"])
-def test_an_input_is_refused_as_target_whatever_leads_to_it(tmp_path: Path, way: str) -> None:
+def test_an_input_is_refused_as_target_whatever_leads_to_it(
+    tmp_path: Path, way: str
+) -> None:
     source = tmp_path / "in.json"
     source.write_text("kept")
     (tmp_path / "sub").mkdir()
-    other = {"name": source, "dots": tmp_path / "sub/../in.json"}.get(way, tmp_path / "other.json")
+    other = {"name": source, "dots": tmp_path / "sub/../in.json"}.get(
+        way, tmp_path / "other.json"
+    )
     if way == "link":
         other.symlink_to(source)
     elif way == "hard link":
@@ -51,10 +57,14 @@ def test_an_input_is_refused_as_target_whatever_leads_to_it(tmp_path: Path, way:
     with one_run():
         reads(source)
         with pytest.raises(
-            InputError, match=r"an input of this run .*would be replaced|an input of this run would"
+            InputError,
+            match=r"an input of this run .*would be replaced|an input of this run would",
         ):
             writes(other)
-        with pytest.raises(InputError, match="name another file"), atomic_write(other) as part:
+        with (
+            pytest.raises(InputError, match="name another file"),
+            atomic_write(other) as part,
+        ):
             part.write_text("lost")
     with one_run():  # announced first, read later
         writes(other)
@@ -72,9 +82,11 @@ def test_what_a_run_has_written_and_what_is_gone_is_no_input(tmp_path: Path) -> 
             reads(target)
         scratch.write_text("of a solver")
         reads(scratch)
-        os.replace(scratch, tmp_path / "new.json")  # its inode is that of another file now
+        # its inode is that of another file now
+        os.replace(scratch, tmp_path / "new.json")
         writes(tmp_path / "new.json")
-    with atomic_write(target) as part:  # outside of a run, a script may change its own file
+    # outside of a run, a script may change its own file
+    with atomic_write(target) as part:
         part.write_text("3")
     assert target.read_text() == "3"
 
@@ -86,11 +98,14 @@ def files(tmp_path: Path) -> Path:
     text = (tmp_path / "deck/frame.bdf").read_text()
     head, bulk = text.split("BEGIN BULK\n")
     (tmp_path / "deck/parts.blk").write_text(bulk.replace("ENDDATA\n", ""))
-    (tmp_path / "deck/frame.bdf").write_text(head + "BEGIN BULK\nINCLUDE 'parts.blk'\nENDDATA\n")
+    (tmp_path / "deck/frame.bdf").write_text(
+        head + "BEGIN BULK\nINCLUDE 'parts.blk'\nENDDATA\n"
+    )
     channels = small_study.test_model().channels
     shapes = np.random.default_rng(0).standard_normal((len(channels), 2))
     write_modes(
-        tmp_path / "modes.json", ModeSet(np.array([2.0, 5.0]), np.zeros(2), shapes, channels)
+        tmp_path / "modes.json",
+        ModeSet(np.array([2.0, 5.0]), np.zeros(2), shapes, channels),
     )
     return tmp_path
 
@@ -117,7 +132,10 @@ def files(tmp_path: Path) -> Path:
     ],
 )
 def test_no_command_replaces_what_it_reads(
-    files: Path, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    files: Path,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(files)
     (files / "study.h5").write_bytes(b"a store") if words.startswith("report") else None
@@ -138,7 +156,9 @@ def test_every_option_that_writes_is_known_as_such() -> None:
 
 
 @pytest.mark.parametrize("own", ["study.h5", "report.html", "summary.json"])
-def test_a_study_whose_input_has_the_name_of_an_output_is_refused(files: Path, own: str) -> None:
+def test_a_study_whose_input_has_the_name_of_an_output_is_refused(
+    files: Path, own: str
+) -> None:
     toml = small_study.FULL.replace("data/sensors.csv", own)
     (files / "data/sensors.csv").rename(files / own)
     (files / "study.toml").write_text(toml)
@@ -167,7 +187,9 @@ def test_a_deck_that_cannot_be_copied_is_refused_before_any_work(
     files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     deck = files / "deck/frame.bdf"
-    deck.write_text(deck.read_text().replace("'parts.blk'", f"'{files / 'deck/parts.blk'}'"))
+    deck.write_text(
+        deck.read_text().replace("'parts.blk'", f"'{files / 'deck/parts.blk'}'")
+    )
     before = tree(files)
     monkeypatch.chdir(files)
     told: list[str] = []
@@ -176,12 +198,17 @@ def test_a_deck_that_cannot_be_copied_is_refused_before_any_work(
     assert not told
     assert tree(files) == before
     assert run(["update", "study.toml", "modes.json", "--out", "updated"]) == 2
-    assert "make the path of that INCLUDE relative" in " ".join(capsys.readouterr().err.split())
+    assert "make the path of that INCLUDE relative" in " ".join(
+        capsys.readouterr().err.split()
+    )
     with pytest.raises(DeckError):
-        edit_fields(read_deck(deck), [FieldChange("MAT1", 1, "E", 1e11)], files / "copy")
+        edit_fields(
+            read_deck(deck), [FieldChange("MAT1", 1, "E", 1e11)], files / "copy"
+        )
     assert tree(files) == before
     assert (
-        run_study(files / "study.toml", until="correlate").results["correlate"] is not None
+        run_study(files / "study.toml", until="correlate").results["correlate"]
+        is not None
     )  # nothing is delivered
 
 
@@ -191,7 +218,9 @@ def test_a_deck_is_not_edited_into_its_own_folder(files: Path) -> None:
     for folder in (files / "deck", files / "here"):
         with pytest.raises(InputError, match="would be replaced"):
             edit_fields(
-                read_deck(files / "deck/frame.bdf"), [FieldChange("MAT1", 1, "E", 1e11)], folder
+                read_deck(files / "deck/frame.bdf"),
+                [FieldChange("MAT1", 1, "E", 1e11)],
+                folder,
             )
     assert tree(files / "deck") == before
 
@@ -219,4 +248,8 @@ def test_what_a_killed_process_leaves_is_swept_and_what_a_living_one_writes_is_n
         outer.write_text("1")
         with atomic_write(target) as part:
             part.write_text(json.dumps("whole"))
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".notes.part", "first.json", "out.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        ".notes.part",
+        "first.json",
+        "out.json",
+    ]

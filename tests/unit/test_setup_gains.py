@@ -49,10 +49,14 @@ def test_the_channel_and_the_setup_are_named_with_the_factor(gain: float) -> Non
     assert found.factor == pytest.approx(gain, rel=0.03)  # calibrations of two setups
     right = join_frfs(setups())
     undone = join_frfs([without_gains(s, (found,), measured) for s in measured])
-    np.testing.assert_allclose(undone.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02)
+    np.testing.assert_allclose(
+        undone.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02
+    )
 
 
-def test_files_of_setups_are_joined_without_the_gain_and_it_is_said(tmp_path: Path) -> None:
+def test_files_of_setups_are_joined_without_the_gain_and_it_is_said(
+    tmp_path: Path,
+) -> None:
     files = [tmp_path / f"setup{k}.h5" for k in range(4)]
     for file, frfs in zip(files, setups(gain=2.0), strict=True):
         write_frfs(file, frfs)
@@ -61,7 +65,9 @@ def test_files_of_setups_are_joined_without_the_gain_and_it_is_said(tmp_path: Pa
     assert "channel 1+Z: reads 2" in said
     assert "in setup 4 " in said
     right = join_frfs(setups())
-    np.testing.assert_allclose(found.frfs.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02)
+    np.testing.assert_allclose(
+        found.frfs.data[:, 0], right.data[:, 0], rtol=0.02, atol=0.02
+    )
     assert rt.estimate_frfs(files[:2]).notes == ()
 
 

@@ -35,7 +35,9 @@ def some(rng: np.random.Generator, n: int, m: int) -> np.ndarray:
 def test_mac_is_the_squared_cosine() -> None:
     angle = np.deg2rad([0, 30, 60, 90])
     b = np.stack([np.cos(angle), np.sin(angle)])
-    np.testing.assert_allclose(mac(np.array([[1.0], [0.0]]), b)[0], [1, 0.75, 0.25, 0], atol=ROUND)
+    np.testing.assert_allclose(
+        mac(np.array([[1.0], [0.0]]), b)[0], [1, 0.75, 0.25, 0], atol=ROUND
+    )
 
 
 def test_mac_is_blind_to_scale_and_phase_but_not_to_conjugation() -> None:
@@ -62,7 +64,9 @@ def test_worst_off_diagonal() -> None:
 def test_principal_angles_small_and_large() -> None:
     a = np.eye(4)[:, :2]
     t = 1e-9  # far below what the arc cosine resolves
-    b = np.stack([[np.cos(t), 0, np.sin(t), 0], [0, np.cos(1.2), 0, np.sin(1.2)]], axis=1)
+    b = np.stack(
+        [[np.cos(t), 0, np.sin(t), 0], [0, np.cos(1.2), 0, np.sin(1.2)]], axis=1
+    )
     np.testing.assert_allclose(principal_angles(a, b), [t, 1.2], rtol=1e-6)
     np.testing.assert_allclose(principal_angles(b[:, :1], a), [t], rtol=1e-6)
 
@@ -113,7 +117,9 @@ def test_complexity_of_real_circular_and_elliptic_shapes() -> None:
 def test_modal_scale_factor() -> None:
     rng = np.random.default_rng(4)
     b = some(rng, 5, 2)
-    np.testing.assert_allclose(modal_scale_factor(b * [2, -3j], b), [2, -3j], rtol=1e-12)
+    np.testing.assert_allclose(
+        modal_scale_factor(b * [2, -3j], b), [2, -3j], rtol=1e-12
+    )
 
 
 def test_realise_recovers_a_real_shape_at_any_phase() -> None:
@@ -126,6 +132,8 @@ def test_realise_recovers_a_real_shape_at_any_phase() -> None:
 
 
 def test_realised_modes_have_no_scale_of_complex_ones() -> None:
-    z = ModeSet(np.ones(1), np.ones(1), np.array([[1j], [2j]]), ("a", "b"), Norm.MODAL_A)
+    z = ModeSet(
+        np.ones(1), np.ones(1), np.array([[1j], [2j]]), ("a", "b"), Norm.MODAL_A
+    )
     assert realise_modes(z).norm is Norm.UNSCALED
     assert not np.iscomplexobj(realise_modes(z).shapes)

@@ -16,17 +16,26 @@ import pytest
 
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.side_by_side import Workers, checked_workers, reached, side_by_side
-from ringtrue.errors import ConfigError, InputError, SingularModel, SolverError, SolverMissing
+from ringtrue.errors import (
+    ConfigError,
+    InputError,
+    SingularModel,
+    SolverError,
+    SolverMissing,
+)
 
 
 class Large:
     """What the cases have in common."""
 
     def __init__(self) -> None:
-        self.values = np.random.default_rng(0).normal(size=(40, 60)).T  # in Fortran's order
+        # in Fortran's order
+        self.values = np.random.default_rng(0).normal(size=(40, 60)).T
 
 
-def product(large: Large, case: float, progress: Progress) -> tuple[Large, np.ndarray, int]:
+def product(
+    large: Large, case: float, progress: Progress
+) -> tuple[Large, np.ndarray, int]:
     if case < 0:
         raise SingularModel(["101 T1", "102 T1"], f"case {case:g}")
     return large, case * large.values @ large.values.T, os.getpid()
@@ -62,7 +71,9 @@ def test_results_are_those_of_one_process_in_order(workers: Workers) -> None:
     work = partial(product, large)
     shown: list[tuple[float, str]] = []
     alone = list(side_by_side(work, CASES))
-    both = list(side_by_side(work, CASES, workers, lambda f, t: shown.append((f, t)), [large]))
+    both = list(
+        side_by_side(work, CASES, workers, lambda f, t: shown.append((f, t)), [large])
+    )
     for (_, here, _), (same, there, process) in zip(alone, both, strict=True):
         np.testing.assert_array_equal(there, here)
         assert same is large  # it has not come back as a copy
@@ -85,16 +96,22 @@ def test_a_case_that_cannot_be_sent_is_named(workers: Workers) -> None:
     def local(case: float, progress: Progress) -> float:
         return case
 
-    with pytest.raises(InputError, match=r"case 1 cannot be sent between processes.*workers = 1"):
+    with pytest.raises(
+        InputError, match=r"case 1 cannot be sent between processes.*workers = 1"
+    ):
         list(side_by_side(local, CASES, workers))
 
 
 def test_a_worker_that_dies_is_told() -> None:
-    with pytest.raises(SolverError, match="one of 2 workers ended before its work was done"):
+    with pytest.raises(
+        SolverError, match="one of 2 workers ended before its work was done"
+    ):
         list(side_by_side(ended, {"a": 1, "b": 1}, 2))
 
 
-def test_no_scheduler_and_no_number_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_and_no_number_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for wrong in ("", "0", "-1", "two", 0):
         with pytest.raises(ConfigError, match="a number of processes from 1 on"):
             checked_workers(wrong)
@@ -122,7 +139,8 @@ if __name__ == "__main__":
 def test_an_interrupt_ends_all_workers_at_once(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED.format(tests=str(Path(__file__).parent)))
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # ignored in a background job
+    # ignored in a background job
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     with subprocess.Popen(
         [sys.executable, script], stdout=subprocess.PIPE, text=True, preexec_fn=heard
     ) as process:

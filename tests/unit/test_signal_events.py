@@ -13,14 +13,18 @@ from ringtrue.signal.transients import find_events
 
 RATE, SECONDS = 64.0, 1200
 FREQUENCIES, DAMPING = np.array([2.0, 2.3, 6.1]), np.array([0.02, 0.025, 0.012])
-SHAPES = np.array([[1.0, 0.8, -0.6], [0.9, -1.0, 0.2], [0.3, 0.7, 1.0], [-0.5, 0.4, 0.8]])
+SHAPES = np.array(
+    [[1.0, 0.8, -0.6], [0.9, -1.0, 0.2], [0.3, 0.7, 1.0], [-0.5, 0.4, 0.8]]
+)
 
 
 def responses(force: Float) -> Float:
     """Accelerations (ch, sample) of three modes under one force (sample,), each sampled exactly."""
     w, z = 2 * np.pi * FREQUENCIES, DAMPING
     poles = np.exp((-z * w + 1j * w * np.sqrt(1 - z**2)) / RATE)
-    out = [lfilter([1.0, 0.0, -1.0], [1.0, -2 * p.real, abs(p) ** 2], force) for p in poles]
+    out = [
+        lfilter([1.0, 0.0, -1.0], [1.0, -2 * p.real, abs(p) ** 2], force) for p in poles
+    ]
     return SHAPES @ np.array(out)
 
 
@@ -84,7 +88,9 @@ def test_no_pair_of_samples_has_an_event_between_them(jumped: Float) -> None:
 def test_decays_after_events_give_the_damping_that_the_whole_record_gets_wrong(
     jumped: Float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    history = TimeHistory(jumped, RATE, tuple(Channel(f"c{k}") for k in range(len(jumped))))
+    history = TimeHistory(
+        jumped, RATE, tuple(Channel(f"c{k}") for k in range(len(jumped)))
+    )
 
     def error() -> Float:
         found = identify_ambient(history).modes
@@ -109,7 +115,9 @@ def test_few_blows_in_silence_give_all_modes(at: list[float]) -> None:
     force = np.zeros(int(RATE * 300))
     force[(np.array(at) * RATE).astype(int)] = 100 * rng.uniform(0.5, 1.5, len(at))
     y = responses(force) + 0.02 * rng.normal(size=(4, force.size))
-    result = identify_ambient(TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5))))
+    result = identify_ambient(
+        TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5)))
+    )
     np.testing.assert_allclose(result.modes.frequencies, FREQUENCIES, rtol=3e-3)
     np.testing.assert_allclose(result.modes.damping, DAMPING, rtol=0.1)
 
@@ -119,6 +127,8 @@ def test_blows_without_decays_are_no_modes() -> None:
     y = 0.02 * rng.normal(size=(4, int(RATE * 300)))
     for k in (2000, 9000, 15000):
         y[:, k] += 5 * rng.normal(size=4)
-    result = identify_ambient(TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5))))
+    result = identify_ambient(
+        TimeHistory(y, RATE, tuple(Channel(f"{i}+Z") for i in range(1, 5)))
+    )
     assert not len(result.modes)
     assert any("3 events" in n for n in result.notes)

@@ -42,7 +42,9 @@ def test_hits_are_no_spikes() -> None:
         y += (
             40
             * y.std()
-            * np.where(t > start, np.exp(-3 * (t - start)) * np.sin(60 * (t - start)), 0.0)
+            * np.where(
+                t > start, np.exp(-3 * (t - start)) * np.sin(60 * (t - start)), 0.0
+            )
         )
     assert not find_spikes(history(y))
 

@@ -9,7 +9,10 @@ import pytest
 from five_modes import PHI, F, Z, motion, record
 
 from ringtrue.core.notes import sentence
-from ringtrue.identification.ambient.pipeline import identify_ambient, identify_stretches
+from ringtrue.identification.ambient.pipeline import (
+    identify_ambient,
+    identify_stretches,
+)
 from ringtrue.identification.ambient.spectral_bins import SpectralBins
 from ringtrue.identification.methods import identify_ambient_by
 from ringtrue.shapes import mac
@@ -59,7 +62,9 @@ def test_modes_are_those_of_what_is_left():
 
 
 def test_other_methods_and_later_stretches_leave_them_out_too():
-    assert any("140 s in all" in n for n in identify_ambient_by("fdd", record(lossy())).notes)
+    assert any(
+        "140 s in all" in n for n in identify_ambient_by("fdd", record(lossy())).notes
+    )
     whole = record(motion())
     both = identify_stretches((whole, record(lossy())))
     assert len(both.modes) == 5, both.notes
@@ -74,7 +79,9 @@ def test_missing_samples_are_left_out_as_held_ones_are():
     expected = bridge_gaps(record(lossy()))
     assert np.array_equal(gaps.lost, expected[1].lost)
     assert np.abs(whole.data - expected[0].data).max() < 1e-9
-    assert "(samples are missing), the first at 200 s, 140 s in all" in sentence(gaps.notes[0])
+    assert "(samples are missing), the first at 200 s, 140 s in all" in sentence(
+        gaps.notes[0]
+    )
     again = gaps.marked(whole)
     assert np.array_equal(np.isnan(again.data).all(axis=0), expected[1].lost)
 
@@ -105,7 +112,12 @@ def test_windows_tell_what_lost_stretches_do_to_the_spectrum_of_a_mode():
         there[a : a + 60] = 0.0
     events = replace(NONE, gone=there == 0, rate=1.0)
     bins = SpectralBins(
-        np.empty(0), np.empty(0), np.empty((0, 1, 1)), float(n), 1 - events.kept, events.breaks
+        np.empty(0),
+        np.empty(0),
+        np.empty((0, 1, 1)),
+        float(n),
+        1 - events.kept,
+        events.breaks,
     )
     pairs = np.fft.irfft(np.abs(np.fft.rfft(there, 2 * n)) ** 2)[:n] / there.sum()
     nu = f + np.linspace(-5, 5, 41) * zeta * f
@@ -113,10 +125,12 @@ def test_windows_tell_what_lost_stretches_do_to_the_spectrum_of_a_mode():
     tau = np.arange(n)
     seen = np.array([(pairs * np.exp(-r * tau)).real.sum() for r in rate])
     told = sum(
-        w * ((1 - (1 - np.exp(-rate * t)) / (rate * t)) / rate).real for w, t in bins.windows
+        w * ((1 - (1 - np.exp(-rate * t)) / (rate * t)) / rate).real
+        for w, t in bins.windows
     )
     plain = ((1 - (1 - np.exp(-rate * n)) / (rate * n)) / rate).real
-    assert np.abs(told / seen - 1).max() < 0.1  # by chance the losses of one mask lie in steps
+    # by chance the losses of one mask lie in steps
+    assert np.abs(told / seen - 1).max() < 0.1
     assert np.abs(plain / seen - 1).max() > 0.25
 
 
@@ -144,7 +158,9 @@ def test_radio_links_that_lose_packets_of_their_own_keep_the_rest_of_the_record(
     assert gaps.lost[20000:22000].all()
     assert gaps.lost.sum() < 2200  # by chance most are lost together
     assert np.isfinite(whole.data).all()
-    assert any("7 channels lost parts at times of their own" in sentence(n) for n in gaps.notes)
+    assert any(
+        "7 channels lost parts at times of their own" in sentence(n) for n in gaps.notes
+    )
     r = identify_ambient(record(y))
     assert len(r.modes) == 5, r.notes
     assert (np.abs(r.modes.damping - Z) < 3 * r.uncertainty.damping).all()

@@ -21,12 +21,16 @@ def response(seed: int = 0) -> np.ndarray:
     """One mode at 8 Hz, 1 %, under white noise; unit rms."""
     rng = np.random.default_rng(seed)
     pole = np.exp((-0.01 + 1j) * 2 * np.pi * MODE / RATE)
-    y = lfilter([1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal((2, N)), axis=1)
+    y = lfilter(
+        [1.0], np.poly([pole, pole.conj()]).real, rng.standard_normal((2, N)), axis=1
+    )
     return np.asarray(y / y.std(axis=1, keepdims=True))
 
 
 def record(y: np.ndarray) -> TimeHistory:
-    return TimeHistory(y, RATE, tuple(Channel(f"{i + 1}+Z") for i in range(len(y))), "r")
+    return TimeHistory(
+        y, RATE, tuple(Channel(f"{i + 1}+Z") for i in range(len(y))), "r"
+    )
 
 
 def test_a_sine_on_the_flank_of_a_mode_is_listed_and_leaves_the_mode_whole() -> None:
@@ -41,7 +45,9 @@ def test_a_sine_on_the_flank_of_a_mode_is_listed_and_leaves_the_mode_whole() -> 
     )
     y += 0.02 * y.std() * rng.standard_normal(y.shape)
     assert find_tonal_lines(record(y)) == ()
-    machine = record(y + 2 * y.std() * np.outer([0.3, 1.0, 1.0], np.sin(2 * np.pi * 8.02 * t + 1)))
+    machine = record(
+        y + 2 * y.std() * np.outer([0.3, 1.0, 1.0], np.sin(2 * np.pi * 8.02 * t + 1))
+    )
     (line,) = find_tonal_lines(machine)
     assert line.frequency == pytest.approx(8.02, abs=1e-4)
     left = remove_tonal_lines(machine, [line.frequency]).data

@@ -17,20 +17,32 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.signal.frf import frf_variance, shaker_frfs
-from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
+from ringtrue.signal.local_rational import (
+    is_continuous,
+    local_frfs,
+    period,
+    periodic_frfs,
+    spacing,
+)
 from ringtrue.signal.spectra import Welch
 
 RATE, N = 128.0, 40 * 128
 FN, ZETA = np.array([9.0, 23.0]), np.array([0.005, 0.01])
 PHI = np.array([[1.0, 0.8], [0.6, -1.0], [-0.3, 0.5]])
 DENOMINATORS = [
-    np.array([1, -2 * np.exp(-z * w) * np.cos(w * np.sqrt(1 - z**2)), np.exp(-2 * z * w)])
+    np.array(
+        [1, -2 * np.exp(-z * w) * np.cos(w * np.sqrt(1 - z**2)), np.exp(-2 * z * w)]
+    )
     for w, z in zip(2 * np.pi * FN / RATE, ZETA, strict=True)
 ]
 
 
 def record(
-    force: np.ndarray, rng: np.random.Generator, *, response: float = 0.0, on_force: float = 0.0
+    force: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    response: float = 0.0,
+    on_force: float = 0.0,
 ) -> TimeHistory:
     """Responses at three points to forces (in, sample), seen in their second half, noise as shares
     of the rms.
@@ -40,7 +52,9 @@ def record(
     for k, a in enumerate(DENOMINATORS):
         y += np.outer(PHI[:, k], lfilter([0.0, 1.0], a, PHI[: len(force), k] @ force))
     y = y[:, -n:] + response * y.std() * rng.standard_normal((3, n))
-    force = force[:, -n:] + on_force * force.std() * rng.standard_normal((len(force), n))
+    force = force[:, -n:] + on_force * force.std() * rng.standard_normal(
+        (len(force), n)
+    )
     channels = [Channel(f"F:{i + 1}+Z", "force", "N") for i in range(len(force))]
     channels += [Channel(f"{i + 1}+Z", "displacement", "m") for i in range(3)]
     return TimeHistory(np.vstack([force, y]), RATE, tuple(channels), "r")
@@ -73,7 +87,9 @@ def test_no_leakage(kind: str) -> None:
     h = exact(frfs.freqs[use], frfs.data.shape[2])
     assert use.sum() > 130
     assert np.linalg.norm(frfs.data[use] - h) < 5e-3 * np.linalg.norm(h)
-    assert not any("short" in n for n in identify_hammer(frfs, HammerModes(4.0, 40.0)).notes)
+    assert not any(
+        "short" in n for n in identify_hammer(frfs, HammerModes(4.0, 40.0)).notes
+    )
     if kind == "random":
         welch = shaker_frfs(r, Welch(0.25)).frfs
         at = np.isin(np.round(welch.freqs, 3), np.round(frfs.freqs[use], 3))
@@ -96,7 +112,9 @@ def test_the_coherence_holds_the_variance() -> None:
         g = frfs.coherence[use]
         stated = np.abs(frfs.data[use]) ** 2 * (1 - g) / (frfs.averages * g)
         ratio.append(
-            (np.abs(frfs.data[use] - exact(frfs.freqs[use], 2)) ** 2 / stated).mean(axis=0)
+            (np.abs(frfs.data[use] - exact(frfs.freqs[use], 2)) ** 2 / stated).mean(
+                axis=0
+            )
         )
     np.testing.assert_allclose(np.sqrt(np.mean(ratio, axis=0)), 1.0, atol=0.15)
 
@@ -190,7 +208,9 @@ def test_a_force_that_repeats_itself_has_the_lines_of_its_period(start: str) -> 
 def test_forces_that_do_not_repeat_or_are_several() -> None:
     rng = np.random.default_rng(0)
     assert period(record(rng.standard_normal((1, 2 * N)), rng)) == 0
-    assert period(record(np.sin(2 * np.pi * 7 * np.arange(2 * N) / RATE)[None], rng)) == 0
+    assert (
+        period(record(np.sin(2 * np.pi * 7 * np.arange(2 * N) / RATE)[None], rng)) == 0
+    )
     two = record(np.tile(rng.standard_normal((2, N // 4)), 8), rng)
     with pytest.raises(DataError, match="are one force at each line"):
         periodic_frfs([two], period(two))

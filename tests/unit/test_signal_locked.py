@@ -25,9 +25,13 @@ def record(seed: int, *, lines: tuple[float, ...] = (1, 3, 6)) -> TimeHistory:
     ]
     for f in MODES:
         s = 2 * np.pi * f * (-0.01 + 1j)
-        q = lfilter([1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(n).astype(complex)).imag
+        q = lfilter(
+            [1.0], [1.0, -np.exp(s / RATE)], rng.standard_normal(n).astype(complex)
+        ).imag
         parts.append(q / q.std())
-    y = rng.standard_normal((5, len(parts))) @ np.array(parts) + 0.5 * rng.standard_normal((5, n))
+    y = rng.standard_normal((5, len(parts))) @ np.array(
+        parts
+    ) + 0.5 * rng.standard_normal((5, n))
     return TimeHistory(y, RATE, tuple(Channel(str(i)) for i in range(5)), "made")
 
 
@@ -37,11 +41,15 @@ def test_lines_of_a_known_machine_are_told_from_modes_at_ratios_of_it() -> None:
     for seed in range(3):
         told = phase_evidence(record(seed), f, z, [False, False, False, True, False])
         assert [bool(x) for x in told] == [False, False, True, False, True], told
-        assert told[4] == "a machine: its phase goes with that of the line at 0.93 Hz, 2:1"
+        assert (
+            told[4] == "a machine: its phase goes with that of the line at 0.93 Hz, 2:1"
+        )
 
 
 def test_without_a_known_machine_nothing_is_told() -> None:
-    assert phase_evidence(record(0), 1.0 * MODES, 0.01 * np.ones(2), [False, False]) == ("", "")
+    assert phase_evidence(
+        record(0), 1.0 * MODES, 0.01 * np.ones(2), [False, False]
+    ) == ("", "")
 
 
 def test_another_machine_at_a_whole_ratio_is_none_of_this_one() -> None:

@@ -35,7 +35,9 @@ def test_the_later_recorder_is_found_to_a_twentieth_of_a_sample():
 
 
 @pytest.mark.parametrize(("samples", "told"), [(0.15, False), (0.4, True)])
-def test_parts_of_a_sample_are_told_where_they_are_more_than_scatter(samples: float, told: bool):
+def test_parts_of_a_sample_are_told_where_they_are_more_than_scatter(
+    samples: float, told: bool
+):
     y = motion().copy()
     y[3] = at_positions(y[[3]], np.arange(y.shape[1]) - samples)[0]
     moved, notes = in_phase(record(y), mend=True)
@@ -61,7 +63,9 @@ def test_a_clock_that_runs_apart_is_found_to_a_tenth_of_a_sample_at_the_ends(ppm
     y = motion().copy()
     n = y.shape[1]
     middle = (n - 1) / 2
-    y[5:] = at_positions(y[5:], np.arange(n) + 20 + 1e-6 * ppm * (np.arange(n) - middle))
+    y[5:] = at_positions(
+        y[5:], np.arange(n) + 20 + 1e-6 * ppm * (np.arange(n) - middle)
+    )
     found = channel_phases(record(y), [2] * 7)
     moved = found.delay * RATE + found.drift * middle
     assert found.drift[:5] == pytest.approx(0)
@@ -70,7 +74,9 @@ def test_a_clock_that_runs_apart_is_found_to_a_tenth_of_a_sample_at_the_ends(ppm
 
 
 def test_noise_says_nothing():
-    found = channel_phases(record(np.random.default_rng(0).standard_normal((5, 60000))), [2] * 5)
+    found = channel_phases(
+        record(np.random.default_rng(0).standard_normal((5, 60000))), [2] * 5
+    )
     assert not found.known.any()
     assert not found.delay.any()
 
@@ -92,10 +98,13 @@ def test_waves_that_push_all_modes_turn_no_channel(seed):
     rng = np.random.default_rng(seed)
     n = motion().shape[1]
     wave = sosfilt(
-        butter(2, [0.8, 1.6], btype="band", fs=RATE, output="sos"), rng.standard_normal(n)
+        butter(2, [0.8, 1.6], btype="band", fs=RATE, output="sos"),
+        rng.standard_normal(n),
     )
     lagged = np.stack([np.roll(wave, k) for k in range(0, 15, 3)])
-    y = motion() + 2 * motion().std() / wave.std() * (PHI @ (rng.standard_normal((5, 1)) * lagged))
+    y = motion() + 2 * motion().std() / wave.std() * (
+        PHI @ (rng.standard_normal((5, 1)) * lagged)
+    )
     assert not channel_phases(record(y), [2] * 7).odd.any()
 
 
@@ -123,7 +132,9 @@ def test_modes_of_two_clocks_that_run_apart_are_those_of_one():
     assert two.modes.frequencies == pytest.approx(one.modes.frequencies, rel=5e-4)
     assert two.modes.damping == pytest.approx(one.modes.damping, rel=0.05)
     assert np.diag(mac(two.modes.shapes, one.modes.shapes)).min() > 0.999
-    assert any("channel 5+Z 6+Z 7+Z: a clock +1" in n and "ppm" in n for n in two.notes), two.notes
+    assert any(
+        "channel 5+Z 6+Z 7+Z: a clock +1" in n and "ppm" in n for n in two.notes
+    ), two.notes
 
 
 def test_modes_of_two_recorders_are_those_of_one():
@@ -145,4 +156,5 @@ def test_interpolation_is_exact_within_the_band() -> None:
 
     positions = np.linspace(100, 2800, 1777)
     got = at_positions(sines(np.arange(3000) / 100.0)[None], positions)[0]
-    np.testing.assert_allclose(got, sines(positions / 100.0), atol=1e-3)  # 90 dB below 150 sines
+    # 90 dB below 150 sines
+    np.testing.assert_allclose(got, sines(positions / 100.0), atol=1e-3)

@@ -19,7 +19,9 @@ GAIN = np.array([[1.0, -0.5], [0.3, 2.0], [-1.2, 0.7]])
 SETTINGS = Welch(1.0)
 
 
-def record(seed: int, *, inputs: int = 2, noise: float = 0.5, mixed: float = 0.6) -> TimeHistory:
+def record(
+    seed: int, *, inputs: int = 2, noise: float = 0.5, mixed: float = 0.6
+) -> TimeHistory:
     rng = np.random.default_rng(seed)
     f = rng.standard_normal((inputs, N))
     f[-1] += mixed * f[0] if inputs > 1 else 0.0  # the shakers are not independent
@@ -76,9 +78,9 @@ def test_one_shaker(estimator: str) -> None:
 def test_hv_has_less_bias_with_noise_on_the_forces() -> None:
     clean = record(2, noise=0.0)
     rng = np.random.default_rng(3)
-    loud = np.array(clean.data) + 0.3 * clean.data.std(axis=1, keepdims=True) * rng.standard_normal(
-        clean.data.shape
-    )
+    loud = np.array(clean.data) + 0.3 * clean.data.std(
+        axis=1, keepdims=True
+    ) * rng.standard_normal(clean.data.shape)
     noisy = replace(clean, data=loud)
     off = {}
     for estimator in ("H1", "Hv"):
@@ -95,7 +97,9 @@ def test_bad_records_are_told() -> None:
     with pytest.raises(DataError, match="independent segments"):
         shaker_frfs(replace(r, data=r.data[:, :300]), SETTINGS)
     with pytest.raises(DataError, match="constant"):
-        shaker_frfs(replace(r, data=np.where(np.arange(5)[:, None] == 3, 1.0, r.data)), SETTINGS)
+        shaker_frfs(
+            replace(r, data=np.where(np.arange(5)[:, None] == 3, 1.0, r.data)), SETTINGS
+        )
     with pytest.raises(ConfigError, match="H2"):
         shaker_frfs(r, SETTINGS, estimator="H2")
     with pytest.raises(ConfigError, match="Allowed: H1"):
@@ -114,4 +118,6 @@ def test_independent_segments_of_a_hann_window() -> None:
     """Half overlap of a Hann window: 1/(1 + 2/36) of the segments (Welch 1967)."""
     n = 256 * 200
     count = 2 * 200 - 1
-    assert independent_segments(n, 256, Welch(1.0)) == pytest.approx(count / (1 + 2 / 36), rel=2e-3)
+    assert independent_segments(n, 256, Welch(1.0)) == pytest.approx(
+        count / (1 + 2 / 36), rel=2e-3
+    )

@@ -23,7 +23,9 @@ def figure(user: User, marker: str) -> dict[str, Any]:
     """What a plot shows."""
     (plot,) = user.find(marker=marker).elements
     shown: dict[str, Any] = dict(plot.figure)
-    traces = [{k: plain(v) for k, v in trace.items()} for trace in shown.get("data", ())]
+    traces = [
+        {k: plain(v) for k, v in trace.items()} for trace in shown.get("data", ())
+    ]
     return shown | {"data": traces}
 
 
@@ -34,7 +36,9 @@ def plain(value: Any) -> Any:
     return np.frombuffer(base64.b64decode(value["bdata"]), dtype=value["dtype"])
 
 
-async def shows(user: User, marker: str, what: Callable[[dict[str, Any]], bool]) -> None:
+async def shows(
+    user: User, marker: str, what: Callable[[dict[str, Any]], bool]
+) -> None:
     """Wait until a plot shows something."""
     await user.should_see(marker=marker, retries=200)
     for _ in range(200):
@@ -61,10 +65,14 @@ def test_a_record_is_zoomed_to_its_samples(ran: Path, tmp_path: Path) -> None:
         await shows(user, "signals", lambda s: s["data"][0]["x0"] == 20.0)
         near = figure(user, "signals")["data"][1]
         first = round(20 * record.rate)
-        np.testing.assert_allclose(near["y"], record.data[1, first : first + near["y"].size])
+        np.testing.assert_allclose(
+            near["y"], record.data[1, first : first + near["y"].size]
+        )
         assert near["dx"] == 1 / record.rate
         await shows(user, "spectra", lambda s: len(s["data"]) == 4)  # with the modes
-        user.find(marker="spectra").trigger("plotly_click", {"points": [{"x": 2.5, "y": 0.1}]})
+        user.find(marker="spectra").trigger(
+            "plotly_click", {"points": [{"x": 2.5, "y": 0.1}]}
+        )
         assert session.selection.frequency == 2.5
         user.find(marker="whole").click()
         await shows(user, "signals", lambda s: s["data"][0]["x0"] == 0.0)
@@ -90,7 +98,9 @@ def test_any_frf_is_shown_with_its_frac(ran: Path, tmp_path: Path) -> None:
         i = [c.id for c in model.outputs].index("203+Y")
         np.testing.assert_allclose(drawn, np.abs(model.data[:, i, 1]), rtol=1e-5)
         f = float(study.stage("identify").hammer.modes.frequencies[1])
-        user.find(marker="frf").trigger("plotly_click", {"points": [{"x": 1.001 * f, "y": 1}]})
+        user.find(marker="frf").trigger(
+            "plotly_click", {"points": [{"x": 1.001 * f, "y": 1}]}
+        )
         assert (session.selection.mode, session.selection.frequency) == (1, f)
 
     on("frfs", session, scenario)
@@ -124,7 +134,9 @@ def test_what_a_rejected_mode_explained_is_missed(ran: Path, tmp_path: Path) -> 
 
     def missed(shown: dict[str, Any]) -> float:
         """Of the sum of FRFs at the mode that is rejected, dB."""
-        measured, fitted = (t["y"][np.argmin(np.abs(t["x"] - f))] for t in shown["data"][:2])
+        measured, fitted = (
+            t["y"][np.argmin(np.abs(t["x"] - f))] for t in shown["data"][:2]
+        )
         return float(measured - fitted)
 
     async def scenario(user: User) -> None:

@@ -17,7 +17,9 @@ from ringtrue.studio.edits import sheet_table
 
 def test_an_edit_is_one_line_and_all_else_stays(tmp_path: Path) -> None:
     documents = written(tmp_path).documents
-    step = documents.edit("gate", {"study.toml": edits.put(("correlate", "mac_gate"), 0.7)})
+    step = documents.edit(
+        "gate", {"study.toml": edits.put(("correlate", "mac_gate"), 0.7)}
+    )
     assert step is not None
     assert (tmp_path / "study.toml").read_text() == STUDY.replace("0.6", "0.7")
     assert [x for x in step.diff().splitlines() if x[0] in "+-"][2:] == [
@@ -56,13 +58,19 @@ def test_edits_from_outside_are_seen_and_merged(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     documents.edit("gate", {"study.toml": edits.put(("correlate", "mac_gate"), 0.7)})
     assert documents.changed_outside() == ()
-    path.write_text(path.read_text().replace("# a study\n", "# a study\n# of a tower\n\n"))
+    path.write_text(
+        path.read_text().replace("# a study\n", "# a study\n# of a tower\n\n")
+    )
     assert documents.changed_outside() == ("study.toml",)
-    documents.edit("limit", {"study.toml": edits.put(("correlate", "accept_mac"), 90.0)})
+    documents.edit(
+        "limit", {"study.toml": edits.put(("correlate", "accept_mac"), 90.0)}
+    )
     assert "# of a tower" in path.read_text()
     documents.undo()
     documents.undo()  # its lines have moved by two
-    assert path.read_text() == STUDY.replace("# a study\n", "# a study\n# of a tower\n\n")
+    assert path.read_text() == STUDY.replace(
+        "# a study\n", "# a study\n# of a tower\n\n"
+    )
     documents.redo()
     path.write_text(path.read_text().replace("mac_gate = 0.7", "mac_gate = 0.75"))
     with pytest.raises(ConfigError, match="edited outside of the studio"):
@@ -85,7 +93,9 @@ def test_a_choice_is_begun_with_its_first_entry(tmp_path: Path) -> None:
     session = written(tmp_path, '[test]\nsheet = "sensors.csv"\nfrfs = ["h.uff"]\n')
     first = edits.add_entry("pick", {"frequency": 3.25, "order": 12})
     session.edit_choice("pick", first)
-    session.edit_choice("reject", edits.add_entry("reject", {"frequency": 4.0, "reason": "crane"}))
+    session.edit_choice(
+        "reject", edits.add_entry("reject", {"frequency": 4.0, "reason": "crane"})
+    )
     session.edit_choice("pick", edits.add_entry("pick", {"frequency": 5.0}))
     choice = read_choice(tmp_path / "choice.toml")
     assert [p.frequency for p in choice.picks] == [3.25, 5.0]
@@ -104,7 +114,10 @@ def test_pairs_have_their_reason(tmp_path: Path) -> None:
     session.edit("lock", edits.decide_pair("lock", "3:7", "seen by eye # twice"))
     session.edit("lock", edits.decide_pair("lock", "4:8", "the same"))
     text = session.documents.text("study.toml")
-    assert edits.reasons(text, "lock") == {"3:7": "seen by eye # twice", "4:8": "the same"}
+    assert edits.reasons(text, "lock") == {
+        "3:7": "seen by eye # twice",
+        "4:8": "the same",
+    }
     assert session.config is not None
     assert session.config.correlate.lock == ["3:7", "4:8"]
     with pytest.raises(ConfigError, match="needs a reason"):
@@ -118,10 +131,14 @@ def test_pairs_have_their_reason(tmp_path: Path) -> None:
 
 def test_a_cell_of_a_sheet(tmp_path: Path) -> None:
     session = written(tmp_path)
-    sheet = "point;x;y;z;direction\n1;0;0;0;+X\n2;0;0;1,5;+X\n2;0;0;1,5;+Y\n".replace(",", ".")
+    sheet = "point;x;y;z;direction\n1;0;0;0;+X\n2;0;0;1,5;+X\n2;0;0;1,5;+Y\n".replace(
+        ",", "."
+    )
     (tmp_path / "sensors.csv").write_text(sheet)
     cell = {"direction": "-X"}
-    session.documents.edit("flip", {"sensors.csv": lambda t: sheet_table(t).text({2: cell})})
+    session.documents.edit(
+        "flip", {"sensors.csv": lambda t: sheet_table(t).text({2: cell})}
+    )
     assert (tmp_path / "sensors.csv").read_text() == sheet.replace("1.5;+X", "1.5;-X")
     with pytest.raises(ConfigError, match=r"sensors\.csv"):
         session.documents.edit(

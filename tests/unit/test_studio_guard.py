@@ -43,7 +43,9 @@ def test_the_token_of_the_address_becomes_a_cookie() -> None:
     assert "HttpOnly" in held
     assert "SameSite=Strict" in held
     assert asked(cookie=COOKIE)[0] == {"passed": True}
-    assert asked("websocket", cookie=COOKIE, origin="http://127.0.0.1:8000")[0]["passed"]
+    assert asked("websocket", cookie=COOKIE, origin="http://127.0.0.1:8000")[0][
+        "passed"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,9 @@ def test_two_modes_are_merged_with_a_reason(ran: Path, tmp_path: Path) -> None:
     assert not read_choice(session.path.with_name("choice.toml")).merges
 
 
-def test_the_difference_of_shapes_names_the_worst_channel(ran: Path, tmp_path: Path) -> None:
+def test_the_difference_of_shapes_names_the_worst_channel(
+    ran: Path, tmp_path: Path
+) -> None:
     session = opened(ran, tmp_path)
     stage = rt.open_study(ran).stage("correlate")
     test, fe = stage.reference.elastic, stage.fe_initial
@@ -111,7 +113,9 @@ def test_the_difference_of_shapes_names_the_worst_channel(ran: Path, tmp_path: P
         (toggle,) = user.find(marker="arrangement").elements
         assert isinstance(toggle, ui.toggle)
         toggle.value = "difference"
-        worst = f"worst channel {test.channels[int(off.argmax())]}, {100 * off.max():.1f} %"
+        worst = (
+            f"worst channel {test.channels[int(off.argmax())]}, {100 * off.max():.1f} %"
+        )
         await user.should_see(worst)
 
     on("correlation", session, scenario)
@@ -122,7 +126,10 @@ def test_a_pair_is_locked_in_the_matrix(ran: Path, tmp_path: Path) -> None:
     table = rt.open_study(ran).pairs("initial")
 
     async def scenario(user: User) -> None:
-        cell = {"x": f"2: {table.all_fe_hz[1]:.2f}", "y": f"1: {table.all_test_hz[0]:.2f}"}
+        cell = {
+            "x": f"2: {table.all_fe_hz[1]:.2f}",
+            "y": f"1: {table.all_test_hz[0]:.2f}",
+        }
         user.find(marker="matrix").trigger("plotly_click", {"points": [cell]})
         assert session.selection.pair == (0, 1)
         await user.should_see(f"{100 * table.mac[0, 1]:.1f} %")
@@ -184,7 +191,9 @@ def test_trials_agree_with_full_solutions(ran: Path) -> None:
     off = np.abs(trial.modes.frequencies / full.modes.frequencies - 1)
     assert off.max() < 3 * model.error(factors) < 1e-3
     np.testing.assert_allclose(trial.pairs.mac, full.pairs.mac, atol=1e-2)
-    with pytest.raises(rt.InputError, match="no candidate 'column 1'; did you mean 'columns 1'"):
+    with pytest.raises(
+        rt.InputError, match="no candidate 'column 1'; did you mean 'columns 1'"
+    ):
         model.at({"column 1": 1.0})
     with pytest.raises(rt.InputError, match=r"allowed are 0\.5 to 2"):
         model.at({"columns 1": 3.0})
@@ -199,10 +208,15 @@ def test_trials_have_the_objective_shapes_and_frfs(ran: Path) -> None:
     shape = model.shape({}, 2).shapes[:, 0]
     np.testing.assert_allclose(shape * np.sign(shape @ stored), stored, atol=1e-6)
     whole, one = study.model_frfs("initial"), model.frf({}, "103+Y", "303+X")
-    at = [c.id for c in whole.outputs].index("103+Y"), [c.id for c in whole.inputs].index("303+X")
+    at = (
+        [c.id for c in whole.outputs].index("103+Y"),
+        [c.id for c in whole.inputs].index("303+X"),
+    )
     # the deck's static responses are in the basis
     np.testing.assert_allclose(one.data[:, 0, 0], whole.data[:, *at], rtol=1e-3)
-    with pytest.raises(DataError, match=r"no FRF 1\+X / 303\+X at channels of the sheet"):
+    with pytest.raises(
+        DataError, match=r"no FRF 1\+X / 303\+X at channels of the sheet"
+    ):
         model.frf({}, "1+X", "303+X")
 
 

@@ -67,7 +67,9 @@ def test_a_refusal_is_one_message_and_a_fault_is_logged(
         assert "mac_gate 2: allowed are 0 to 1" in user.notify.messages
         session.on_work.subscribe(lambda: 1 / 0)
         session.on_work.emit()
-        assert any("fault of ringtrue: ZeroDivisionError" in m for m in user.notify.messages)
+        assert any(
+            "fault of ringtrue: ZeroDivisionError" in m for m in user.notify.messages
+        )
 
     with caplog.at_level(logging.ERROR):
         visit(session, scenario)
@@ -104,13 +106,18 @@ def test_a_run_is_stopped_and_resumed(tmp_path: Path) -> None:
         assert (job.state, job.fraction) == ("done", 1.0)
         await session.refresh()
         assert session.standing("model") == "done"
-        assert session.stage("model").modes.frequencies == pytest.approx([5.0329], rel=1e-4)
+        assert session.stage("model").modes.frequencies == pytest.approx(
+            [5.0329], rel=1e-4
+        )
         session.edit("fmax", edits.put(("model", "fmax"), 50.0))
         await session.refresh()
         assert session.standing("model") == "stale"
 
     asyncio.run(scenario())
-    assert session.work.command("model") == f"ringtrue run {tmp_path}/study.toml --until model"
+    assert (
+        session.work.command("model")
+        == f"ringtrue run {tmp_path}/study.toml --until model"
+    )
 
 
 def test_a_run_that_fails_says_why(
@@ -140,7 +147,10 @@ def test_the_tour_points_at_screens_and_can_be_closed(tmp_path: Path) -> None:
 
 
 def test_every_class_that_a_page_names_has_a_style() -> None:
-    sheets = [theme.CSS, *(Path(nicegui.__file__).parent / "static").glob("quasar.*.prod.css")]
+    sheets = [
+        theme.CSS,
+        *(Path(nicegui.__file__).parent / "static").glob("quasar.*.prod.css"),
+    ]
     known = "".join(path.read_text() for path in sheets).replace("\\", "")
     named = re.findall(r'classes\(\s*"([^"]*)"', _sources())
     missing = {c for text in named for c in text.split() if f".{c}" not in known}
@@ -152,7 +162,9 @@ def _sources() -> str:
     return "".join(p.read_text() for p in theme.CSS.parent.rglob("*.py"))
 
 
-def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path) -> None:
+def test_a_browser_keeps_theme_and_selection_for_the_next_studio(
+    tmp_path: Path,
+) -> None:
     before = written(tmp_path)
     before.select(pair=(2, 3), mode=2, frequency=4.5, channel="101+Z")
     before.set_dark(True)
@@ -167,7 +179,9 @@ def test_a_browser_keeps_theme_and_selection_for_the_next_studio(tmp_path: Path)
     assert not fresh.dark
 
 
-def test_a_run_says_its_iterations_with_their_values(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_says_its_iterations_with_their_values(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     said = IterationText("set: iteration 2: 3.5")
     said.values = {"J": 3.5, "columns": 1.2}
     work._report(0.5, said)

@@ -18,7 +18,9 @@ from ringtrue.studio import edits
 from ringtrue.studio.screens.sensors import gain
 
 PATIENCE = 300  # tenths of a second: something hangs, not that the machine is busy
-PLAN = "\n[plan]\nfmin = 1.0\nfmax = 12.0\nsensors = 4\nreferences = 1\nambient = false\n"
+PLAN = (
+    "\n[plan]\nfmin = 1.0\nfmax = 12.0\nsensors = 4\nreferences = 1\nambient = false\n"
+)
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +34,17 @@ def localised(ran: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_part_of_the_model_becomes_a_candidate_region(ran: Path, tmp_path: Path) -> None:
+def test_a_part_of_the_model_becomes_a_candidate_region(
+    ran: Path, tmp_path: Path
+) -> None:
     session = opened(ran, tmp_path)
 
     async def scenario(user: User) -> None:
         await user.should_see(marker="legend-2", retries=PATIENCE)
         await user.should_see("No findings.", retries=PATIENCE)
-        user.find(marker="view").trigger("viewPick", {"kind": "element", "id": 200, "shift": False})
+        user.find(marker="view").trigger(
+            "viewPick", {"kind": "element", "id": 200, "shift": False}
+        )
         await user.should_see(marker="connected")
         user.find(marker="connected").click()  # the column, as far as its property goes
         await user.should_see("200, 201")
@@ -82,7 +88,9 @@ def test_a_part_of_the_model_becomes_a_candidate_region(ran: Path, tmp_path: Pat
 
 def test_a_finding_flies_to_its_element_and_units_are_judged(tmp_path: Path) -> None:
     session = written(tmp_path)
-    (tmp_path / "tower.bdf").write_text(DECK.replace("ENDDATA", "GRID,9,,5000.,0.,0.\nENDDATA"))
+    (tmp_path / "tower.bdf").write_text(
+        DECK.replace("ENDDATA", "GRID,9,,5000.,0.,0.\nENDDATA")
+    )
 
     async def scenario(user: User) -> None:
         await user.open("/model")
@@ -105,7 +113,9 @@ def test_a_finding_flies_to_its_element_and_units_are_judged(tmp_path: Path) -> 
     assert session.config.model.units == "mm-t-s"
 
 
-def test_a_candidate_is_ticked_where_it_is_wrong(localised: Path, tmp_path: Path) -> None:
+def test_a_candidate_is_ticked_where_it_is_wrong(
+    localised: Path, tmp_path: Path
+) -> None:
     session = opened(localised, tmp_path)
     before = session.documents.text("study.toml")
 
@@ -123,7 +133,11 @@ def test_a_candidate_is_ticked_where_it_is_wrong(localised: Path, tmp_path: Path
         await user.should_see(marker="tick")
         user.find(marker="tick").click()
         added = session.config.candidate[-1]
-        assert (added.name, added.targets, added.lower) == ("columns 2", ["MAT1 2 E"], 0.5)
+        assert (added.name, added.targets, added.lower) == (
+            "columns 2",
+            ["MAT1 2 E"],
+            0.5,
+        )
 
     on("where", session, scenario)
     session.undo()
@@ -140,7 +154,8 @@ def test_a_sensor_is_dragged_and_flipped(ran: Path, tmp_path: Path) -> None:
         await user.should_see("Click an arrow", retries=PATIENCE)
         view = user.find(marker="view")
         view.trigger(
-            "viewDrag", {"kind": "sensor", "id": "101+X", "node": 105, "point": [2, 1.5, 3]}
+            "viewDrag",
+            {"kind": "sensor", "id": "101+X", "node": 105, "point": [2, 1.5, 3]},
         )
         model = rt.read_sensors(sheet).model
         assert model.xyz[model.points == 101].tolist() == [[2.0, 1.5, 3.0]]
@@ -156,7 +171,9 @@ def test_a_sensor_is_dragged_and_flipped(ran: Path, tmp_path: Path) -> None:
     assert sheet.read_text() == before
 
 
-def test_the_doctor_says_what_a_change_gains_and_writes_it(ran: Path, tmp_path: Path) -> None:
+def test_the_doctor_says_what_a_change_gains_and_writes_it(
+    ran: Path, tmp_path: Path
+) -> None:
     """Faults are put into the stored test; mending them gives all of its MAC back."""
     session = opened(ran, tmp_path)
     sheet_path = session.path.parent / "data" / "sensors.csv"
@@ -179,19 +196,29 @@ def test_the_doctor_says_what_a_change_gains_and_writes_it(ran: Path, tmp_path: 
         )
         assert session.study is not None
         session.study.run.results["correlate"] = faulty
-        right = {"101+X": ("101+X", -1.0), "103+Y": ("107+X", 1.0), "107+X": ("103+Y", 1.0)}
+        right = {
+            "101+X": ("101+X", -1.0),
+            "103+Y": ("107+X", 1.0),
+            "107+X": ("103+Y", 1.0),
+        }
         seen = gain(session, right)
         assert seen is not None
         assert seen.pairs[1] == len(stage.initial.rows()) > seen.pairs[0]
-        assert seen.mac[1] == pytest.approx(np.mean([r.mac_percent for r in stage.initial.rows()]))
+        assert seen.mac[1] == pytest.approx(
+            np.mean([r.mac_percent for r in stage.initial.rows()])
+        )
         await user.open("/sensors")
         await user.should_see(marker="mend-0", retries=PATIENCE)
         user.find(marker="mend-0").click()
 
     visit(session, scenario)
     mended = rt.read_sensors(sheet_path).model
-    places = dict(zip(whole.channels, zip(whole.at, whole.axes, strict=True), strict=True))
-    now = dict(zip(mended.channels, zip(mended.at, mended.axes, strict=True), strict=True))
+    places = dict(
+        zip(whole.channels, zip(whole.at, whole.axes, strict=True), strict=True)
+    )
+    now = dict(
+        zip(mended.channels, zip(mended.at, mended.axes, strict=True), strict=True)
+    )
     for name, (at, sign) in {"101+X": ("101+X", -1), "103+Y": ("107+X", 1)}.items():
         assert now[name][0] == places[at][0]
         assert now[name][1] == pytest.approx(sign * places[at][1])
@@ -215,14 +242,20 @@ def test_points_of_a_plan_are_added_taken_out_and_forbidden(
         assert session.config.plan is not None
         assert session.config.plan.fixed == [free]
         await user.should_see(str(len(points) + 1))
-        view.trigger("viewPick", {"kind": "sensor", "id": stored.sensors.test.channels[0]})
+        view.trigger(
+            "viewPick", {"kind": "sensor", "id": stored.sensors.test.channels[0]}
+        )
         await user.should_see(marker="remove")
         user.find(marker="remove").click()
         assert session.config.plan.exclude == [int(stored.sensors.test.at[0])]
-        view.trigger("viewBox", {"node": [303, 306], "element": [], "sensor": [], "point": []})
+        view.trigger(
+            "viewBox", {"node": [303, 306], "element": [], "sensor": [], "point": []}
+        )
         await user.should_see(marker="forbid")
         user.find(marker="forbid").click()
-        assert session.config.plan.keep_out == [[3.999, -0.001, 8.999, 4.001, 1.501, 9.001]]
+        assert session.config.plan.keep_out == [
+            [3.999, -0.001, 8.999, 4.001, 1.501, 9.001]
+        ]
 
     on("plan", session, scenario)
     trial = rt.trial_plan(session.path)
@@ -257,7 +290,10 @@ def test_rows_of_a_sheet_are_edited_where_they_stand(tmp_path: Path) -> None:
         "2;1;0;0;-Y;;;2+Y",
     ]
     after(edits.turn(sheet, 2, "Z"))
-    assert rt.read_sensors(path).model.axes[1:].round(9).tolist() == [[-1, 0, 0], [0, 0.6, 0.8]]
+    assert rt.read_sensors(path).model.axes[1:].round(9).tolist() == [
+        [-1, 0, 0],
+        [0, 0.6, 0.8],
+    ]
     after(edits.remap(sheet, names, {"Y": "-Z", "Z": "Y"}))
     model = rt.read_sensors(path).model
     assert model.channels == names
@@ -270,7 +306,9 @@ def test_rows_of_a_sheet_are_edited_where_they_stand(tmp_path: Path) -> None:
 
 def test_a_trial_of_the_planned_points_is_the_plan(localised: Path) -> None:
     stored = rt.open_study(localised).stage("plan")
-    trial = rt.trial_plan(localised / "study.toml").at(stored.sensors.test.points.tolist())
+    trial = rt.trial_plan(localised / "study.toml").at(
+        stored.sensors.test.points.tolist()
+    )
     # single precision of stored shapes
     assert trial.auto_mac == pytest.approx(stored.sensors.auto_mac, abs=1e-6)
     # of points that a symmetry makes equal either may be named

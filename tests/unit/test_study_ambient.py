@@ -24,7 +24,9 @@ def motion(seed: int, seconds: float) -> np.ndarray:
     """(sample, channel) accelerations of three modes under white forces."""
     rng = np.random.default_rng(seed)
     shapes, y = np.random.default_rng(9).standard_normal((4, 3)), 0.0
-    for phi, s in zip(shapes.T, 2 * np.pi * F * (-ZETA + 1j * np.sqrt(1 - ZETA**2)), strict=True):
+    for phi, s in zip(
+        shapes.T, 2 * np.pi * F * (-ZETA + 1j * np.sqrt(1 - ZETA**2)), strict=True
+    ):
         force, a = rng.standard_normal(int(seconds * RATE)), np.exp(s / RATE)
         z = lfilter([0, (a - 1) / s], [1, -a], force)
         y = y + np.outer(2 * np.real(s**2 / (2j * s.imag) * z) + force, phi)
@@ -55,7 +57,9 @@ def test_files_that_count_on_are_one_record(tmp_path: Path) -> None:
     assert len(alone) == 3
     assert not any("one record" in n for x in apart for n in x.notes)
     assert (one.record, shown.name, shown.duration) == ("tower_8", "tower_8", 1600)
-    assert shown.notes[0].startswith("3 files, tower_8.npy to tower_10.npy, are one record")
+    assert shown.notes[0].startswith(
+        "3 files, tower_8.npy to tower_10.npy, are one record"
+    )
     assert (np.abs(one.modes.frequencies - F) < 4 * one.uncertainty.frequency).all()
     least = np.min([r.uncertainty.frequency for r in alone], axis=0)
     assert (one.uncertainty.frequency < least).all()  # by the time of all files
@@ -74,6 +78,10 @@ def test_what_does_not_go_on_stays_apart(tmp_path: Path) -> None:
     ]  # too short; another name
     by_hand = Choice(rejects=(Reject(2.2, "a pump", "a3"),))
     found, _ = identified(tmp_path, [files[0], files[2], files[4]], by_hand)
-    assert [len(r.modes) for r in found] == [3, 2]  # a choice of its own; a5 goes on with it
+    # a choice of its own; a5 goes on with it
+    assert [len(r.modes) for r in found] == [3, 2]
     assert len(identified(tmp_path, [files[4], files[0]])[0]) == 2  # numbers that fall
-    assert len(identified(tmp_path, [files[0], files[2] | {"excitation": "crowd"}])[0]) == 2
+    assert (
+        len(identified(tmp_path, [files[0], files[2] | {"excitation": "crowd"}])[0])
+        == 2
+    )

@@ -38,7 +38,10 @@ def in_universal_files(folder: Path) -> None:
             data = blows.data[:, k * small_study.BLOCK : (k + 1) * small_study.BLOCK]
             one = folder / "one.uff"
             write_history(
-                one, replace(blows, data=data, channels=(replace(force, id="hammer"), *motions))
+                one,
+                replace(
+                    blows, data=data, channels=(replace(force, id="hammer"), *motions)
+                ),
             )
             parts.append(one.read_bytes())
         record["file"] = str(Path(record["file"]).with_suffix(".uff"))
@@ -57,17 +60,35 @@ def in_volts(folder: Path) -> None:
     alone.
     """
     log = json.loads((folder / "campaign.json").read_text())
-    rows = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
-    at = {name: rows[0].index(name) for name in ("channel", "quantity", "unit", "sensitivity")}
-    gain = {r[at["channel"]]: 0.01 * (1 + 0.5 * (-1) ** k) for k, r in enumerate(rows[1:])}
+    rows = [
+        line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()
+    ]
+    at = {
+        name: rows[0].index(name)
+        for name in ("channel", "quantity", "unit", "sensitivity")
+    }
+    gain = {
+        r[at["channel"]]: 0.01 * (1 + 0.5 * (-1) ** k) for k, r in enumerate(rows[1:])
+    }
     for record in log["tests"][0]["records"]:
         blows = read_record(folder / record["file"])
         record["file"] = str(Path(record["file"]).with_suffix(".csv"))
-        data = [x * gain.get(c.id, 0.002) for x, c in zip(blows.data, blows.channels, strict=True)]
-        bare = tuple(Channel(c.id, unit="V" if k % 2 else "") for k, c in enumerate(blows.channels))
-        write_history(folder / record["file"], replace(blows, data=np.array(data), channels=bare))
+        data = [
+            x * gain.get(c.id, 0.002)
+            for x, c in zip(blows.data, blows.channels, strict=True)
+        ]
+        bare = tuple(
+            Channel(c.id, unit="V" if k % 2 else "")
+            for k, c in enumerate(blows.channels)
+        )
+        write_history(
+            folder / record["file"], replace(blows, data=np.array(data), channels=bare)
+        )
     for row in rows[1:]:
-        row[at["unit"]], row[at["sensitivity"]] = "g", str(gain[row[at["channel"]]] * 9.80665)
+        row[at["unit"]], row[at["sensitivity"]] = (
+            "g",
+            str(gain[row[at["channel"]]] * 9.80665),
+        )
     for r in small_study.REFERENCES:
         row = dict.fromkeys(rows[0], "") | {
             "point": r[:-2],
@@ -75,7 +96,11 @@ def in_volts(folder: Path) -> None:
             "channel": f"F:{r}",
         }
         rows.append(
-            list((row | {"quantity": "force", "unit": "N", "sensitivity": "0.002"}).values())
+            list(
+                (
+                    row | {"quantity": "force", "unit": "N", "sensitivity": "0.002"}
+                ).values()
+            )
         )
     (folder / "sensors.csv").write_text("\n".join(",".join(r) for r in rows))
     (folder / "campaign.json").write_text(json.dumps(log))
@@ -90,9 +115,14 @@ def test_the_sheet_scales_records_in_volts(tmp_path: Path) -> None:
     assert given.frfs is not None
     assert found.test.channels == given.test.channels
     np.testing.assert_allclose(
-        found.frfs.data, given.frfs.data, rtol=1e-3, atol=1e-5 * np.abs(given.frfs.data).max()
+        found.frfs.data,
+        given.frfs.data,
+        rtol=1e-3,
+        atol=1e-5 * np.abs(given.frfs.data).max(),
     )
-    assert "without a unit taken as the sensor sheet says" in " ".join(found.records[0].notes)
+    assert "without a unit taken as the sensor sheet says" in " ".join(
+        found.records[0].notes
+    )
 
 
 def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
@@ -113,9 +143,13 @@ def test_acquisitions_of_one_blow_each_are_read(tmp_path: Path) -> None:
 
 
 def test_a_hit_is_left_out_by_hand(tmp_path: Path) -> None:
-    study = small_study.write_study(tmp_path, STUDY + 'choice = "choice.toml"\n', ambient=False)
+    study = small_study.write_study(
+        tmp_path, STUDY + 'choice = "choice.toml"\n', ambient=False
+    )
     name = "hammer-303pX"
-    entry = f'[[hit]]\nrecord = "{name}"\ntime = 20.27\nkeep = false\nreason = "two taps"\n'
+    entry = (
+        f'[[hit]]\nrecord = "{name}"\ntime = 20.27\nkeep = false\nreason = "two taps"\n'
+    )
     (tmp_path / "choice.toml").write_text(entry)
     found = identified(study)
     assert [h.accepted for h in found.hits if h.source == name] == [True, False, True]
@@ -125,7 +159,9 @@ def test_a_hit_is_left_out_by_hand(tmp_path: Path) -> None:
     assert found.hammer is not None
     assert "confirmed by hand" not in found.hammer.reasons[0]
     (tmp_path / "choice.toml").write_text(entry.replace("pX", "pZ"))
-    with pytest.raises(ConfigError, match="hammer-303pZ': no such record with a hammer"):
+    with pytest.raises(
+        ConfigError, match="hammer-303pZ': no such record with a hammer"
+    ):
         identified(study)
 
 
@@ -153,11 +189,15 @@ def shaken(folder: Path, kind: str) -> None:
     model = small_study.modal(folder, small_study.test_model())
     forces = rng.normal(0, 10.0, (2, int(300 * small_study.RATE)))
     loads = np.zeros((len(model.inputs), forces.shape[1]))
-    loads[[[c.id for c in model.inputs].index(r) for r in small_study.REFERENCES]] = forces
+    loads[[[c.id for c in model.inputs].index(r) for r in small_study.REFERENCES]] = (
+        forces
+    )
     motion = simulate(model, loads, small_study.RATE)[:, : forces.shape[1]]
     motion += rng.normal(0, 0.01 * motion.std(), motion.shape)
     names = [Channel(f"F:{r}", "force", "N") for r in small_study.REFERENCES]
-    history = TimeHistory(np.vstack([forces, motion]), small_study.RATE, (*names, *model.outputs))
+    history = TimeHistory(
+        np.vstack([forces, motion]), small_study.RATE, (*names, *model.outputs)
+    )
     write_history(folder / "shaken.uff", history)
     record = {"file": "shaken.uff", "excitation": "shaker"}
     log = {"tests": [{"name": "shakers", "kind": kind, "records": [record]}]}
@@ -173,7 +213,9 @@ def test_shakers_that_run_together(tmp_path: Path, kind: str) -> None:
     assert blows is not None
     assert found.hammer is not None
     assert [c.id for c in found.frfs.inputs] == list(small_study.REFERENCES)
-    np.testing.assert_allclose(found.hammer.modes.frequencies, blows.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(
+        found.hammer.modes.frequencies, blows.frequencies, rtol=1e-3
+    )
     np.testing.assert_allclose(
         found.hammer.modes.damping, small_study.DAMPING, rtol=0.1
     )  # noise of 1 %
@@ -186,12 +228,17 @@ def without_names(study: Path, names: Callable[[list[str]], list[str]]) -> list[
     folder = study.parent / "data"
     record = read_record(folder / "ambient.h5")
     np.save(
-        folder / "ambient.npy", np.vstack([record.data, np.zeros((1, record.data.shape[1]))]).T
+        folder / "ambient.npy",
+        np.vstack([record.data, np.zeros((1, record.data.shape[1]))]).T,
     )  # one is not used
     log = json.loads((folder / "campaign.json").read_text())
     (entry,) = log["tests"][0]["records"]
     ids = [c.id for c in record.channels]
-    entry |= {"file": "ambient.npy", "rate_hz": record.rate, "channels": names([*ids, ""])}
+    entry |= {
+        "file": "ambient.npy",
+        "rate_hz": record.rate,
+        "channels": names([*ids, ""]),
+    }
     (folder / "campaign.json").write_text(json.dumps(log))
     return ids
 
@@ -210,7 +257,9 @@ def test_the_log_names_the_channels_of_files_without_names(tmp_path: Path) -> No
 def test_a_file_without_names_has_those_of_the_sheet(tmp_path: Path) -> None:
     study = small_study.write_study(tmp_path, STUDY, hammer=False)
     ids = without_names(study, lambda names: names)
-    np.save(tmp_path / "data/ambient.npy", np.load(tmp_path / "data/ambient.npy")[:, :-1])
+    np.save(
+        tmp_path / "data/ambient.npy", np.load(tmp_path / "data/ambient.npy")[:, :-1]
+    )
     log = json.loads((tmp_path / "data/campaign.json").read_text())
     del log["tests"][0]["records"][0]["channels"]
     (tmp_path / "data/campaign.json").write_text(json.dumps(log))

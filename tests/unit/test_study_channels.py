@@ -74,7 +74,10 @@ def deck(factor: float = 1.0) -> str:
     lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK"]
     lines += [f"GRID,{k},,0.,0.,{0.5 * (k - 1)}" for k in range(1, 10)]
     lines += [f"CBAR,{k},1,{k},{k + 1},1.,0.,0." for k in range(1, 9)]
-    lines += [f"MAT1,1,{2e11 * factor:.6E},,.3,{7850 * factor:.6E}", "PBAR,1,1,2.-3,3.-6,2.-6,4.-6"]
+    lines += [
+        f"MAT1,1,{2e11 * factor:.6E},,.3,{7850 * factor:.6E}",
+        "PBAR,1,1,2.-3,3.-6,2.-6,4.-6",
+    ]
     return "\n".join([*lines, "SPC1,1,123456,1", "ENDDATA", ""])
 
 
@@ -85,7 +88,9 @@ def truth(folder: Path, channels: list[str]) -> ModeSet:
     (folder / "truth.bdf").write_text(deck(TRUTH))
     with EmbeddedSolver().open(read_deck(folder / "truth.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(40)).modes
-        bending = modes.rows([f"{n}+{axis}" for n in NODE.values() for axis in "XY"]).shapes
+        bending = modes.rows(
+            [f"{n}+{axis}" for n in NODE.values() for axis in "XY"]
+        ).shapes
         modes = modes.take(np.flatnonzero(np.abs(bending).max(axis=0) > 1e-6))
     (folder / "truth.bdf").unlink()
     rows = [NODE[int(c[0])] for c in channels]
@@ -95,7 +100,11 @@ def truth(folder: Path, channels: list[str]) -> ModeSet:
         * sign[:, None]
     )
     return ModeSet(
-        modes.frequencies, np.full(len(modes), DAMPING), shapes, tuple(channels), modes.norm
+        modes.frequencies,
+        np.full(len(modes), DAMPING),
+        shapes,
+        tuple(channels),
+        modes.norm,
     )
 
 
@@ -126,10 +135,19 @@ def study(folder: Path, residual: str = FRFS, test: str = MODES) -> Path:
     return folder / "study.toml"
 
 
-def updated(folder: Path, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
+def updated(
+    folder: Path, capsys: pytest.CaptureFixture[str], *words: str
+) -> dict[str, object]:
     capsys.readouterr()
     status = run(
-        ["update", str(folder / "study.toml"), str(folder / "modes.json"), "--json", "-", *words]
+        [
+            "update",
+            str(folder / "study.toml"),
+            str(folder / "modes.json"),
+            "--json",
+            "-",
+            *words,
+        ]
     )
     out, err = capsys.readouterr()
     assert status == 0, err
@@ -148,7 +166,12 @@ def test_frfs_of_a_sensor_read_the_other_way_find_the_mass(
     found = updated(folder, capsys)
     np.testing.assert_allclose(factors(found), TRUTH, rtol=2e-3)  # the prior pulls
     place = next(s for s in found["sensors"] if s["channel"] == "4-X")  # type: ignore[attr-defined, index]
-    assert (place["sensor"], place["sign"], place["point"], place["nodes"]) == ("4+X", -1, 4, [3])
+    assert (place["sensor"], place["sign"], place["point"], place["nodes"]) == (
+        "4+X",
+        -1,
+        4,
+        [3],
+    )
     assert place["distance_m"] < 1e-9
     told = " ".join(found["notes"])  # type: ignore[arg-type]
     assert "4 -> 3" in told
@@ -158,8 +181,12 @@ def test_frfs_of_a_sensor_read_the_other_way_find_the_mass(
 def test_the_study_finds_the_same_and_shows_the_nodes(folder: Path) -> None:
     done = run_study(study(folder), until="update")
     found = summarise(done)
-    np.testing.assert_allclose([p["factor"] for p in found["parameters"]], TRUTH, rtol=2e-3)
-    assert {s["point"]: s["nodes"] for s in found["sensors"]} == {p: [n] for p, n in NODE.items()}
+    np.testing.assert_allclose(
+        [p["factor"] for p in found["parameters"]], TRUTH, rtol=2e-3
+    )
+    assert {s["point"]: s["nodes"] for s in found["sensors"]} == {
+        p: [n] for p, n in NODE.items()
+    }
     (beside,) = (m["sensors"] for m in found["measured"])
     assert [(s["channel"], s["sensor"], s["sign"], s["nodes"]) for s in beside] == [
         ("1+X", "1+X", 1, [9]),
@@ -183,10 +210,14 @@ def test_frfs_of_the_test_serve_a_residual_without_a_file(
     residual = 'kind = "frf"\ndamping = 0.01\nerror = 0.01\noutputs = ["4-X", "1-X"]\n'
     path = study(folder, residual, 'frfs = ["frfs.h5"]')
     if how == "update":
-        assert factors(updated(folder, capsys)) == pytest.approx([TRUTH, TRUTH], rel=2e-3)
+        assert factors(updated(folder, capsys)) == pytest.approx(
+            [TRUTH, TRUTH], rel=2e-3
+        )
         return
     found = summarise(run_study(path, until="update"))
-    assert [p["factor"] for p in found["parameters"]] == pytest.approx([TRUTH, TRUTH], rel=2e-3)
+    assert [p["factor"] for p in found["parameters"]] == pytest.approx(
+        [TRUTH, TRUTH], rel=2e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["6+X", "4+Z", "2-RX", "tip"])
@@ -196,7 +227,9 @@ def test_a_channel_that_the_sheet_does_not_have_is_refused_by_name(
 ) -> None:
     """There is a node 6, and 4+Z and 2-RX are degrees of freedom of the deck."""
     first = frfs(truth(folder, ["4+X", "1+X"]), ["1+X", "4+X"], ["4+X"])
-    other = replace(first, outputs=(first.outputs[0], Channel(name, "acceleration", "m/s^2")))
+    other = replace(
+        first, outputs=(first.outputs[0], Channel(name, "acceleration", "m/s^2"))
+    )
     write_frfs(folder / "frfs.h5", other)
     path = study(folder)
     told = f"[[residual]] frf: channel {name} is not on the sensor sheet"
@@ -235,13 +268,23 @@ def test_correlate_shows_the_nodes_and_reads_turned_channels(
 ) -> None:
     words = ["correlate", str(folder / "modes.json"), str(folder / "column.bdf")]
     assert (
-        run([*words, "--sensors", str(folder / "sensors.csv"), "--json", str(folder / "c.json")])
+        run(
+            [
+                *words,
+                "--sensors",
+                str(folder / "sensors.csv"),
+                "--json",
+                str(folder / "c.json"),
+            ]
+        )
         == 0
     )
     out = capsys.readouterr().out
     found = json.loads((folder / "c.json").read_text())
     assert min(p["mac_percent"] for p in found["pairs"]) > 99.9
-    assert {s["point"]: s["nodes"] for s in found["sensors"]} == {p: [n] for p, n in NODE.items()}
+    assert {s["point"]: s["nodes"] for s in found["sensors"]} == {
+        p: [n] for p, n in NODE.items()
+    }
     assert (
         "1 of 4 points are read at the node of their number; point -> node: 1 -> 9, 2 -> 7, 4 -> 3"
         not in out
@@ -266,7 +309,9 @@ def test_correlate_shows_the_nodes_and_reads_turned_channels(
     assert "4 -> 3" in capsys.readouterr().out
 
 
-def test_two_sets_of_modes_are_compared_at_sensors_whatever_their_signs(folder: Path) -> None:
+def test_two_sets_of_modes_are_compared_at_sensors_whatever_their_signs(
+    folder: Path,
+) -> None:
     other = truth(folder, ["1-X", "2-X", "3-X", "4+X", "1+Y", "2-Y", "3+Y", "4+Y"])
     write_modes(folder / "other.json", other.band(0.0, 400.0))
     words = [
@@ -278,7 +323,11 @@ def test_two_sets_of_modes_are_compared_at_sensors_whatever_their_signs(folder: 
     ]
     assert run(words) == 0
     assert (
-        min(p["mac_percent"] for p in json.loads((folder / "c.json").read_text())["pairs"]) > 99.999
+        min(
+            p["mac_percent"]
+            for p in json.loads((folder / "c.json").read_text())["pairs"]
+        )
+        > 99.999
     )
 
 
@@ -286,7 +335,9 @@ def test_records_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
     sheet = read_sensor_sheet(folder / "sensors.csv")
     data = np.arange(6.0).reshape(2, 3)
     record = TimeHistory(
-        data, 10.0, (Channel("4-X", "acceleration", "m/s^2"), Channel("1+X", "velocity", "m/s"))
+        data,
+        10.0,
+        (Channel("4-X", "acceleration", "m/s^2"), Channel("1+X", "velocity", "m/s")),
     )
     found, notes = sheet.scaled(record)
     assert [c.id for c in found.channels] == ["4+X", "1+X"]
@@ -294,7 +345,8 @@ def test_records_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
     assert notes == ("channel names on the sensor sheet: 4-X is 4+X turned",)
     both = replace(record, channels=(Channel("4-X"), Channel("4+X")))
     with pytest.raises(
-        DataError, match=r"channels 4-X and 4[+]X are the same sensor of the sheet, 4[+]X"
+        DataError,
+        match=r"channels 4-X and 4[+]X are the same sensor of the sheet, 4[+]X",
     ):
         sheet.scaled(both)
 
@@ -306,9 +358,13 @@ def test_frfs_take_the_names_and_signs_of_the_sheet(folder: Path) -> None:
     sheet = read_sensor_sheet(folder / "sensors.csv").model
     there = truth(folder, ["1+X", "4-X"])
     found, notes = frfs_by_sheet(frfs(there, ["1+X", "4-X"], ["1+X", "4-X"]), sheet)
-    assert [c.id for c in found.outputs] == [c.id for c in found.inputs] == ["1+X", "4+X"]
+    assert (
+        [c.id for c in found.outputs] == [c.id for c in found.inputs] == ["1+X", "4+X"]
+    )
     right = truth(folder, ["1+X", "4+X"])
-    np.testing.assert_allclose(found.data, frfs(right, ["1+X", "4+X"], ["1+X", "4+X"]).data)
+    np.testing.assert_allclose(
+        found.data, frfs(right, ["1+X", "4+X"], ["1+X", "4+X"]).data
+    )
     assert notes == ("channel names on the sensor sheet: 4-X is 4+X turned",)
     other = replace(found, inputs=(found.inputs[0], Channel("9+X", "force", "N")))
     assert frfs_by_sheet(other, sheet) == (other, ())
@@ -323,16 +379,21 @@ def test_an_excitation_point_of_the_sheet_is_found_and_a_name_against_its_direct
         .read_text()
         .replace("direction,quantity", "direction,quantity,channel")
     )
-    rows = [line + ("," if k < 9 else ",7+X") for k, line in enumerate(text.splitlines()[1:])]
+    rows = [
+        line + ("," if k < 9 else ",7+X")
+        for k, line in enumerate(text.splitlines()[1:])
+    ]
     (folder / "sensors.csv").write_text("\n".join([text.splitlines()[0], *rows]) + "\n")
     sheet = read_sensor_sheet(folder / "sensors.csv").model
     assert sheet.forces == ("3-Z",)
     force = sheet.pick(["3+Z"])
     np.testing.assert_array_equal(force.axes, [[0.0, 0.0, 1.0]])
     assert force.at.tolist() == [3]
-    np.testing.assert_array_equal(sheet.pick(["7+X"]).axes, [[-1.0, 0.0, 0.0]])  # as the sheet says
+    # as the sheet says
+    np.testing.assert_array_equal(sheet.pick(["7+X"]).axes, [[-1.0, 0.0, 0.0]])
     with pytest.raises(
-        DataError, match=r"channel 7-X is not on the sensor sheet.* 7\+X is against its name"
+        DataError,
+        match=r"channel 7-X is not on the sensor sheet.* 7\+X is against its name",
     ):
         sheet.pick(["7-X"])
 
@@ -360,7 +421,12 @@ def named_as(sheet: str, channels: list[str]) -> str:
     """The sheet with these names in its column `channel`."""
     head, *rows = sheet.splitlines()
     return (
-        "\n".join([f"{head},channel", *(f"{r},{c}" for r, c in zip(rows, channels, strict=True))])
+        "\n".join(
+            [
+                f"{head},channel",
+                *(f"{r},{c}" for r, c in zip(rows, channels, strict=True)),
+            ]
+        )
         + "\n"
     )
 
@@ -377,10 +443,19 @@ def test_correlate_tries_turned_axes_before_it_advises(
         (folder / "sensors.csv").write_text(named_as(TURNED, channels))
         words = ["--sensors", str(folder / "sensors.csv")]
     else:
-        names = tuple(f"{NODE[int(c[0])]}{c[1]}{'YZ'['XY'.index(c[2])]}" for c in channels)
+        names = tuple(
+            f"{NODE[int(c[0])]}{c[1]}{'YZ'['XY'.index(c[2])]}" for c in channels
+        )
         write_modes(folder / "modes.json", replace(modes, labels=names))
     status = run(
-        ["correlate", str(folder / "modes.json"), str(folder / "column.bdf"), *words, "--json", "-"]
+        [
+            "correlate",
+            str(folder / "modes.json"),
+            str(folder / "column.bdf"),
+            *words,
+            "--json",
+            "-",
+        ]
     )
     found = json.loads(capsys.readouterr().out)
     (mending,) = found["mendings"]
@@ -420,14 +495,29 @@ def test_two_tests_of_which_one_has_reversed_an_axis(
     """
     channels = [f"{p}+{axis}" for p in NODE for axis in "XY"]
     low = truth(folder, channels).band(0.0, 400.0)
-    rotation = np.linalg.qr(np.random.default_rng(3).standard_normal((len(low), len(low))))[0]
+    rotation = np.linalg.qr(
+        np.random.default_rng(3).standard_normal((len(low), len(low)))
+    )[0]
     modes = replace(low, shapes=low.shapes @ rotation)
     turned = np.array([1.0 if c.endswith("X") else -1.0 for c in channels])
     write_modes(folder / "modes.json", modes)
-    write_modes(folder / "other.json", replace(modes, shapes=modes.shapes * turned[:, None]))
-    assert run(["correlate", str(folder / "modes.json"), str(folder / "modes.json")]) == 0
+    write_modes(
+        folder / "other.json", replace(modes, shapes=modes.shapes * turned[:, None])
+    )
+    assert (
+        run(["correlate", str(folder / "modes.json"), str(folder / "modes.json")]) == 0
+    )
     assert "may be mounted" not in capsys.readouterr().out
-    run(["correlate", str(folder / "modes.json"), str(folder / "other.json"), "--json", "-"])
+    run(
+        [
+            "correlate",
+            str(folder / "modes.json"),
+            str(folder / "other.json"),
+            "--json",
+            "-",
+        ]
+    )
     (mending,) = json.loads(capsys.readouterr().out)["mendings"]
-    assert mending["axes"] in ({"X": "-X"}, {"Y": "-Y"})  # the sign of all sensors says nothing
+    # the sign of all sensors says nothing
+    assert mending["axes"] in ({"X": "-X"}, {"Y": "-Y"})
     assert mending["mean_mac_percent"][1] > 99.9

@@ -24,7 +24,12 @@ from ringtrue.study.stages import conditions
 
 CHANNELS = ("1+Z", "2+Z")
 TEST = TestModel(
-    np.array([1, 2]), np.eye(2, 3), CHANNELS, np.array([1, 2]), np.eye(3)[[2, 2]], np.zeros((0, 2))
+    np.array([1, 2]),
+    np.eye(2, 3),
+    CHANNELS,
+    np.array([1, 2]),
+    np.eye(3)[[2, 2]],
+    np.zeros((0, 2)),
 )
 
 
@@ -52,9 +57,13 @@ def identified(seen: RepeatedModes) -> IdentifyStage:
     ]
     merged = IdentifiedModes(
         modes(seen.frequency[0]),
-        Uncertainty.independent(seen.std[0], np.full(MODES, 1e-4), np.zeros((2, MODES))),
+        Uncertainty.independent(
+            seen.std[0], np.full(MODES, 1e-4), np.zeros((2, MODES))
+        ),
     )
-    gain = Note("channel gain", "warning", "1+Z", {"setup": "2", "factor": 0.5, "others": 3})
+    gain = Note(
+        "channel gain", "warning", "1+Z", {"setup": "2", "factor": 0.5, "others": 3}
+    )
     return IdentifyStage(
         TEST,
         merged,
@@ -66,7 +75,9 @@ def identified(seen: RepeatedModes) -> IdentifyStage:
 
 
 def modes(frequency: np.ndarray) -> ModeSet:
-    return ModeSet(frequency, np.full(frequency.size, 0.01), np.ones((2, frequency.size)), CHANNELS)
+    return ModeSet(
+        frequency, np.full(frequency.size, 0.01), np.ones((2, frequency.size)), CHANNELS
+    )
 
 
 def compared(seen: RepeatedModes) -> tuple[IdentifyStage, ConditionsStage]:
@@ -89,11 +100,15 @@ def test_drift_level_and_days_are_findings_with_their_values() -> None:
         "days differ",
     ]
     assert by_code["channel gain"]["subject"] == "1+Z"
-    assert by_code["amplitude dependent"]["subject"].startswith("ambient modes 1, 2, 3, 5")
+    assert by_code["amplitude dependent"]["subject"].startswith(
+        "ambient modes 1, 2, 3, 5"
+    )
     assert by_code["amplitude dependent"]["values"]["mean"] < -0.02
     assert -0.05 < by_code["temperature drift"]["values"]["percent"] < -0.015
     assert by_code["temperature drift"]["values"]["warm"] == 15.0
-    assert all(sentence(n) in (f["text"] for f in by_code.values()) for n in stage.notes)
+    assert all(
+        sentence(n) in (f["text"] for f in by_code.values()) for n in stage.notes
+    )
     assert repeats(None, stage) == stage.scatter > 0
 
 

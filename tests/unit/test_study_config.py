@@ -27,8 +27,14 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
             MODEL + '[[candidate]]\nnme = "a"\nname = "a"\ntargets = ["MAT1 1 E"]\n',
             "'candidate.0.nme'; did you mean 'name'",
         ),
-        (MODEL + 'fmax = "high"\n', "model.fmax: Input should be a valid number (got 'high')"),
-        (MODEL + "fmax = -1.0\n", "model.fmax: Input should be greater than 0 (got -1.0)"),
+        (
+            MODEL + 'fmax = "high"\n',
+            "model.fmax: Input should be a valid number (got 'high')",
+        ),
+        (
+            MODEL + "fmax = -1.0\n",
+            "model.fmax: Input should be greater than 0 (got -1.0)",
+        ),
         (
             MODEL + 'units = "inch"\n',
             "model.units: Input should be 'SI', 'mm-t-s', 'mm-kg-s', 'mm-kg-ms', 'in-lbf-s' or "
@@ -42,7 +48,10 @@ MODEL = '[model]\ndeck = "a.bdf"\n'
             MODEL + "[identify]\nhammer_fmin = 9.0\nhammer_fmax = 3.0\n",
             "identify: hammer_fmin 9.0 and hammer_fmax 3.0",
         ),
-        (MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 E"]\n', "'MAT1 E' is not a target"),
+        (
+            MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 E"]\n',
+            "'MAT1 E' is not a target",
+        ),
         (MODEL + '[[candidate]]\nname = "a"\ntargets = []\n', "at least one target"),
         (
             MODEL + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\nlower = 2.0\n',
@@ -89,12 +98,16 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         read_config(tmp_path / "none.toml")
     with pytest.raises(ConfigError, match="a folder"):
         read_config(tmp_path)
-    (tmp_path / "latin.toml").write_bytes("[study]\ntitle = 'Prüfstand'\n".encode("latin-1"))
+    (tmp_path / "latin.toml").write_bytes(
+        "[study]\ntitle = 'Prüfstand'\n".encode("latin-1")
+    )
     with pytest.raises(ConfigError, match=r"needs a \[model\]"):
         read_config(tmp_path / "latin.toml")
 
 
-def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_the_deck() -> None:
+def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_the_deck() -> (
+    None
+):
     made = ("MAT1 1 E", "PSHELL 3 T")
     stages = '[update]\npropose = true\nstages = [["MAT1 1 E"]]\n'
     parse_config(MODEL + stages, HERE).check_names(made)
@@ -110,7 +123,10 @@ def test_stages_and_constraints_name_candidates_also_those_that_are_made_from_th
             config.check_names(made)
         assert where in str(e.value)
         with pytest.raises(ConfigError, match="no candidate"):
-            parse_config(MODEL + text + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n', HERE)
+            parse_config(
+                MODEL + text + '[[candidate]]\nname = "a"\ntargets = ["MAT1 1 E"]\n',
+                HERE,
+            )
 
 
 def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
@@ -120,7 +136,8 @@ def test_a_set_begins_where_it_says_not_where_the_study_does() -> None:
         '["MAT1 1 E"]\n'
     )
     config = parse_config(
-        text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n', HERE
+        text + '[[set]]\nname = "s"\nstarts = 3\n[[set]]\nname = "t"\nloss = "huber"\n',
+        HERE,
     )
     first, second = (s.settings(config.update) for s in config.set)
     assert (first.stages, first.starts, first.shape_weight) == ([], 3, 0.5)

@@ -97,11 +97,15 @@ def test_the_report_shows_it(done: StudyRun, tmp_path: Path) -> None:
 def test_it_is_up_to_date_until_its_settings_change(done: StudyRun) -> None:
     study = done.folder / "study.toml"
     assert "damping" in run_study(study).loaded
-    study.write_text(study.read_text().replace("write = true", "write = true\nerror = 0.2"))
+    study.write_text(
+        study.read_text().replace("write = true", "write = true\nerror = 0.2")
+    )
     again = run_study(study)
     assert "final" in again.loaded
     assert "damping" not in again.loaded
-    assert (again.results["damping"].regions.std > done.results["damping"].regions.std).all()
+    assert (
+        again.results["damping"].regions.std > done.results["damping"].regions.std
+    ).all()
 
 
 def test_a_mistake_in_a_region_is_told() -> None:
@@ -134,11 +138,17 @@ def test_damping_by_region_that_makes_frfs_worse_is_refused() -> None:
     assert damping.refusal(before, mixed, exact) == ""
     why = damping.refusal(before, 1.5 * before, exact)
     assert damping.refusal(before, 1.5 * before, np.full(6, 0.5)) == ""
-    assert why.startswith("with it the measured FRFs around the resonances deviate by 32.")
+    assert why.startswith(
+        "with it the measured FRFs around the resonances deviate by 32."
+    )
 
 
 def test_refused_damping_is_shown_and_not_used(done: StudyRun, tmp_path: Path) -> None:
-    refused = replace(done.results["damping"], why="the FRFs are worse", files=(), changes=())
+    refused = replace(
+        done.results["damping"], why="the FRFs are worse", files=(), changes=()
+    )
     assert done.results["damping"].why == ""
-    page = assemble({"damping": refused}, info=StudyInfo(title="damped")).write(tmp_path / "r.html")
+    page = assemble({"damping": refused}, info=StudyInfo(title="damped")).write(
+        tmp_path / "r.html"
+    )
     assert "Refused: the FRFs are worse." in page.read_text()

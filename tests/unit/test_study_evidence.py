@@ -28,7 +28,13 @@ from ringtrue.shapes import paired_mac
 from ringtrue.study.acceptance import Acceptance, in_both, limits, missed_words, verdict
 from ringtrue.study.conclusion import Conclusion, Validation, conclude
 from ringtrue.study.config_sections import StudyInfo
-from ringtrue.study.evidence import ModelModes, channel_mass, evidence, on_sheet, synthesised
+from ringtrue.study.evidence import (
+    ModelModes,
+    channel_mass,
+    evidence,
+    on_sheet,
+    synthesised,
+)
 from ringtrue.study.messages import left_out_sentence, run_messages
 from ringtrue.study.reference import reference_modes
 from ringtrue.study.results import Evidence, RecordPreview, RecordSummary
@@ -83,8 +89,11 @@ def test_the_right_model_passes_the_gates_of_the_trade_and_the_wrong_one_does_no
 def test_responses_agree_after_the_updating(done: StudyRun) -> None:
     frfs = final(done).frfs
     assert frfs is not None
-    for before, after in zip(frfs.initial.by_input(), frfs.final.by_input(), strict=True):
-        assert after.frac > 0.95 > 0.7 > before.frac  # the resonances lay beside those of the test
+    for before, after in zip(
+        frfs.initial.by_input(), frfs.final.by_input(), strict=True
+    ):
+        # the resonances lay beside those of the test
+        assert after.frac > 0.95 > 0.7 > before.frac
         assert after.shape > before.shape
         assert after.deviation < 0.4 * before.deviation
     ridge = np.diag(frfs.fdac_final)
@@ -96,7 +105,8 @@ def test_modes_are_followed_through_the_change(done: StudyRun) -> None:
     tracks = final(done).tracks
     assert tracks is not None
     index = tracks.index
-    assert all(sorted(row) == list(range(index.shape[1])) for row in index.tolist())  # one to one
+    # one to one
+    assert all(sorted(row) == list(range(index.shape[1])) for row in index.tolist())
     assert len(index) == 2  # final and initial: there was no remodelling
     assert tracks.worst.min() > 0.8
 
@@ -145,9 +155,13 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
     zeta = np.full(len(fe), 0.02)
     model = ModelModes(opened, fe, zeta)
     made = synthesised(model, seen, test, SI, small_study.FMAX)
-    out, into = (DofSet.parse([c.id for c in side]) for side in (test.outputs, test.inputs))
+    out, into = (
+        DofSet.parse([c.id for c in side]) for side in (test.outputs, test.inputs)
+    )
     request = ModesRequest(band=(-1.0, small_study.FMAX))
-    want = opened.analysis.frf(out, into, test.freqs, request, damping=0.02, kind="accelerance")
+    want = opened.analysis.frf(
+        out, into, test.freqs, request, damping=0.02, kind="accelerance"
+    )
     assert np.abs(made.data - want).max() < 1e-3 * np.abs(want).max()
     # in t, mm, N an acceleration is 1000 times as large a number, and the mass-normalised shapes
     # are so by √1000
@@ -163,7 +177,12 @@ def test_synthesised_responses_are_those_of_the_solver(done: StudyRun) -> None:
 
 def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
     found = json.loads((done.folder / "summary.json").read_text())
-    assert set(found["evidence"]) == {"ambient_vs_hammer", "initial", "remodelled", "final"}
+    assert set(found["evidence"]) == {
+        "ambient_vs_hammer",
+        "initial",
+        "remodelled",
+        "final",
+    }
     assert all(c["judged"] for c in found["evidence"]["final"]["orthogonality"])
     assert [
         c["verdict"]["passed"]
@@ -173,7 +192,8 @@ def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
     assert found["evidence"]["final"]["frfs"]["final"][0]["frac"] > 0.9
     both = found["ambient_vs_hammer"]
     assert all(p["deviation_std"] > 0 for p in both)
-    assert not any(p["within_scatter"] for p in found["initial"])  # 10 % off, measured to 0.01 %
+    # 10 % off, measured to 0.01 %
+    assert not any(p["within_scatter"] for p in found["initial"])
     assert found["acceptance"] == {"limits": [], "missed": []}
 
 
@@ -183,7 +203,9 @@ def test_the_summary_tells_significance_and_evidence(done: StudyRun) -> None:
 def stated(run: StudyRun, **limit: object) -> tuple[list[bool], tuple[str, ...]]:
     section = type(run.config.correlate).model_validate(limit)
     config = run.config.model_copy(update={"correlate": section})
-    return [c.held for c in limits(config, run.results)], missed_words(config, run.results)
+    return [c.held for c in limits(config, run.results)], missed_words(
+        config, run.results
+    )
 
 
 def test_only_stated_limits_judge(done: StudyRun) -> None:
@@ -197,7 +219,9 @@ def test_only_stated_limits_judge(done: StudyRun) -> None:
     ]
     informative = [c for c in verdict(done.config, done.results) if not c.required]
     assert [c.code for c in informative] == ["change", "change"]
-    assert all(re.fullmatch(r"fell from [\d.]+ to [\d.]+ %", c.got) for c in informative)
+    assert all(
+        re.fullmatch(r"fell from [\d.]+ to [\d.]+ %", c.got) for c in informative
+    )
     assert not any(c.wanted for c in informative)  # no limit of the user's
     assert all(c.held for c in verdict(done.config, done.results))
 
@@ -208,7 +232,9 @@ def test_the_verdict_follows_from_the_required_limits(done: StudyRun) -> None:
     def concluded(**limit: object) -> Conclusion:
         section = type(done.config.correlate).model_validate(limit)
         config = done.config.model_copy(update={"correlate": section})
-        found = conclude(done.results, verdict(config, done.results), Acceptance.of(section))
+        found = conclude(
+            done.results, verdict(config, done.results), Acceptance.of(section)
+        )
         assert found is not None
         return found
 
@@ -226,7 +252,9 @@ def test_the_verdict_follows_from_the_required_limits(done: StudyRun) -> None:
     assert free.unseen.count == int((~table.used).sum())
     assert free.unseen.mean == pytest.approx(table.mean_deviation(~table.used))
     assert free.unseen.before > free.unseen.mean
-    assert [c.name for c in free.changes] == list(done.results["update"].best.parameters)
+    assert [c.name for c in free.changes] == list(
+        done.results["update"].best.parameters
+    )
     nothing = {k: v for k, v in done.results.items() if k != "correlate"}
     assert conclude(nothing, (), Acceptance()) is None
 
@@ -257,14 +285,18 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
             (),
         )
         fe = hz[at] * (1 + np.array(percent) / 100)
-        return CorrelationTable(pairing, hz[at], fe, np.full(n, np.nan), at != 1, np.eye(4), hz, hz)
+        return CorrelationTable(
+            pairing, hz[at], fe, np.full(n, np.nan), at != 1, np.eye(4), hz, hz
+        )
 
     first, last = table([0, 1], [20.0, 15.0]), table([0, 1], [1.0, -3.0])
     assert (
         left_out_sentence(first, last)
         == "modes that the updating did not see: mean |Δf| 15.00 -> 3.00 %"
     )
-    won = replace(table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False]))
+    won = replace(
+        table([0, 1, 3], [1.0, -3.0, 38.0]), used=np.array([True, False, False])
+    )
     words = left_out_sentence(first, won)
     assert words.endswith(
         "of the 1 paired before and after 15.00 -> 3.00 %; paired after only: 4 (+38.0 %)"
@@ -284,14 +316,24 @@ def test_modes_that_win_a_partner_do_not_make_those_left_out_look_worse() -> Non
         ("Final", "all", "3", "14.00"),
         ("", "left out", "1", "3.00"),
     ]
-    assert [w.tolist() for w in in_both(first, won)] == [[True, True], [True, True, False]]
+    assert [w.tolist() for w in in_both(first, won)] == [
+        [True, True],
+        [True, True, False],
+    ]
 
 
-def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun) -> None:
+def test_what_is_not_plausible_is_told_beside_what_is_not_proven(
+    done: StudyRun,
+) -> None:
     known = done.results["uncertainty"]
     first, second, *_ = known.posterior.parameters.names
     far, open_ = (
-        Flag(first, "prior", 0.08, f"{first}: factor 0.08 is 2.5 prior standard deviations"),
+        Flag(
+            first,
+            "prior",
+            0.08,
+            f"{first}: factor 0.08 is 2.5 prior standard deviations",
+        ),
         Flag(second, "form", 1.2, f"{second}: factor 1.2, but"),
     )
     assert not known.unproven.any()
@@ -306,12 +348,17 @@ def test_what_is_not_plausible_is_told_beside_what_is_not_proven(done: StudyRun)
     assert far.text in lines
     assert open_.text not in lines
     assert (
-        sum(line.startswith("not proven by the test") and line.endswith(second) for line in lines)
+        sum(
+            line.startswith("not proven by the test") and line.endswith(second)
+            for line in lines
+        )
         == 1
     )
 
 
-def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: StudyRun) -> None:
+def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(
+    done: StudyRun,
+) -> None:
     """Student's: with errors whose size few modes tell it is far wider than the standard deviation
     says.
     """
@@ -324,7 +371,9 @@ def test_the_interval_of_a_factor_stands_beside_its_standard_deviation(done: Stu
         for x in run_messages(
             {
                 **some,
-                "uncertainty": replace(known, posterior=replace(known.posterior, interval=wide)),
+                "uncertainty": replace(
+                    known, posterior=replace(known.posterior, interval=wide)
+                ),
             }
         )
         if x.startswith(f"{name}: times")
@@ -344,11 +393,20 @@ def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
     assert missed[0].startswith(f"test mode {table.pairing.a[k] + 1} (")
     assert "MAC" in missed[0]
     assert stated(done, accept_mac=100.0)[0] == [False]
-    assert stated(done, accept_percent=0.0, accept_hz=10.0)[0] == [True]  # one of the two is enough
+    # one of the two is enough
+    assert stated(done, accept_percent=0.0, accept_hz=10.0)[0] == [True]
     for name, good, bad in (
         ("accept_pairs", len(table), len(table) + 1),
-        ("accept_mean_percent", 1.01 * table.mean_deviation(), 0.99 * table.mean_deviation()),
-        ("accept_mean_mac", table.mean_subspace_mac() - 1e-6, table.mean_subspace_mac() + 1e-6),
+        (
+            "accept_mean_percent",
+            1.01 * table.mean_deviation(),
+            0.99 * table.mean_deviation(),
+        ),
+        (
+            "accept_mean_mac",
+            table.mean_subspace_mac() - 1e-6,
+            table.mean_subspace_mac() + 1e-6,
+        ),
         ("accept_off_diagonal", 10.0, 10.0),
     ):
         assert stated(done, **{name: good})[0] == [True]
@@ -358,13 +416,16 @@ def test_each_limit_is_held_and_missed(done: StudyRun) -> None:
 
 def test_a_study_without_candidates_judges_its_deck(done: StudyRun) -> None:
     config = done.config.model_copy(update={"candidate": []})
-    config = config.model_copy(update={"correlate": type(config.correlate)(accept_percent=1.0)})
+    config = config.model_copy(
+        update={"correlate": type(config.correlate)(accept_percent=1.0)}
+    )
     results = {"correlate": done.results["correlate"]}
     (check,) = limits(config, results)
     assert not check.held
     assert check.name.startswith("model: pairs with |Δf| ≤ 1 %")
     assert (
-        limits(done.config.model_copy(update={"correlate": config.correlate}), results) == ()
+        limits(done.config.model_copy(update={"correlate": config.correlate}), results)
+        == ()
     )  # not updated yet
 
 
@@ -374,7 +435,8 @@ def test_no_pair_is_no_success(done: StudyRun) -> None:
     none = replace(
         p,
         **{
-            k: getattr(p, k)[:0] for k in ("a", "b", "mac", "frequency_error", "subspace", "beyond")
+            k: getattr(p, k)[:0]
+            for k in ("a", "b", "mac", "frequency_error", "subspace", "beyond")
         },
     )
     empty = replace(table, pairing=none, test_hz=[], fe_hz=[], std_hz=[], used=[])
@@ -386,7 +448,9 @@ def test_no_pair_is_no_success(done: StudyRun) -> None:
         update={"correlate": type(done.config.correlate)(accept_percent=5.0)}
     )
     assert [c.held for c in limits(config, results)] == [False]
-    assert Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and subspace MAC ≥ 80 %"
+    assert (
+        Acceptance.of(config.correlate).words() == "|Δf| ≤ 5 % and subspace MAC ≥ 80 %"
+    )
 
 
 def test_the_exit_status_follows_the_limits(tmp_path: Path, capsys: Capture) -> None:
@@ -398,7 +462,9 @@ def test_the_exit_status_follows_the_limits(tmp_path: Path, capsys: Capture) -> 
     assert not found["limits"][0]["held"]
     assert err.count("not accepted: test mode") == len(found["missed"]) > 5
     # limits that no stage depends on can be changed without running anything anew
-    study.write_text(small_study.FULL + strict + "accept_hz = 1.0\naccept_mean_mac = 50.0\n")
+    study.write_text(
+        small_study.FULL + strict + "accept_hz = 1.0\naccept_mean_mac = 50.0\n"
+    )
     assert command(["run", str(study)]) == 0
     out, err = capsys.readouterr()
     assert "up to date" in out
@@ -416,20 +482,30 @@ def record(name: str, setup: str, drawn: bool) -> RecordSummary:
         preview = RecordPreview(("1+X",), "N", t, y, t, y)
         what = (name, "hammer", "hammer", name)
         return RecordSummary(*what, 9, 512.0, 60.0, ("8 hits",), setup, preview)
-    return RecordSummary(name, "hammer", "hammer", name, 7, 512.0, 90.0, ("9 hits",), setup)
+    return RecordSummary(
+        name, "hammer", "hammer", name, 7, 512.0, 90.0, ("9 hits",), setup
+    )
 
 
 def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
-    records = tuple(record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2))
+    records = tuple(
+        record(f"h-{s}-{k}", s, s == "1") for s in ("1", "2", "3") for k in range(2)
+    )
     found = replace(done.results["identify"], records=records)
     data = Stages(StudyInfo(), Acceptance(), identify=found)
     section = system.survey(data)
     assert section is not None
-    table = next(b for b in section.blocks if isinstance(b, ReportTable) and "Record" in b.heads[1])
+    table = next(
+        b
+        for b in section.blocks
+        if isinstance(b, ReportTable) and "Record" in b.heads[1]
+    )
     assert [row[1] for row in table.rows] == [f"setup {s}, 2 records" for s in "123"]
     assert [row[5] for row in table.rows] == ["2.0", "3.0", "3.0"]
     notes = next(b for b in section.blocks if isinstance(b, Items))
-    assert notes.items[1] == "setup 2, 2 records; setup 3, 2 records: 9 hits (2 records)"
+    assert (
+        notes.items[1] == "setup 2, 2 records; setup 3, 2 records: 9 hits (2 records)"
+    )
     signals = system.signal_section(data)
     assert signals is not None
     text, *plots = signals.blocks
@@ -438,7 +514,9 @@ def test_every_setup_of_a_roving_test_is_listed(done: StudyRun) -> None:
 
 
 @pytest.mark.parametrize("method", ["hybrid", "serep"])
-def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, method: str) -> None:
+def test_test_shapes_are_expanded_as_asked_for(
+    done: StudyRun, tmp_path: Path, method: str
+) -> None:
     """The truth is another deck, but its shapes at the nodes between the sensors are close to those
     of this one.
     """
@@ -457,7 +535,11 @@ def test_test_shapes_are_expanded_as_asked_for(done: StudyRun, tmp_path: Path, m
     assert told["expansion"]["method"] == method
     named = [k["name"] for k in told["evidence"]["remodelled"]["orthogonality"]]
     assert "cross-orthogonality, Craig-Bampton mass" in named
-    own = next(c for c in run.results["correlate"].evidence.measures.checks if c.kind == "model")
+    own = next(
+        c
+        for c in run.results["correlate"].evidence.measures.checks
+        if c.kind == "model"
+    )
     assert own.verdict.passed
     assert run.results["localise"].indicators.expansion == method
     assert (
@@ -473,7 +555,9 @@ def test_the_conclusion_says_where_frfs_or_damping_are_worse(done: StudyRun) -> 
     assert frfs.worse == ()
     exchanged = replace(frfs, initial=frfs.final, final=frfs.initial)
     stages = dict(done.results)
-    stages["final"] = replace(stages["final"], evidence=replace(evidence, frfs=exchanged))
+    stages["final"] = replace(
+        stages["final"], evidence=replace(evidence, frfs=exchanged)
+    )
     stages["damping"] = replace(stages["damping"], why="FRFs are worse")
     found = conclude(stages, (), Acceptance())
     assert found is not None

@@ -46,7 +46,10 @@ def plate() -> str:
         for i in range(NX + 1)
     ]
     first = [1 + i + j * (NX + 1) for j in range(NY) for i in range(NX)]
-    quads = [f"CQUAD4,{e},1,{n},{n + 1},{n + NX + 2},{n + NX + 1}" for e, n in enumerate(first, 1)]
+    quads = [
+        f"CQUAD4,{e},1,{n},{n + 1},{n + NX + 2},{n + NX + 1}"
+        for e, n in enumerate(first, 1)
+    ]
     springs = [f"CBUSH,{101 + k},31,{1 + n},,,,,0" for k, n in enumerate(CORNERS)]
     cards = [
         "PCOMP,1,,,,,,,",
@@ -56,28 +59,46 @@ def plate() -> str:
         "MAT8,2,1.+6,1.+6,.3,1.+6,2.+8,1.+8,50.",
         "PBUSH,31,K,3.+5,3.+5,3.+5,10.,10.,10.",
     ]
-    return "\n".join(["SOL 103", "CEND", "BEGIN BULK", *grids, *quads, *springs, *cards, "ENDDATA"])
+    return "\n".join(
+        ["SOL 103", "CEND", "BEGIN BULK", *grids, *quads, *springs, *cards, "ENDDATA"]
+    )
 
 
-def test_plies_are_updated_and_springs_get_a_line_for_their_damping(tmp_path: Path) -> None:
+def test_plies_are_updated_and_springs_get_a_line_for_their_damping(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "plate.bdf").write_text(plate())
     deck = read_deck(tmp_path / "plate.bdf")
-    faces = ParameterSet((Parameter("faces", tuple(CardField("PCOMP", 1, f) for f in FACES)),))
-    measured = [1 + i + j * (NX + 1) for j in range(0, NY + 1, 2) for i in range(0, NX + 1, 2)]
-    sheet = [f"{n},{(n - 1) % (NX + 1) / 10},{(n - 1) // (NX + 1) / 10},0,Z" for n in measured]
+    faces = ParameterSet(
+        (Parameter("faces", tuple(CardField("PCOMP", 1, f) for f in FACES)),)
+    )
+    measured = [
+        1 + i + j * (NX + 1) for j in range(0, NY + 1, 2) for i in range(0, NX + 1, 2)
+    ]
+    sheet = [
+        f"{n},{(n - 1) % (NX + 1) / 10},{(n - 1) // (NX + 1) / 10},0,Z"
+        for n in measured
+    ]
     (tmp_path / "sensors.csv").write_text("\n".join(["point,x,y,z,direction", *sheet]))
     with EmbeddedSolver().open(apply_factors(deck, faces, np.array([1.2]))) as analysis:
-        built = analysis.modes(ModesRequest(12)).modes.rows([f"{n}+Z" for n in measured])
-    seen = np.flatnonzero(np.linalg.norm(built.shapes, axis=0) > 0.1)  # moves out of its plane
+        built = analysis.modes(ModesRequest(12)).modes.rows(
+            [f"{n}+Z" for n in measured]
+        )
+    # moves out of its plane
+    seen = np.flatnonzero(np.linalg.norm(built.shapes, axis=0) > 0.1)
     test = replace(built.take(seen), damping=np.full(seen.size, 0.01))
     write_modes(tmp_path / "test.json", test)
     (tmp_path / "study.toml").write_text(STUDY)
     done = run_study(tmp_path / "study.toml")
     deliver(done)
-    assert done.results["update"].updated_values["faces"] == pytest.approx(0.0012, rel=5e-3)
+    assert done.results["update"].updated_values["faces"] == pytest.approx(
+        0.0012, rel=5e-3
+    )
     thick = read_deck(done.folder / "damped" / "plate.bdf")["PCOMP"].ragged("T").row(0)
     np.testing.assert_allclose(thick, [0.0012, 0.01, 0.0012], rtol=5e-3)
-    assert any("PCOMP 1 T1 0.001 -> 0.00" in line for line in done.results["final"].changes)
+    assert any(
+        "PCOMP 1 T1 0.001 -> 0.00" in line for line in done.results["final"].changes
+    )
     bush = read_deck(done.folder / "damped" / "plate.bdf")["PBUSH"]
     loss = done.results["damping"].regions.coefficients
     assert bush["GE"][0] == pytest.approx(loss[-1], rel=1e-4)

@@ -20,7 +20,8 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 
 PLAIN = small_study.MODEL + small_study.TEST + small_study.SETTINGS
 AUTO = PLAIN.replace("[update]\n", "[update]\npropose = true\n")
-FEW = "[localise]\npool = 6\n"  # candidates: where the choice among them is not what is tested
+# candidates: where the choice among them is not what is tested
+FEW = "[localise]\npool = 6\n"
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +44,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
 def test_errors_gather_in_the_columns_and_not_in_the_floors(given: StudyRun) -> None:
     found: LocaliseStage = given.results["localise"]
     value = dict(
-        zip(found.indicators.regions, found.indicators.concentration.tolist(), strict=True)
+        zip(
+            found.indicators.regions,
+            found.indicators.concentration.tolist(),
+            strict=True,
+        )
     )
-    assert max(value, key=lambda k: value[k]) == "property 1"  # a quarter too soft: the worst
+    # a quarter too soft: the worst
+    assert max(value, key=lambda k: value[k]) == "property 1"
     assert value["property 10"] < 1
     for share in (
         found.indicators.strain,
@@ -54,12 +60,16 @@ def test_errors_gather_in_the_columns_and_not_in_the_floors(given: StudyRun) -> 
         found.indicators.energy,
     ):
         assert share.sum() == pytest.approx(1.0)
-    assert not np.isin(found.indicators.modes, given.results["correlate"].reference.left_out).any()
+    assert not np.isin(
+        found.indicators.modes, given.results["correlate"].reference.left_out
+    ).any()
 
 
 def test_the_proposal_has_every_wrong_storey_with_its_factor(given: StudyRun) -> None:
     found: LocaliseStage = given.results["localise"]
-    assert {m.name for m in found.proposal.members} == {f"columns {k}" for k in small_study.TRUTH}
+    assert {m.name for m in found.proposal.members} == {
+        f"columns {k}" for k in small_study.TRUTH
+    }
     for m in found.proposal.members:
         # modes to 1e-4, but columns of two storeys trade for each other: a modulus is told to some
         # percent
@@ -88,12 +98,17 @@ def test_candidates_made_from_the_deck_are_proposed_and_updated(made: StudyRun) 
 
 
 @pytest.mark.parametrize("propose", [False, True])
-def test_parts_of_a_property_are_looked_at_but_not_updated(tmp_path: Path, propose: bool) -> None:
+def test_parts_of_a_property_are_looked_at_but_not_updated(
+    tmp_path: Path, propose: bool
+) -> None:
     text = (AUTO if propose else PLAIN) + FEW + 'kinds = ["region", "material"]\n'
     found = run_study(
         small_study.write_study(tmp_path, text, ambient=False), until="localise"
     ).results["localise"]
-    assert any(p.targets[0].elements for p in found.candidates.parameters.parameters) is not propose
+    assert (
+        any(p.targets[0].elements for p in found.candidates.parameters.parameters)
+        is not propose
+    )
 
 
 def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
@@ -101,7 +116,8 @@ def test_a_proposal_of_parts_alone_is_refused(tmp_path: Path) -> None:
         tmp_path, AUTO + '[localise]\nkinds = ["region"]\n', ambient=False
     )
     with pytest.raises(
-        DataError, match=r"further `kinds` under \[localise\] \(region, a part of a property"
+        DataError,
+        match=r"further `kinds` under \[localise\] \(region, a part of a property",
     ):
         run_study(study, until="localise")
 
@@ -115,7 +131,9 @@ def test_a_study_with_nothing_to_update_says_what_could_be(tmp_path: Path) -> No
     assert "final" not in run.results
     deliver(run)
     off = run_study(
-        small_study.write_study(tmp_path / "off", PLAIN + "[localise]\npool = 0\n", ambient=False)
+        small_study.write_study(
+            tmp_path / "off", PLAIN + "[localise]\npool = 0\n", ambient=False
+        )
     )
     assert off.results["localise"] is None
     deliver(off)
@@ -139,19 +157,25 @@ def test_intervals_hold_the_truth_and_bands_the_modes(given: StudyRun) -> None:
     np.testing.assert_allclose(found.posterior.factor, best.factor)
     assert (found.posterior.interval[:, 0] < found.posterior.factor).all()
     assert (found.posterior.factor < found.posterior.interval[:, 1]).all()
-    truth = np.array([small_study.TRUTH[int(n[-1])] for n in found.posterior.parameters.names])
-    assert (np.abs(np.log(found.posterior.factor / truth)) < 2.5 * found.posterior.std).all()
+    truth = np.array(
+        [small_study.TRUTH[int(n[-1])] for n in found.posterior.parameters.names]
+    )
+    assert (
+        np.abs(np.log(found.posterior.factor / truth)) < 2.5 * found.posterior.std
+    ).all()
     assert found.posterior.moved.all()
     assert (found.posterior.ratio < 0.2).all()
     assert (found.held.in_turn == found.bands.used).all()
-    assert np.isfinite(found.held.predicted).all()  # those that the updating did not see, too
+    # those that the updating did not see, too
+    assert np.isfinite(found.held.predicted).all()
     assert not found.unproven.any()
     assert found.held.coverage(found.level) > 0.5
     assert found.discrepancy[0] < 2e-3  # the twin has the form of the model
     np.testing.assert_allclose(found.bands.predicted, found.bands.test, rtol=0.01)
     reach = found.bands.band[:, 1] - found.bands.predicted
     assert (
-        reach > 1.6 * np.sqrt((found.bands.parts**2).sum(axis=1)) * found.bands.predicted
+        reach
+        > 1.6 * np.sqrt((found.bands.parts**2).sum(axis=1)) * found.bands.predicted
     ).all()  # Student's is wider
 
 
@@ -161,10 +185,14 @@ def test_draws_are_where_the_intervals_are(given: StudyRun) -> None:
     assert 0.1 < found.chains.acceptance < 0.95
     middle = np.median(found.chains.draws, axis=0)
     # few draws of chains that hang together: their middle is known to about a standard deviation
-    assert (np.abs(np.log(middle / found.posterior.factor)) < 6 * found.posterior.std).all()
+    assert (
+        np.abs(np.log(middle / found.posterior.factor)) < 6 * found.posterior.std
+    ).all()
 
 
-def test_same_study_same_numbers_and_stored_as_found(given: StudyRun, tmp_path: Path) -> None:
+def test_same_study_same_numbers_and_stored_as_found(
+    given: StudyRun, tmp_path: Path
+) -> None:
     again = run_study(given.folder / "study.toml", out=tmp_path)
     held = load_study(given.folder / "study.h5")
     for name in ("localise", "uncertainty"):

@@ -29,10 +29,14 @@ def test_a_second_run_is_refused_by_name_until_the_first_is_gone(
 ) -> None:
     study = small_study.write_study(tmp_path, small_study.MODEL)
     words = [sys.executable, "-c", HOLDER, str(tmp_path)]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as first:
         assert first.stdout is not None
         assert first.stdout.readline() == "locked\n"
-        with pytest.raises(DataError, match=f"process {first.pid} on .* runs this study"):
+        with pytest.raises(
+            DataError, match=f"process {first.pid} on .* runs this study"
+        ):
             run_study(study)
         assert run(["run", str(study)]) == 2
         told = " ".join(capsys.readouterr().err.split())
@@ -50,5 +54,9 @@ def test_the_lock_goes_with_an_error_and_can_be_taken_again(tmp_path: Path) -> N
         with pytest.raises(KeyError), locked(tmp_path / "new"):
             raise KeyError
     assert not (tmp_path / "new").exists()
-    with locked(tmp_path), pytest.raises(DataError, match="runs this study"), locked(tmp_path):
+    with (
+        locked(tmp_path),
+        pytest.raises(DataError, match="runs this study"),
+        locked(tmp_path),
+    ):
         pass

@@ -45,7 +45,9 @@ ENDDATA
 """
 
 
-@pytest.mark.parametrize(("hub", "ground"), [((1, 3), (101, 103)), ((101, 103), (1, 3))])
+@pytest.mark.parametrize(
+    ("hub", "ground"), [((1, 3), (101, 103)), ((101, 103), (1, 3))]
+)
 def test_of_two_nodes_at_one_place_the_sensor_sits_on_the_moving_one(
     tmp_path: Path, hub: tuple[int, int], ground: tuple[int, int]
 ) -> None:
@@ -62,7 +64,8 @@ def test_of_two_nodes_at_one_place_the_sensor_sits_on_the_moving_one(
     )
     seen = opened.observation(test, 0.01)
     read = [opened.analysis.dofs.node[row.indices].tolist() for row in seen.matrix]
-    assert read == [[hub[0]], [2], [hub[1]], [40]]  # 40 is held, too, but nothing else is there
+    # 40 is held, too, but nothing else is there
+    assert read == [[hub[0]], [2], [hub[1]], [40]]
 
 
 def test_sensors_that_stand_between_nodes_are_told(tmp_path: Path) -> None:
@@ -78,7 +81,9 @@ def test_sensors_that_stand_between_nodes_are_told(tmp_path: Path) -> None:
         np.zeros((0, 2), int),
     )
     (told,) = between_nodes(opened, opened.observation(test), "nearest")
-    assert told.startswith("1 of 2 channels are read at a node up to 0.3 m from their sensor")
+    assert told.startswith(
+        "1 of 2 channels are read at a node up to 0.3 m from their sensor"
+    )
     assert not between_nodes(opened, opened.observation(test, method="rigid"), "rigid")
     assert not between_nodes(opened, opened.observation(test.pick(["a"])), "nearest")
 
@@ -88,8 +93,12 @@ def test_of_two_moving_nodes_at_one_place_the_one_with_the_number_of_the_point_i
     tmp_path: Path, wanted: int
 ) -> None:
     """A hinge: the bar ends at node 2, another one begins at node 30."""
-    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace("CBAR,2,1,2,", "CBAR,2,1,30,")
-    (tmp_path / "bar.bdf").write_text(text.replace("ENDDATA", "CBUSH,13,2,2,30,,,,0\nENDDATA"))
+    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace(
+        "CBAR,2,1,2,", "CBAR,2,1,30,"
+    )
+    (tmp_path / "bar.bdf").write_text(
+        text.replace("ENDDATA", "CBUSH,13,2,2,30,,,,0\nENDDATA")
+    )
     opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
     test = TestModel(
         np.array([wanted]),
@@ -105,7 +114,12 @@ def test_of_two_moving_nodes_at_one_place_the_one_with_the_number_of_the_point_i
 
 @pytest.mark.parametrize(
     ("point", "x", "spring", "told"),
-    [(7, 1.0, 1e6, True), (2, 1.0, 1e6, False), (7, 1.0, 1e12, False), (7, 0.5, 1e12, False)],
+    [
+        (7, 1.0, 1e6, True),
+        (2, 1.0, 1e6, False),
+        (7, 1.0, 1e12, False),
+        (7, 0.5, 1e12, False),
+    ],
 )
 def test_a_place_of_nodes_that_move_apart_is_said(
     tmp_path: Path, point: int, x: float, spring: float, told: bool
@@ -113,8 +127,12 @@ def test_a_place_of_nodes_that_move_apart_is_said(
     """A soft hinge is; one as good as rigid, a point with the number of a node, and one between two
     nodes are not.
     """
-    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace("CBAR,2,1,2,", "CBAR,2,1,30,")
-    hinge = f"CBUSH,13,3,2,30,,,,0\nPBUSH,3,K,{','.join([f'{spring:.1E}'] * 6)}\nENDDATA"
+    text = DECK.format(hub=(1, 3), ground=(101, 103)).replace(
+        "CBAR,2,1,2,", "CBAR,2,1,30,"
+    )
+    hinge = (
+        f"CBUSH,13,3,2,30,,,,0\nPBUSH,3,K,{','.join([f'{spring:.1E}'] * 6)}\nENDDATA"
+    )
     (tmp_path / "bar.bdf").write_text(text.replace("ENDDATA", hinge))
     opened = Opened(read_deck(tmp_path / "bar.bdf"), 1.0)
     test = TestModel(
@@ -155,15 +173,17 @@ def test_a_test_in_millimetres_or_with_left_handed_axes_is_not_laid_onto_the_dec
     assert alignment(test, opened, "points").rms < 1e-9
     millimetres = replace(test, xyz=1e3 * test.xyz)
     for how in ("points", "nearest"):
-        with pytest.raises(DataError, match=f"align {how}: the points of the test span .* times"):
+        with pytest.raises(
+            DataError, match=f"align {how}: the points of the test span .* times"
+        ):
             alignment(millimetres, opened, how)
     with pytest.raises(DataError, match="mirror image"):
         alignment(replace(test, xyz=test.xyz * [1, -1, 1]), opened, "points")
     wrong = np.array(test.xyz)
     wrong[0] += 2.0  # one point is a gross error, no reason to refuse the others
-    assert np.flatnonzero(~alignment(replace(test, xyz=wrong), opened, "points").used).tolist() == [
-        0
-    ]
+    assert np.flatnonzero(
+        ~alignment(replace(test, xyz=wrong), opened, "points").used
+    ).tolist() == [0]
 
 
 def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
@@ -173,7 +193,9 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
     test = small_study.test_model()
     modes = opened.modes(20.0).modes
     shapes = opened.observation(test, 0.01)(modes.shapes)
-    here = ModeSet(0.7 * modes.frequencies, np.full(len(modes), 0.01), shapes, test.channels)
+    here = ModeSet(
+        0.7 * modes.frequencies, np.full(len(modes), 0.01), shapes, test.channels
+    )
     write_modes(tmp_path / "test.json", here.take(np.arange(4)))
     write_sheet(tmp_path / "sensors.csv", TURN.move(test), test.channels)
     words = [
@@ -186,7 +208,8 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
     assert run(words) == 2
     assert "farther than" in capsys.readouterr().err
     words += ["--align", "points", "--complete", "--json", "-"]
-    for options, pairs in ((["--frequency-gate", "40"], 0), ([], 4)):  # the model is 43 % too high
+    # the model is 43 % too high
+    for options, pairs in ((["--frequency-gate", "40"], 0), ([], 4)):
         run([*words, *options])
         found = json.loads(capsys.readouterr().out)
         assert len(found["pairs"]) == pairs
@@ -198,15 +221,24 @@ def test_correlate_lays_a_sheet_onto_a_deck_and_judges_over_its_mass(
         assert f"{wrong[0]} '{wrong[1]}'" in capsys.readouterr().err
 
 
-def _plate(path: Path, n: int, first: int, *, size: float = 1.0, held: str = "") -> Path:
+def _plate(
+    path: Path, n: int, first: int, *, size: float = 1.0, held: str = ""
+) -> Path:
     """A plate of n by n elements, 1.2 by 0.8 times the size."""
     at = {(i, j): first + i + (n + 1) * j for j in range(n + 1) for i in range(n + 1)}
     lines = [
         f"GRID,{k},,{1.2 * size * i / n:.6f},{0.8 * size * j / n:.6f},0.0"
         for (i, j), k in at.items()
     ]
-    corners = (((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)) for j in range(n) for i in range(n))
-    lines += [f"CQUAD4,{e},1," + ",".join(str(at[c]) for c in q) for e, q in enumerate(corners, 1)]
+    corners = (
+        ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
+        for j in range(n)
+        for i in range(n)
+    )
+    lines += [
+        f"CQUAD4,{e},1," + ",".join(str(at[c]) for c in q)
+        for e, q in enumerate(corners, 1)
+    ]
     lines += [held, "PSHELL,1,1,.004,1", "MAT1,1,2.1+11,,.3,7850.", "ENDDATA"]
     path.write_text("\n".join(["BEGIN BULK", *filter(None, lines)]))
     return path
@@ -216,13 +248,19 @@ def test_a_deck_is_held_against_one_of_another_mesh(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A free plate in two meshes whose nodes have nothing in common but the places of some."""
-    decks = _plate(tmp_path / "plate6.bdf", 6, 1), _plate(tmp_path / "plate9.bdf", 9, 5001)
+    decks = (
+        _plate(tmp_path / "plate6.bdf", 6, 1),
+        _plate(tmp_path / "plate9.bdf", 9, 5001),
+    )
     status = run(["correlate", str(decks[0]), str(decks[1]), "--json", "-"])
     out, err = capsys.readouterr()
     assert status == 0, err
     pairs = json.loads(out)["pairs"]
-    assert [(p["test_mode"], p["fe_mode"]) for p in pairs[:6]] == [(k, k + 6) for k in range(1, 7)]
-    assert all(p["mac_percent"] > 97 for p in pairs[:6])  # the coarse mesh has six elements
+    assert [(p["test_mode"], p["fe_mode"]) for p in pairs[:6]] == [
+        (k, k + 6) for k in range(1, 7)
+    ]
+    # the coarse mesh has six elements
+    assert all(p["mac_percent"] > 97 for p in pairs[:6])
     (tmp_path / "modes.json").write_text("{}")
     assert run(["correlate", str(decks[0]), str(tmp_path / "modes.json")]) == 2
     assert "is a deck: name the modes of the test first" in capsys.readouterr().err
@@ -239,7 +277,9 @@ def test_a_deck_is_held_against_one_of_another_mesh(
 
 def test_held_nodes_are_no_points_of_a_deck(tmp_path: Path) -> None:
     deck = _plate(tmp_path / "held.bdf", 3, 1, held="SPC1,1,123456,1,THRU,4")
-    assert mesh_points(Opened(read_deck(deck), 1.0)).points.tolist() == list(range(5, 17))
+    assert mesh_points(Opened(read_deck(deck), 1.0)).points.tolist() == list(
+        range(5, 17)
+    )
 
 
 def test_correlate_takes_setups_of_other_sensors_at_the_channels_they_share(
@@ -301,11 +341,33 @@ def test_strain_is_not_compared_with_motions(
     row = rows[3].split(",")
     row[at[0]], row[at[1]] = "strain", "ustrain"
     sheet.write_text("\n".join([head, *rows[:3], ",".join(row), *rows[4:]]) + "\n")
-    assert run(["correlate", str(tmp_path / "test.json"), str(deck), "--sensors", str(sheet)]) == 0
+    assert (
+        run(
+            [
+                "correlate",
+                str(tmp_path / "test.json"),
+                str(deck),
+                "--sensors",
+                str(sheet),
+            ]
+        )
+        == 0
+    )
     assert f"not compared, of strain: {test.channels[3]}" in " ".join(
         capsys.readouterr().out.split()
     )
-    assert run(["localise", str(deck), str(tmp_path / "test.json"), "--sensors", str(sheet)]) == 2
+    assert (
+        run(
+            [
+                "localise",
+                str(deck),
+                str(tmp_path / "test.json"),
+                "--sensors",
+                str(sheet),
+            ]
+        )
+        == 2
+    )
     assert f"channel {test.channels[3]} measures strain" in " ".join(
         capsys.readouterr().err.split()
     )

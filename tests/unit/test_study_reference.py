@@ -16,7 +16,13 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.testmodel import TestModel
 from ringtrue.io.modes import write_modes
 from ringtrue.study.config import parse_config
-from ringtrue.study.reference import beyond, fewer, left_out, measured_part, reference_modes
+from ringtrue.study.reference import (
+    beyond,
+    fewer,
+    left_out,
+    measured_part,
+    reference_modes,
+)
 from ringtrue.study.results import IdentifiedModes
 from ringtrue.study.session import Session
 from ringtrue.study.stages.correlate import compare_tests
@@ -75,16 +81,21 @@ def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> 
     same.
     """
     known = modes(np.ones((6, 9), dtype=bool))  # 1 to 9 Hz
-    std = Uncertainty.independent(0.01 * known.frequencies, known.damping, np.zeros((6, 9)))
+    std = Uncertainty.independent(
+        0.01 * known.frequencies, known.damping, np.zeros((6, 9))
+    )
     write_modes(tmp_path / "test.json", known, std)
     points = np.arange(6)
     xyz = np.column_stack([points, 0 * points, 0 * points]).astype(float)
     axes = np.tile([0.0, 0.0, 1.0], (6, 1))
-    sheet = TestModel(points, xyz, known.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
+    sheet = TestModel(
+        points, xyz, known.channels, points, axes, np.zeros((0, 2), dtype=np.int64)
+    )
     text = '[model]\ndeck = "a.bdf"\n[correlate]\nrigid_below = 3.5\n'
     text += '[[suspension]]\nname = "springs"\ntargets = ["PBUSH 1 K1"]\n'
     found = reference_modes(
-        supplied_modes(tmp_path / "test.json", sheet, ()), parse_config(text, tmp_path / "s.toml")
+        supplied_modes(tmp_path / "test.json", sheet, ()),
+        parse_config(text, tmp_path / "s.toml"),
     )
     np.testing.assert_allclose(found.rigid.frequencies, [1, 2, 3])
     np.testing.assert_allclose(found.rigid_std.frequency, [0.01, 0.02, 0.03])
@@ -93,9 +104,18 @@ def test_rigid_body_modes_of_a_file_are_those_below_the_edge(tmp_path: Path) -> 
 
 def test_fewer_modes_left_out_than_asked_for_are_told() -> None:
     modes = ModeSet(
-        np.arange(1.0, 7.0), np.full(6, 0.01), np.eye(6), tuple("abcdef"), confidence=np.ones(6)
+        np.arange(1.0, 7.0),
+        np.full(6, 0.01),
+        np.eye(6),
+        tuple("abcdef"),
+        confidence=np.ones(6),
     )
-    for count, kept, told in ((None, 4, False), (2, 4, False), (4, 2, False), (9, 2, True)):
+    for count, kept, told in (
+        (None, 4, False),
+        (2, 4, False),
+        (4, 2, False),
+        (9, 2, True),
+    ):
         out = left_out(modes, count, 0.5)
         assert len(modes) - out.size == kept
         assert bool(fewer(count, out)) == told
@@ -105,24 +125,33 @@ def test_fewer_modes_left_out_than_asked_for_are_told() -> None:
 def test_two_tests_are_compared_where_neither_has_a_gap(tmp_path: Path) -> None:
     """Modes of a file may be those of several setups, as those of ambient records."""
     rng = np.random.default_rng(0)
-    whole = replace(modes(np.ones((8, 5), dtype=bool)), shapes=rng.standard_normal((8, 5)))
+    whole = replace(
+        modes(np.ones((8, 5), dtype=bool)), shapes=rng.standard_normal((8, 5))
+    )
     shapes = np.array(whole.shapes)
     shapes[6:, 1] = np.nan
-    std = Uncertainty.independent(0.01 * whole.frequencies, whole.damping, np.zeros((8, 5)))
+    std = Uncertainty.independent(
+        0.01 * whole.frequencies, whole.damping, np.zeros((8, 5))
+    )
     points = np.arange(8)
     xyz, axes = (
         np.column_stack([points, 0 * points, 0 * points]).astype(float),
         np.tile([0.0, 0.0, 1.0], (8, 1)),
     )
-    sheet = TestModel(points, xyz, whole.channels, points, axes, np.zeros((0, 2), dtype=np.int64))
+    sheet = TestModel(
+        points, xyz, whole.channels, points, axes, np.zeros((0, 2), dtype=np.int64)
+    )
     write_modes(tmp_path / "test.json", replace(whole, shapes=shapes), std)
     found = replace(
-        supplied_modes(tmp_path / "test.json", sheet, ()), ambient=IdentifiedModes(whole, std)
+        supplied_modes(tmp_path / "test.json", sheet, ()),
+        ambient=IdentifiedModes(whole, std),
     )
     session = SimpleNamespace(
-        config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"), get=lambda _: found
+        config=parse_config('[model]\ndeck = "a.bdf"\n', tmp_path / "s.toml"),
+        get=lambda _: found,
     )
     stage = compare_tests(cast(Session, session), lambda *_: None)
     assert stage is not None
-    assert stage.table.mac.shape == (5, 4)  # eight channels of four modes are more than six of five
+    # eight channels of four modes are more than six of five
+    assert stage.table.mac.shape == (5, 4)
     np.testing.assert_allclose(stage.table.pairing.mac, 1.0, rtol=1e-12)

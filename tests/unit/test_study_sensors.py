@@ -42,6 +42,8 @@ def test_each_geophone_is_corrected_by_its_own_sheet_and_no_other_sensor() -> No
     inside = (freqs > 1.1 * low) & (freqs < 0.4 * RATE)
     for k in (0, 2):
         spectrum = np.fft.rfft(found.data[k])[inside]
-        assert np.linalg.norm(spectrum - motion[inside]) < 0.02 * np.linalg.norm(motion[inside])
+        assert np.linalg.norm(spectrum - motion[inside]) < 0.02 * np.linalg.norm(
+            motion[inside]
+        )
     again, low, note = corrected(history.pick(["1+Z"]), SHEETS)
     assert (again.channels, low, note) == (channels[1:2], 0.0, "")

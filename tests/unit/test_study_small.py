@@ -70,9 +70,15 @@ def test_only_the_changed_fields_differ_in_the_delivered_deck(done: StudyRun) ->
     old = done.folder / "deck/frame.bdf"
     new = done.folder / "updated/frame.bdf"
     lines = unified_diff([old], [new]).splitlines()
-    changed = [(a[1:], b[1:]) for a, b in pairwise(lines) if a[:5] == "-MAT1" and b[:5] == "+MAT1"]
+    changed = [
+        (a[1:], b[1:])
+        for a, b in pairwise(lines)
+        if a[:5] == "-MAT1" and b[:5] == "+MAT1"
+    ]
     assert len(changed) == 3
-    assert sum(line[0] in "+-" and line[:3] not in ("+++", "---") for line in lines) == 6
+    assert (
+        sum(line[0] in "+-" and line[:3] not in ("+++", "---") for line in lines) == 6
+    )
     for before, after in changed:
         a, b = before.split(","), after.split(",")
         assert [i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x != y] == [2]
@@ -82,7 +88,9 @@ def test_channels_at_fault_are_told_once(done: StudyRun) -> None:
     stage = done.results["identify"]
     straight = Note("channel straight", "error", "3+X")
     strain = Note("channel strain", "warning", "4+X")
-    one = replace(stage.records[0], channel_notes=(straight,), notes=("a machine at 5 Hz",))
+    one = replace(
+        stage.records[0], channel_notes=(straight,), notes=("a machine at 5 Hz",)
+    )
     two = replace(stage.records[-1], channel_notes=(straight, strain))
     lines = run_messages({"identify": replace(stage, records=(one, two))})
     assert lines[1:] == (
@@ -114,12 +122,19 @@ def test_results_are_taken_out_of_a_stored_study(
 ) -> None:
     study = rt.open_study(done.folder)
     assert len(study.test) == len(study.test.std_frequency) > 5
-    assert dict(zip(study.parameters.names, study.parameters.factors, strict=True)).keys()
+    assert dict(
+        zip(study.parameters.names, study.parameters.factors, strict=True)
+    ).keys()
     np.testing.assert_allclose(study.pairs("final").deviation_percent, 0, atol=1)
     assert len(study.modes("initial")) == len(study.modes("final"))
     assert study.frfs.data.ndim == 3
     assert len(study.plot().data) > 0
-    assert command(["convert", str(done.folder / "study.h5"), str(tmp_path / "merged.json")]) == 0
+    assert (
+        command(
+            ["convert", str(done.folder / "study.h5"), str(tmp_path / "merged.json")]
+        )
+        == 0
+    )
     merged = rt.read_modes(tmp_path / "merged.json")
     np.testing.assert_allclose(merged.std_frequency, study.test.std_frequency)
     words = [str(done.folder / "study.h5"), str(tmp_path / "merged.json")]
@@ -155,7 +170,9 @@ def _same(a: object, b: object) -> None:
 
 def test_a_deck_without_a_test(tmp_path: Path) -> None:
     run = run_study(
-        small_study.write_study(tmp_path, small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\n")
+        small_study.write_study(
+            tmp_path, small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\n"
+        )
     )
     assert set(run.results) == {"model", "plan", "provenance"}
     assert len(run.results["plan"].target_modes) == 9
@@ -165,7 +182,10 @@ def test_a_deck_without_a_test(tmp_path: Path) -> None:
 
 def _grids(*levels: int) -> str:
     return ", ".join(
-        str(small_study.node(k, i, j)) for k in levels for i in range(3) for j in range(3)
+        str(small_study.node(k, i, j))
+        for k in levels
+        for i in range(3)
+        for j in range(3)
     )
 
 
@@ -180,10 +200,14 @@ FLOORS = f"candidates = {{ top = [{_grids(3)}], rest = [{_grids(1, 2)}] }}\n"
     ],
 )
 def test_what_a_plan_may_ask_for(tmp_path: Path, asked: str, told: str) -> None:
-    head = (
-        "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\nprecision = 0.05\nmax_auto_mac = 0.9\n"
+    head = "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\nprecision = 0.05\nmax_auto_mac = 0.9\n"
+    toml = (
+        small_study.MODEL
+        + head
+        + FLOORS
+        + asked
+        + small_study.candidates(small_study.TRUTH)
     )
-    toml = small_study.MODEL + head + FLOORS + asked + small_study.candidates(small_study.TRUTH)
     plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
     assert all(told in r for r in plan.reasons)
     assert 0 < len(plan.target_modes) < (9 if "kinetic" in asked else 10)
@@ -201,17 +225,26 @@ PLAN = (
 )
 
 
-@pytest.mark.parametrize(("strike", "told"), [("greedy", "greedily"), ("worst", "best set")])
+@pytest.mark.parametrize(
+    ("strike", "told"), [("greedy", "greedily"), ("worst", "best set")]
+)
 def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None:
     run = run_study(
-        small_study.write_study(tmp_path, PLAN.format(6) + f'strike = "{strike}"\nat_hand = 4\n')
+        small_study.write_study(
+            tmp_path, PLAN.format(6) + f'strike = "{strike}"\nat_hand = 4\n'
+        )
     )
     deliver(run)
-    plan, page = run.results["plan"], (run.folder / "report.html").read_text(encoding="utf-8")
+    plan, page = (
+        run.results["plan"],
+        (run.folder / "report.html").read_text(encoding="utf-8"),
+    )
     assert told in plan.rule
     assert len(set(plan.excitation.references)) == 3
     assert set(plan.excitation.references) <= set(plan.sensors.test.channels)
-    measured = [p for k in range(-1, plan.sensors.setups.count) for p in plan.sensors.roving(k)]
+    measured = [
+        p for k in range(-1, plan.sensors.setups.count) for p in plan.sensors.roving(k)
+    ]
     assert sorted(measured) == sorted(plan.sensors.test.points.tolist())
     assert f"{plan.sensors.setups.count} setups of up to 4 sensors" in page
 
@@ -219,7 +252,9 @@ def test_exciters_by_each_method(tmp_path: Path, strike: str, told: str) -> None
 @pytest.mark.parametrize(
     "extra", ["", "min_distance = 1.0\nsensor_mass = 1.0\nredundancy = 1\ntrials = 1\n"]
 )
-def test_single_axes_distinguish_the_modes_with_fewer_channels(tmp_path: Path, extra: str) -> None:
+def test_single_axes_distinguish_the_modes_with_fewer_channels(
+    tmp_path: Path, extra: str
+) -> None:
     toml = PLAN.format(12) + 'directions = "uniaxial"\n' + extra
     plan = run_study(small_study.write_study(tmp_path, toml)).results["plan"]
     assert "single axes" in plan.rule
@@ -242,7 +277,10 @@ def test_single_axes_distinguish_the_modes_with_fewer_channels(tmp_path: Path, e
 
 
 def test_sensors_along_normals_stand_on_shells(tmp_path: Path) -> None:
-    low = PLAN.replace("14.0", "20.0").format(8) + 'modes = [5, 6]\ndirections = "normal"\n'
+    low = (
+        PLAN.replace("14.0", "20.0").format(8)
+        + 'modes = [5, 6]\ndirections = "normal"\n'
+    )
     plan = run_study(small_study.write_study(tmp_path, low)).results["plan"]
     assert all(c.endswith("+N") for c in plan.sensors.test.channels)
     np.testing.assert_allclose(
@@ -263,9 +301,14 @@ def test_sensors_along_normals_stand_on_shells(tmp_path: Path) -> None:
         ("telling = 3\n", r"need a \[\[candidate\]\]"),
     ],
 )
-def test_what_a_plan_cannot_do_is_refused(tmp_path: Path, asked: str, told: str) -> None:
+def test_what_a_plan_cannot_do_is_refused(
+    tmp_path: Path, asked: str, told: str
+) -> None:
     toml = (
-        small_study.MODEL + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n" + FLOORS + asked
+        small_study.MODEL
+        + "[plan]\nfmax = 14.0\nsensors = 6\nambient = false\n"
+        + FLOORS
+        + asked
     )
     with pytest.raises(ConfigError, match=told):
         run_study(small_study.write_study(tmp_path, toml))
@@ -281,9 +324,12 @@ def test_a_plan_needs_modes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
 def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> None:
     toml = (
-        small_study.TEST + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
+        small_study.TEST
+        + "[identify]\nhammer_fmin = 1.0\nhammer_fmax = 20.0\nambient_fmin = 1.0\n"
     )
-    run = run_study(small_study.write_study(tmp_path, toml, ambient=ambient, hammer=hammer))
+    run = run_study(
+        small_study.write_study(tmp_path, toml, ambient=ambient, hammer=hammer)
+    )
     assert set(run.results) == {"identify", "compare", "conditions", "provenance"}
     found = run.results["identify"]
     modes = (found.ambient if ambient else found.hammer).modes
@@ -292,7 +338,9 @@ def test_a_test_without_a_deck(tmp_path: Path, ambient: bool, hammer: bool) -> N
 
 
 @pytest.mark.parametrize(("ambient", "hammer"), [(True, False), (False, True)])
-def test_one_kind_of_test_is_enough_to_update(tmp_path: Path, ambient: bool, hammer: bool) -> None:
+def test_one_kind_of_test_is_enough_to_update(
+    tmp_path: Path, ambient: bool, hammer: bool
+) -> None:
     run = run_study(small_study.write_study(tmp_path, ambient=ambient, hammer=hammer))
     assert (
         run.results["final"].table.mean_deviation()
@@ -301,11 +349,17 @@ def test_one_kind_of_test_is_enough_to_update(tmp_path: Path, ambient: bool, ham
     deliver(run)
 
 
-def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_path: Path) -> None:
+def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(
+    tmp_path: Path,
+) -> None:
     toml = small_study.FULL.replace(f"fmax = {small_study.FMAX}\n", "", 1)
-    run = run_study(small_study.write_study(tmp_path, toml, ambient=False), until="correlate")
+    run = run_study(
+        small_study.write_study(tmp_path, toml, ambient=False), until="correlate"
+    )
     found = run.results["correlate"]
-    assert run.session.fmax == pytest.approx(1.5 * found.reference.elastic.frequencies.max())
+    assert run.session.fmax == pytest.approx(
+        1.5 * found.reference.elastic.frequencies.max()
+    )
     assert (found.fe_initial.frequencies <= run.session.fmax).all()
     assert not beyond(found.reference.elastic, run.session.fmax)
     assert (
@@ -316,7 +370,9 @@ def test_modes_of_the_deck_reach_well_above_the_test_where_nothing_is_said(tmp_p
 
 
 def test_a_study_on_a_refined_mesh_edits_the_deck_as_it_is(tmp_path: Path) -> None:
-    toml = small_study.FULL.replace("[model]\n", "[plan]\nsensors = 4\n[model]\nrefine = 1\n")
+    toml = small_study.FULL.replace(
+        "[model]\n", "[plan]\nsensors = 4\n[model]\nrefine = 1\n"
+    )
     run = run_study(small_study.write_study(tmp_path, toml, ambient=False))
     ids = read_deck(tmp_path / "deck" / "frame.bdf")["GRID"].ids
     assert run.results["model"].nodes > 2 * ids.size
@@ -327,7 +383,9 @@ def test_a_study_on_a_refined_mesh_edits_the_deck_as_it_is(tmp_path: Path) -> No
     deliver(run)
 
 
-def test_a_mesh_is_not_refined_for_another_solver_or_under_a_candidate(tmp_path: Path) -> None:
+def test_a_mesh_is_not_refined_for_another_solver_or_under_a_candidate(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(ConfigError, match="solves decks as they are"):
         run_study(
             small_study.write_study(
@@ -372,7 +430,10 @@ def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
             lambda log: log["tests"][0].update(kind="ambiant"),
             r"tests\.0\.kind: .*'ambient'.*got 'ambiant'",
         ),
-        (lambda log: log["tests"][1].pop("block_samples"), r"tests\.1.*block_samples missing"),
+        (
+            lambda log: log["tests"][1].pop("block_samples"),
+            r"tests\.1.*block_samples missing",
+        ),
         (
             lambda log: log["tests"][1].update(pretrigger_samples=1e5),
             r"tests\.1\.pretrigger_samples: .*integer",
@@ -381,13 +442,18 @@ def test_a_suspension_without_rigid_body_modes_is_said(tmp_path: Path) -> None:
             lambda log: log["tests"][1].update(pretriger_samples=16),
             "'pretriger_samples'; did you mean 'pretrigger_s",
         ),
-        (lambda log: log["tests"][0].pop("records"), r"tests\.0\.records: Field required"),
+        (
+            lambda log: log["tests"][0].pop("records"),
+            r"tests\.0\.records: Field required",
+        ),
         (
             lambda log: log["tests"][0]["records"][0].update(file=3),
             r"records\.0\.file: .*string \(got 3\)",
         ),
         (
-            lambda log: log.update(sensors={"g": {"quantity": "velocity", "corner_hz": 4.5}}),
+            lambda log: log.update(
+                sensors={"g": {"quantity": "velocity", "corner_hz": 4.5}}
+            ),
             "sensors.g: .*damping",
         ),
         (lambda log: log.update(tests=[]), "no record in any test"),
@@ -409,7 +475,9 @@ def test_a_channel_that_is_not_on_the_sheet_is_named(tmp_path: Path) -> None:
     sheet = tmp_path / "data/sensors.csv"
     lines = sheet.read_text().splitlines(keepends=True)
     sheet.write_text("".join(line for line in lines if "303+Y" not in line))
-    with pytest.raises(DataError, match=r"h5: channel 303\+Y is not on the sensor sheet"):
+    with pytest.raises(
+        DataError, match=r"h5: channel 303\+Y is not on the sensor sheet"
+    ):
         run_study(study)
 
 
@@ -417,7 +485,9 @@ def test_updated_values_are_those_in_the_deck(done: StudyRun) -> None:
     text = (done.folder / "updated/frame.bdf").read_text()
     update = done.results["update"]
     for name, value in update.updated_values.items():
-        line = next(x for x in text.splitlines() if x.startswith(f"MAT1,{name.split()[-1]},"))
+        line = next(
+            x for x in text.splitlines() if x.startswith(f"MAT1,{name.split()[-1]},")
+        )
         assert float(np.float64(line.split(",")[2])) == pytest.approx(value, rel=1e-5)
 
 
@@ -427,17 +497,21 @@ def test_a_suspension_is_tuned_to_the_modes_below_the_stated_frequency(
 ) -> None:
     """The lowest storey plays the suspension: two sways and a torsion lie below 3 Hz."""
     sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
-    toml = small_study.MODEL + small_study.TEST + sure + small_study.candidates(candidates)
+    toml = (
+        small_study.MODEL + small_study.TEST + sure + small_study.candidates(candidates)
+    )
     toml += (
         '[correlate]\nrigid_below = 3.0\n[[suspension]]\nname = "lowest storey"\ntargets = '
         '["MAT1 1 E"]\n'
     )
-    toml += '[localise]\nkinds = ["material"]\n'  # sections beside them take most of the time
+    # sections beside them take most of the time
+    toml += '[localise]\nkinds = ["material"]\n'
     run = run_study(small_study.write_study(tmp_path, toml))
     final = run.results["final"]
     assert len(final.rigid) == 3
     assert (
-        final.rigid.mean_deviation() < 0.3 * run.results["correlate"].rigid_initial.mean_deviation()
+        final.rigid.mean_deviation()
+        < 0.3 * run.results["correlate"].rigid_initial.mean_deviation()
     )
     assert any("MAT1 1 E" in c for c in final.changes)
     deliver(run)

@@ -49,7 +49,9 @@ class Handed:
         low, high = request.band or (-1.0, -1.0)
         asked = request if request.band is None else ModesRequest(band=(low, high / f))
         found = self.real.modes(asked)
-        return replace(found, modes=replace(found.modes, frequencies=f * found.modes.frequencies))
+        return replace(
+            found, modes=replace(found.modes, frequencies=f * found.modes.frequencies)
+        )
 
     def __enter__(self) -> Handed:
         return self
@@ -95,14 +97,19 @@ def test_the_updating_minds_the_modes_of_the_solver(done: StudyRun) -> None:
     assert update.runs > 10
     table = done.results["final"].table
     assert table.max_deviation() < 0.5
-    assert table.mean_deviation() < 0.2 * done.results["correlate"].initial.mean_deviation()
+    assert (
+        table.mean_deviation()
+        < 0.2 * done.results["correlate"].initial.mean_deviation()
+    )
 
 
 def test_two_workers_take_as_many_runs_to_the_same_factors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(registry.BUILT_IN, "outside", Outside)
-    toml = asked(small_study.FULL, "outside").replace("[update]", "[update]\niterations = 4")
+    toml = asked(small_study.FULL, "outside").replace(
+        "[update]", "[update]\niterations = 4"
+    )
     toml += '[[set]]\nname = "two"\ncandidates = ["columns 1", "columns 2"]\n'
     study = small_study.write_study(tmp_path, toml, ambient=False)
     one = run_study(study, until="update").results["update"]
@@ -113,10 +120,14 @@ def test_two_workers_take_as_many_runs_to_the_same_factors(
         np.testing.assert_array_equal(a.history.path, b.history.path)
 
 
-def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: StudyRun) -> None:
+def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(
+    done: StudyRun,
+) -> None:
     real = done.session.initial.analysis.modes(ModesRequest(3)).modes.frequencies
     for stage in (done.results["model"].modes, done.results["correlate"].fe_initial):
-        np.testing.assert_allclose(stage.frequencies[:3], np.sqrt(STIFFER) * real, rtol=1e-9)
+        np.testing.assert_allclose(
+            stage.frequencies[:3], np.sqrt(STIFFER) * real, rtol=1e-9
+        )
     told = json.loads((done.folder / "summary.json").read_text())
     assert told["solver"] == {"name": "outside", "runs": done.results["update"].runs}
     page = (done.folder / "report.html").read_text(encoding="utf-8")
@@ -132,7 +143,8 @@ def test_every_table_has_its_frequencies_and_what_is_embedded_is_said(done: Stud
     [
         (asked(small_study.FULL, "outsid"), "no solver 'outsid'"),
         (
-            asked(small_study.FULL, "mystran") + '[[residual]]\nkind = "mass"\nmass = 1.0\n',
+            asked(small_study.FULL, "mystran")
+            + '[[residual]]\nkind = "mass"\nmass = 1.0\n',
             "gives modes alone",
         ),
     ],
@@ -149,7 +161,9 @@ def test_the_embedded_solver_is_the_default(tmp_path: Path) -> None:
 
 
 @pytest.mark.solver
-def test_mystran_updates_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mystran_updates_a_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The frame with CBAR for CBEAM, which MYSTRAN does not have; the truth is its own, too.
 
     On so coarse a mesh its frequencies are up to 13 % off those of the embedded solver.
@@ -163,18 +177,24 @@ def test_mystran_updates_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         text = deck.replace("CBEAM", "CBAR").replace("PBEAM", "PBAR")
         return text.replace("2.2867-5,1.1667-5,0.0,2.8-5", "2.2867-5,1.1667-5,2.8-5")
 
-    toml = asked(small_study.FULL, "mystran").replace("[update]", "[update]\niterations = 8")
+    toml = asked(small_study.FULL, "mystran").replace(
+        "[update]", "[update]\niterations = 8"
+    )
     study = small_study.write_study(tmp_path, toml, ambient=False)
     (tmp_path / "deck/frame.bdf").write_text(bars(small_study.deck()))
     # of the structure that is measured
     monkeypatch.setattr("ringtrue.demos.frame.EmbeddedSolver", MystranSolver)
     small_study.write_data(
-        tmp_path / "data", ambient=False, truth=bars(small_study.deck(small_study.TRUTH))
+        tmp_path / "data",
+        ambient=False,
+        truth=bars(small_study.deck(small_study.TRUTH)),
     )
     run = run_study(study, until="final")
     update = run.results["update"]
     best = update.sets[update.chosen]
     for name, factor in zip(best.parameters, best.factor, strict=True):
-        assert factor == pytest.approx(small_study.TRUTH[int(name.split()[-1])], rel=0.05)
+        assert factor == pytest.approx(
+            small_study.TRUTH[int(name.split()[-1])], rel=0.05
+        )
     assert run.results["final"].observed.source == "mystran"
     assert run.results["final"].table.mean_deviation() < 0.2

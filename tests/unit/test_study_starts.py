@@ -59,7 +59,9 @@ def test_a_lower_end_of_other_starts_takes_the_place_of_one_that_lost_modes(
     assert not (done.folder / "update.sets.h5").exists()
 
 
-def test_an_end_with_all_partners_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_end_with_all_partners_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(update, "update_reduced", poor(lost=0, good="further starts"))
     stage = updated(tmp_path).results["update"]
     np.testing.assert_array_equal(stage.sets[stage.chosen].factor, 1.0)

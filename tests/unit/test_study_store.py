@@ -83,7 +83,8 @@ def test_a_full_disk_keeps_the_last_good_store_and_is_told(
     assert store.path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["study.h5"]
     monkeypatch.setattr(
-        "ringtrue.cli.main.application", lambda _: store.save("model", "k2", np.array([3.0]))
+        "ringtrue.cli.main.application",
+        lambda _: store.save("model", "k2", np.array([3.0])),
     )
     assert run([]) == 1
     assert "what is stored is whole" in capsys.readouterr().err
@@ -116,7 +117,9 @@ def test_a_store_that_is_lost_or_broken_is_named(tmp_path: Path) -> None:
         store.key("model")
     store.path.unlink()
     store.save("model", "1", 3.0)
-    with pytest.raises(DataError, match="stage 'update' is not in the store; it holds model"):
+    with pytest.raises(
+        DataError, match="stage 'update' is not in the store; it holds model"
+    ):
         store.load("update")
 
 
@@ -135,20 +138,25 @@ def test_a_second_run_computes_nothing_and_from_reruns_the_rest(finished: Path) 
     assert rerun(run_study(finished)) == set()
     assert rerun(run_study(finished, first="update")) == {"update"} | AFTER
     assert (
-        rerun(run_study(finished, first="compare", until="compare")) & {"identify", "model"}
+        rerun(run_study(finished, first="compare", until="compare"))
+        & {"identify", "model"}
         == set()
     )
 
 
 def test_a_setting_reruns_exactly_the_stages_that_depend_on_it(finished: Path) -> None:
     text = finished.read_text()
-    finished.write_text(text.replace("left_out = 2", "left_out = 2\nshape_weight = 0.2"))
+    finished.write_text(
+        text.replace("left_out = 2", "left_out = 2\nshape_weight = 0.2")
+    )
     assert rerun(run_study(finished)) == {"localise", "sensitivity", "update"} | AFTER
     finished.write_text(text.replace("left_out = 2", "left_out = 1"))
     assert rerun(run_study(finished, until="correlate")) >= {"correlate"}
     finished.write_text(text)
     run_study(finished)
-    finished.write_text(text.replace("left_out = 2", 'left_out = 2\n[study]\ntitle = "Another"'))
+    finished.write_text(
+        text.replace("left_out = 2", 'left_out = 2\n[study]\ntitle = "Another"')
+    )
     assert rerun(run_study(finished)) == set()  # a title is no input
     assert load_study(finished.with_name("study.h5")).config.study.title == "Another"
 
@@ -166,7 +174,9 @@ def test_a_changed_input_file_reruns_what_reads_it(finished: Path) -> None:
     assert rerun(run_study(finished)) == {*ALL} - {"model"}
 
 
-def test_files_that_are_edited_while_a_study_runs_count_as_it_has_read_them(finished: Path) -> None:
+def test_files_that_are_edited_while_a_study_runs_count_as_it_has_read_them(
+    finished: Path,
+) -> None:
     run_study(finished)
     deck, text = finished.parent / "deck/frame.bdf", finished.read_text()
     before = deck.read_text()
@@ -193,7 +203,8 @@ def test_a_stopped_run_can_be_reported_and_resumes(
 
     out = finished.parent / "stopped"
     monkeypatch.setattr(
-        "ringtrue.study.run.STAGES", tuple(_with_run(s, stop) if s is stage else s for s in STAGES)
+        "ringtrue.study.run.STAGES",
+        tuple(_with_run(s, stop) if s is stage else s for s in STAGES),
     )
     with pytest.raises(KeyboardInterrupt):
         run_study(finished, out=out)
@@ -221,8 +232,14 @@ def _with_run(stage: Stage, run: Callable[..., None]) -> Stage:
     [
         ({"first": "updat"}, "no stage 'updat'; did you mean 'update'?"),
         ({"until": "end"}, "no stage 'end'; Allowed: compare"),
-        ({"first": "update", "until": "model"}, "--from update comes after --until model"),
-        ({"first": "tune"}, r"stage 'tune' does not apply: the study has no section suspension"),
+        (
+            {"first": "update", "until": "model"},
+            "--from update comes after --until model",
+        ),
+        (
+            {"first": "tune"},
+            r"stage 'tune' does not apply: the study has no section suspension",
+        ),
     ],
 )
 def test_a_stage_that_cannot_be_run_is_refused(
@@ -245,5 +262,8 @@ def test_a_stage_that_another_version_has_stored_is_run_anew_and_named_for_a_rep
         match=r"stage 'correlate': .*which this version does not have; run the study again",
     ):
         load_study(path)
-    assert rerun(run_study(finished)) == {"correlate", "localise", "sensitivity", "update"} | AFTER
+    assert (
+        rerun(run_study(finished))
+        == {"correlate", "localise", "sensitivity", "update"} | AFTER
+    )
     load_study(path)

@@ -37,7 +37,11 @@ from ringtrue.study.run import run_study
 from ringtrue.virtual.measurements import write_sheet
 
 FREQS = np.arange(0.5, 20.0, 0.02)
-TOML = small_study.MODEL + '[test]\nsheet = "sensors.csv"\n{}\n' + "[update]\nleft_out = 2\n"
+TOML = (
+    small_study.MODEL
+    + '[test]\nsheet = "sensors.csv"\n{}\n'
+    + "[update]\nleft_out = 2\n"
+)
 Capture = pytest.CaptureFixture[str]
 
 
@@ -46,7 +50,9 @@ def renumbered() -> TestModel:
     test = small_study.test_model()
     new = dict(zip(test.points.tolist(), range(1, 10), strict=True))
     channels = tuple(f"{new[int(c.split('+')[0])]}+{c[-1]}" for c in test.channels)
-    points, at = (np.array([new[p] for p in x.tolist()]) for x in (test.points, test.at))
+    points, at = (
+        np.array([new[p] for p in x.tolist()]) for x in (test.points, test.at)
+    )
     lines = np.stack([points[:-1], points[1:]], axis=1)
     return TestModel(points, test.xyz, channels, at, test.axes, lines)
 
@@ -67,10 +73,14 @@ def frfs(modes: ModeSet, struck: tuple[str, ...]) -> FrfSet:
     gain = -(w**2) / (w0**2 - w**2 + 2j * 0.01 * w0 * w)
     h = np.einsum("om,fm,im->foi", modes.shapes, gain, modes.shapes[at])
     rng = np.random.default_rng(5)
-    h = h + 1e-3 * np.abs(h).mean() * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape))
+    h = h + 1e-3 * np.abs(h).mean() * (
+        rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)
+    )
     out = tuple(Channel(c, "acceleration", "m/s^2") for c in modes.channels)
     into = tuple(Channel(c, "force", "N") for c in struck)
-    return FrfSet(h, FREQS, out, into, np.full(h.shape, np.nan), np.full(len(at), np.nan))
+    return FrfSet(
+        h, FREQS, out, into, np.full(h.shape, np.nan), np.full(len(at), np.nan)
+    )
 
 
 def study(folder: Path, source: str, toml: str = TOML) -> Path:
@@ -87,14 +97,20 @@ def test_frfs_of_a_file_for_each_reference(tmp_path: Path) -> None:
     for i, c in enumerate(("7+X", "7+Y"), start=1):
         write_frfs(tmp_path / f"{i}.uff", frfs(modes, (c,)))
     text = TOML + small_study.candidates(small_study.TRUTH)
-    done = run_study(study(tmp_path, 'frfs = ["1.uff", "2.uff"]\nleave_out = ["5+Y"]', text))
+    done = run_study(
+        study(tmp_path, 'frfs = ["1.uff", "2.uff"]\nleave_out = ["5+Y"]', text)
+    )
     deliver(done)
     found = done.results["correlate"]
     assert "5+Y" not in found.reference.elastic.channels
-    np.testing.assert_allclose(found.reference.elastic.frequencies, modes.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(
+        found.reference.elastic.frequencies, modes.frequencies, rtol=1e-3
+    )
     best = done.results["update"].sets[done.results["update"].chosen]
     for name, factor in zip(best.parameters, best.factor, strict=True):
-        assert factor == pytest.approx(small_study.TRUTH[int(name.split()[-1])], abs=0.02)
+        assert factor == pytest.approx(
+            small_study.TRUTH[int(name.split()[-1])], abs=0.02
+        )
     lines = "\n".join(run_messages(done.results))
     assert "9 modes of the FRFs" in lines
     assert "pairs: 9 -> 9 of 9 test modes" in lines
@@ -151,7 +167,9 @@ def test_a_strain_gauge_of_the_sheet_is_not_used(tmp_path: Path) -> None:
 def test_damping_of_a_file_of_modes_reaches_the_regions(tmp_path: Path) -> None:
     """Without standard deviations in the file, too: a ratio of 1 % is a loss factor of 2 %."""
     write_modes(tmp_path / "test.json", true_modes(tmp_path))
-    text = TOML.format('modes = "test.json"') + small_study.candidates(small_study.TRUTH)
+    text = TOML.format('modes = "test.json"') + small_study.candidates(
+        small_study.TRUTH
+    )
     found = run_study(study(tmp_path, "", text)).results["damping"]
     assert not found.why
     np.testing.assert_allclose(found.modes.after, 0.01, rtol=0.1)
@@ -166,10 +184,13 @@ def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> Non
     dead = np.where(np.arange(len(modes.channels)) == 3, 1e-4, 1.0)[:, None]
     one, two = replace(modes, shapes=modes.shapes * dead), modes
     table = correlation_table(one, two, pairing := pair_modes(one, two))
-    stage = CompareStage(table, Evidence(complete(one, two, pairing), auto_mac(one.shapes)))
+    stage = CompareStage(
+        table, Evidence(complete(one, two, pairing), auto_mac(one.shapes))
+    )
     lines = run_messages({"compare": stage})
     assert (
-        f"channel {modes.channels[3]} looks dead in the ambient against the hammer test" in lines[0]
+        f"channel {modes.channels[3]} looks dead in the ambient against the hammer test"
+        in lines[0]
     )
     assert "row in the sensor sheet" in lines[-1]
 
@@ -186,7 +207,9 @@ def test_a_channel_that_two_tests_do_not_agree_on_is_told(tmp_path: Path) -> Non
 def test_what_does_not_fit_is_refused(tmp_path: Path, source: str, told: str) -> None:
     modes = true_modes(tmp_path)
     write_modes(tmp_path / "test.json", modes)
-    write_modes(tmp_path / "other.json", replace(modes, labels=("99+X", *modes.channels[1:])))
+    write_modes(
+        tmp_path / "other.json", replace(modes, labels=("99+X", *modes.channels[1:]))
+    )
     with pytest.raises((ConfigError, DataError), match=told):
         run_study(study(tmp_path, source), until="identify")
 
@@ -202,7 +225,9 @@ def test_a_roving_hammer_gives_the_shapes_where_it_struck(tmp_path: Path) -> Non
     one, two = (identify_hammer(x, HammerModes(fmin=1.0)) for x in (fixed, roving))
     np.testing.assert_array_equal(one.modes.shapes, two.modes.shapes)
     assert two.modes.channels == modes.channels
-    assert any("roving hammer: 18 points struck, 2 fixed sensors" in n for n in two.notes)
+    assert any(
+        "roving hammer: 18 points struck, 2 fixed sensors" in n for n in two.notes
+    )
     assert not any("roving" in n for n in one.notes)
 
 
@@ -216,7 +241,9 @@ def test_points_with_numbers_of_their_own_are_placed_by_the_sheet(
         + small_study.candidates(small_study.TRUTH)
     )
     path = str(study(tmp_path, "", text))
-    deck, sheet, test = (str(tmp_path / f) for f in ("deck/frame.bdf", "sensors.csv", "test.json"))
+    deck, sheet, test = (
+        str(tmp_path / f) for f in ("deck/frame.bdf", "sensors.csv", "test.json")
+    )
     assert run(["update", path, test, "--json", "-"]) == 0
     factors = [p["factor"] for p in json.loads(capsys.readouterr().out)["parameters"]]
     np.testing.assert_allclose(
@@ -269,7 +296,9 @@ def frequencies_alone(folder: Path, toml: str, lost: int = 9) -> None:
 def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> None:
     frequencies_alone(tmp_path, small_study.candidates((1, 2, 3)), lost=4)
     done = run_study(tmp_path / "study.toml")
-    correlate, update, final = (done.results[n] for n in ("correlate", "update", "final"))
+    correlate, update, final = (
+        done.results[n] for n in ("correlate", "update", "final")
+    )
     assert correlate.initial.pairing.b.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
     assert correlate.reference.left_out.size == 2
     best = update.sets[update.chosen]
@@ -280,7 +309,10 @@ def test_a_study_of_frequencies_alone_finds_what_they_tell(tmp_path: Path) -> No
     assert final.table.max_deviation() < 0.2
     assert np.isnan(final.table.mean_mac())
     assert final.evidence is None
-    assert any("taken for" in line or "by frequency" in line for line in run_messages(done.results))
+    assert any(
+        "taken for" in line or "by frequency" in line
+        for line in run_messages(done.results)
+    )
     page = deliver(done).read_text(encoding="utf-8")
     assert "Mean MAC" not in page
     assert "No shapes were measured" in page
@@ -291,7 +323,11 @@ def test_frequencies_alone_propose_parameters(tmp_path: Path, capsys: Capture) -
     files = [str(tmp_path / n) for n in ("deck/frame.bdf", "test.csv")]
     assert run(["localise", *files, "--most", "3", "--pool", "14", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {p["name"] for p in found["proposed"]} == {"MAT1 1 E", "MAT1 2 E", "MAT1 3 E"}
+    assert {p["name"] for p in found["proposed"]} == {
+        "MAT1 1 E",
+        "MAT1 2 E",
+        "MAT1 3 E",
+    }
     assert found["mean_deviation_percent"][1] < 0.3 * found["mean_deviation_percent"][0]
     assert found["mean_mac_percent"] == [None, None]
     assert "by frequency" in found["notes"][0]
@@ -303,7 +339,8 @@ def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
     pairs = done.results["correlate"].initial.pairing
     assert (pairs.a[0], pairs.b[0]) == (0, 1)
     (tmp_path / "study.toml").write_text(ALONE.format(""))
-    again = run_study(tmp_path / "study.toml", until="correlate")  # what decides it makes it stale
+    # what decides it makes it stale
+    again = run_study(tmp_path / "study.toml", until="correlate")
     assert again.results["correlate"].initial.pairing.b.tolist() == list(range(9))
 
 
@@ -312,7 +349,10 @@ def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
     [
         ('[test]\nmodes = "m.csv"\n', "needs a \\[model\\]"),
         ('[model]\ndeck = "a.bdf"\n[test]\nlog = "c.json"\n', "needs a `sheet`"),
-        (ALONE.format("[correlate]\naccept_mac = 90"), r"\[correlate\] accept_mac asks for shapes"),
+        (
+            ALONE.format("[correlate]\naccept_mac = 90"),
+            r"\[correlate\] accept_mac asks for shapes",
+        ),
         (
             ALONE.format('[update]\nresiduals = ["frequencies", "mac"]'),
             r"\[update\] residuals mac asks for shapes",
@@ -322,7 +362,9 @@ def test_a_lock_decides_what_a_frequency_is_in_a_study(tmp_path: Path) -> None:
             r"\[\[set\]\] residuals shapes asks for shapes",
         ),
         (
-            ALONE.format('[[configuration]]\nname = "a"\ndeck = "a.bdf"\nmodes = "b.csv"'),
+            ALONE.format(
+                '[[configuration]]\nname = "a"\ndeck = "a.bdf"\nmodes = "b.csv"'
+            ),
             r"\[\[configuration\]\] asks for shapes",
         ),
     ],
@@ -336,14 +378,18 @@ def test_only_frequencies_need_no_sheet(tmp_path: Path, toml: str, names: str) -
 def test_modes_with_shapes_need_the_sheet(tmp_path: Path) -> None:
     frequencies_alone(tmp_path, "")
     write_modes(tmp_path / "test.json", true_modes(tmp_path))
-    (tmp_path / "study.toml").write_text(ALONE.format("").replace("test.csv", "test.json"))
+    (tmp_path / "study.toml").write_text(
+        ALONE.format("").replace("test.csv", "test.json")
+    )
     with pytest.raises(DataError, match="give the `sheet`"):
         run_study(tmp_path / "study.toml", until="identify")
 
 
 def test_shapes_that_the_deck_lends_are_not_drawn_as_measured(tmp_path: Path) -> None:
     frequencies_alone(tmp_path, "")
-    page = deliver(run_study(tmp_path / "study.toml", until="identify")).read_text(encoding="utf-8")
+    page = deliver(run_study(tmp_path / "study.toml", until="identify")).read_text(
+        encoding="utf-8"
+    )
     assert "Modes of file test.csv" in page
     assert '"stage":"File test.csv"' not in page
     assert "channels at" not in page
@@ -356,7 +402,11 @@ def test_a_study_without_a_pair_rests_on_what_else_was_measured(tmp_path: Path) 
         '[correlate]\nfrequency_gate = 0.0005\n[[residual]]\nkind = "mass"\nmass = '
         "100.0\nmass_error = 0.05\n"
     )
-    text = TOML.format('modes = "test.json"') + more + small_study.candidates(small_study.TRUTH)
+    text = (
+        TOML.format('modes = "test.json"')
+        + more
+        + small_study.candidates(small_study.TRUTH)
+    )
     done = run_study(study(tmp_path, "", text), until="update")
     assert done.results["localise"] is None
     best = done.results["update"].sets[done.results["update"].chosen]

@@ -31,7 +31,13 @@ def poles_of(f: np.ndarray, zeta: float) -> np.ndarray:
 def test_frfs_of_their_own_poles_are_explained_and_of_fewer_are_not() -> None:
     lines = np.arange(1.0, 12.0, 0.05)
     responses = ["2+X", "3+X", "4+X"]
-    h = rt.frf(rt.example_deck(), lines, forces=["4+X", "2+X"], responses=responses, damping=0.01)
+    h = rt.frf(
+        rt.example_deck(),
+        lines,
+        forces=["4+X", "2+X"],
+        responses=responses,
+        damping=0.01,
+    )
     f = rt.solve_modes(rt.read_deck(rt.example_deck())).frequencies
     ready = weighted_lines(h)
     size = np.linalg.norm(h.data)
@@ -39,7 +45,9 @@ def test_frfs_of_their_own_poles_are_explained_and_of_fewer_are_not() -> None:
     assert np.linalg.norm(whole.data - h.data) < 1e-6 * size
     less = fit_poles(h, ready, poles_of(f[[0, 2]], 0.01))
     near = np.abs(lines - f[1]) < 0.2
-    assert np.linalg.norm((less.data - h.data)[near]) > 0.5 * np.linalg.norm(h.data[near])
+    assert np.linalg.norm((less.data - h.data)[near]) > 0.5 * np.linalg.norm(
+        h.data[near]
+    )
     assert np.isnan(whole.coherence).all()
 
 
@@ -65,7 +73,9 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> rt.api.studies.Study:
     return rt.open_study(folder)
 
 
-def test_poles_follow_the_choice_before_it_is_replayed(study: rt.api.studies.Study) -> None:
+def test_poles_follow_the_choice_before_it_is_replayed(
+    study: rt.api.studies.Study,
+) -> None:
     found = study.stage("identify").hammer
     f = found.modes.frequencies
     sets = [d.poles for d in found.diagrams]
@@ -77,7 +87,9 @@ def test_poles_follow_the_choice_before_it_is_replayed(study: rt.api.studies.Stu
 
     np.testing.assert_allclose(left(None), f, rtol=1e-12)
     np.testing.assert_allclose(left(Choice((Pick(float(f[0])),))), f, rtol=1e-12)
-    np.testing.assert_allclose(left(Choice(rejects=(Reject(float(f[2]), "x"),))), np.delete(f, 2))
+    np.testing.assert_allclose(
+        left(Choice(rejects=(Reject(float(f[2]), "x"),))), np.delete(f, 2)
+    )
     assert left(Choice((Pick(float(f[0])), pick), automatic=False)).size == 2
     replaced = left(Choice((pick,)))
     assert replaced.size == f.size
@@ -102,7 +114,8 @@ def test_what_is_shown_below_the_diagram(study: rt.api.studies.Study) -> None:
     assert np.median(np.abs(one.fitted - one.measured)[band]) < 0.1
     (record,) = stage.ambient_records
     for part in fitted_spectra(record, None):
-        assert np.sqrt(np.mean((part.fitted - part.measured) ** 2)) < 1.5  # dB: scatter of Welch
+        # dB: scatter of Welch
+        assert np.sqrt(np.mean((part.fitted - part.measured) ** 2)) < 1.5
 
 
 def test_frfs_of_both_decks(study: rt.api.studies.Study) -> None:
@@ -112,7 +125,9 @@ def test_frfs_of_both_decks(study: rt.api.studies.Study) -> None:
         found = study.model_frfs(of)
         at = found.driving_points()
         mine = np.stack([found.data[:, i, j] for i, j in at], axis=1)
-        np.testing.assert_allclose(mine, stored, rtol=1e-6, atol=1e-9 * np.abs(stored).max())
+        np.testing.assert_allclose(
+            mine, stored, rtol=1e-6, atol=1e-9 * np.abs(stored).max()
+        )
         comparison, band = compared(stage, study.run.config, found)
         assert band == (1.0, 20.0)
         wanted = getattr(final.evidence.frfs, of).frac

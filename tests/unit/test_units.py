@@ -34,18 +34,31 @@ G_INCH = 386.0886  # in/s2: pounds of weight over pounds-seconds squared per inc
 LINE = re.compile(r"^warning: ", re.MULTILINE)
 
 
-def cantilever(units: str, *, weight: float = 1.0, more: str = "", modulus: float = 2.1e11) -> str:
+def cantilever(
+    units: str, *, weight: float = 1.0, more: str = "", modulus: float = 2.1e11
+) -> str:
     """The deck in a unit system; with `weight` its masses are so much larger and PARAM,WTMASS makes
     up for it.
     """
     u = UNIT_SYSTEMS[units]
     side = 0.02 / u.length
     area, bending = side**2, side**4 / 12
-    lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK", f"PARAM,WTMASS,{1 / weight:.9e}"]
-    lines += [f"GRID,{i + 1},,{i / ELEMENTS / u.length:.9g},0.,0." for i in range(ELEMENTS + 1)]
+    lines = [
+        "SOL 103",
+        "CEND",
+        "SPC = 1",
+        "BEGIN BULK",
+        f"PARAM,WTMASS,{1 / weight:.9e}",
+    ]
+    lines += [
+        f"GRID,{i + 1},,{i / ELEMENTS / u.length:.9g},0.,0."
+        for i in range(ELEMENTS + 1)
+    ]
     lines += [f"CBAR,{i + 1},1,{i + 1},{i + 2},0.,1.,0." for i in range(ELEMENTS)]
     lines.append(f"PBAR,1,1,{area:.9e},{bending:.9e},{bending:.9e},{1.7 * bending:.9e}")
-    lines.append(f"MAT1,1,{modulus / u.modulus:.9e},,.3,{7850 / u.density * weight:.9e}")
+    lines.append(
+        f"MAT1,1,{modulus / u.modulus:.9e},,.3,{7850 / u.density * weight:.9e}"
+    )
     return "\n".join([*lines, more, "SPC1,1,123456,1", "ENDDATA", ""])
 
 
@@ -55,7 +68,9 @@ def written(path: Path, units: str, **more: object) -> Path:
 
 
 @pytest.mark.parametrize("units", [*UNIT_SYSTEMS, "in-lbf-s weighed"])
-def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, units: str) -> None:
+def test_every_system_gives_the_same_response(
+    tmp_path: Path, capsys: Capture, units: str
+) -> None:
     """Accelerance and deflection of the tip in SI, from decks whose figures have nothing in
     common.
     """
@@ -79,11 +94,20 @@ def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, u
         shown = capsys.readouterr()
         assert not LINE.search(shown.err)
         told.append(json.loads(shown.out)["frfs"][0])
-        assert run(["static", str(d), "--force", "11+Z=100", "--units", u, "--json", "-"]) == 0
-        told[-1]["static"] = json.loads(capsys.readouterr().out)["cases"][0]["metre"]["11+Z"]
+        assert (
+            run(["static", str(d), "--force", "11+Z=100", "--units", u, "--json", "-"])
+            == 0
+        )
+        told[-1]["static"] = json.loads(capsys.readouterr().out)["cases"][0]["metre"][
+            "11+Z"
+        ]
     si, here = told
-    np.testing.assert_allclose(here["re"], si["re"], rtol=1e-6, atol=1e-6 * np.abs(si["re"]).max())
-    np.testing.assert_allclose(here["im"], si["im"], rtol=1e-6, atol=1e-6 * np.abs(si["im"]).max())
+    np.testing.assert_allclose(
+        here["re"], si["re"], rtol=1e-6, atol=1e-6 * np.abs(si["re"]).max()
+    )
+    np.testing.assert_allclose(
+        here["im"], si["im"], rtol=1e-6, atol=1e-6 * np.abs(si["im"]).max()
+    )
     assert here["static"] == pytest.approx(
         100 / (3 * 2.1e11 * 0.02**4 / 12), rel=1e-4
     )  # F l3 / 3 E I
@@ -95,12 +119,26 @@ def test_every_system_gives_the_same_response(tmp_path: Path, capsys: Capture, u
     [
         ("frf", "--force", "11+Z", "--fmax", "50", "--lines", "5", "--damping", "0.01"),
         ("static", "--force", "11+Z"),
-        ("plan", "--band", "1", "200", "--points", "3", "--references", "1", "--out", "plan"),
+        (
+            "plan",
+            "--band",
+            "1",
+            "200",
+            "--points",
+            "3",
+            "--references",
+            "1",
+            "--out",
+            "plan",
+        ),
         ("localise", "test.json"),
     ],
 )
 def test_a_deck_that_is_in_another_system_is_told(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+    tmp_path: Path,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
 ) -> None:
     """A deck in mm, t and s that is taken for SI: figures a thousand times too large, without a
     word.
@@ -150,11 +188,16 @@ def test_a_deck_in_milliseconds_has_its_frequencies_in_hertz(tmp_path: Path) -> 
     seconds = in_seconds(model, UNIT_SYSTEMS["mm-kg-ms"])
     assert not check_units(seconds, "mm-kg-ms")
     plain = read_deck(written(tmp_path / "si.bdf", "SI"))
-    hertz, same = (Opened(m, 1.0).modes(300.0).modes.frequencies for m in (seconds, plain))
+    hertz, same = (
+        Opened(m, 1.0).modes(300.0).modes.frequencies for m in (seconds, plain)
+    )
     np.testing.assert_allclose(hertz, same, rtol=1e-6)  # the decks have nine digits
-    damped = read_deck(written(tmp_path / "c.bdf", "mm-kg-ms", more="CDAMP2,99,0.1,11,3"))
+    damped = read_deck(
+        written(tmp_path / "c.bdf", "mm-kg-ms", more="CDAMP2,99,0.1,11,3")
+    )
     with pytest.raises(
-        UnsupportedError, match=r"CDAMP2 B: dashpots of a deck whose unit of time is 0\.001 s"
+        UnsupportedError,
+        match=r"CDAMP2 B: dashpots of a deck whose unit of time is 0\.001 s",
     ):
         in_seconds(damped, UNIT_SYSTEMS["mm-kg-ms"])
 
@@ -164,7 +207,9 @@ def test_a_mass_that_a_weighed_deck_lacks_is_in_pounds(tmp_path: Path) -> None:
     pounds = read_deck(written(tmp_path / "d.bdf", "in-lbf-s", weight=G_INCH))
     kilograms = read_deck(written(tmp_path / "si.bdf", "SI"))
     total = [
-        with_lumps(Opened(m, 1.0), np.array([11]), CandidateSettings())[1][0].parameter.lump
+        with_lumps(Opened(m, 1.0), np.array([11]), CandidateSettings())[1][
+            0
+        ].parameter.lump
         for m in (pounds, kilograms)
     ]
     assert total[0] * 0.45359237 == pytest.approx(total[1], rel=1e-5)
@@ -201,7 +246,9 @@ def _study(folder: Path, units: str, weight: float) -> Path:
     k = 2e4 / (u.force / u.length)
     foot = f"CBUSH,80,58,6,,,,,0\nPBUSH,58,K,{k:.9e},{k:.9e},{k:.9e}"
     (folder / "d.bdf").write_text(cantilever(units, weight=weight, more=foot))
-    (folder / "t.bdf").write_text(cantilever(units, weight=weight, more=foot, modulus=1.89e11))
+    (folder / "t.bdf").write_text(
+        cantilever(units, weight=weight, more=foot, modulus=1.89e11)
+    )
     modes = Opened(read_deck(folder / "t.bdf"), 1.0).modes(400.0).modes
     channels = [f"{n}+{a}" for n in range(2, 12) for a in "YZ"]
     row, sign = modes.labels.align(DofSet.parse(channels))
@@ -219,7 +266,9 @@ def _study(folder: Path, units: str, weight: float) -> Path:
     return path
 
 
-def test_a_study_in_inches_and_pounds_is_that_in_si(tmp_path: Path, capsys: Capture) -> None:
+def test_a_study_in_inches_and_pounds_is_that_in_si(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """Mass in t, factor, and the run-up in m and N: the unbalance is in kg, the deck has pounds and
     PARAM,WTMASS.
     """
@@ -232,7 +281,9 @@ def test_a_study_in_inches_and_pounds_is_that_in_si(tmp_path: Path, capsys: Capt
         assert run(["predict", str(study), "--json", "-"]) == 0
         shown = capsys.readouterr()
         assert not LINE.search(shown.err)
-        told.append((found["mass_t"], found["parameters"][0]["factor"], json.loads(shown.out)))
+        told.append(
+            (found["mass_t"], found["parameters"][0]["factor"], json.loads(shown.out))
+        )
     (mass, factor, si), (pounds, other, inch) = told
     assert pounds == pytest.approx(mass, rel=1e-5)
     assert (factor, other) == pytest.approx((0.9, 0.9), rel=1e-3)
@@ -251,6 +302,8 @@ def test_a_study_that_names_other_units_is_told(
 ) -> None:
     study = _study(tmp_path / "si", "SI", 1.0)
     study.write_text(study.read_text().replace('units = "SI"', 'units = "mm-t-s"'))
-    more = ["--until", "model"] if command == "run" else [str(study.parent / "modes.json")]
+    more = (
+        ["--until", "model"] if command == "run" else [str(study.parent / "modes.json")]
+    )
     run([command, str(study), *more])
     assert "are not plausible in mm-t-s; they would be in SI" in capsys.readouterr().err

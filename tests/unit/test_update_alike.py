@@ -31,7 +31,15 @@ def shares(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     cards += [f"CROD,{i},1,{i},{i + 1}" for i in range(1, N + 1)]
     path = tmp_path_factory.mktemp("rod") / "rod.bdf"
     path.write_text(
-        "\n".join(["BEGIN BULK", *cards, "MAT1,1,7.0E10,,0.3,2700.0", "PROD,1,1,1.0E-4", "ENDDATA"])
+        "\n".join(
+            [
+                "BEGIN BULK",
+                *cards,
+                "MAT1,1,7.0E10,,0.3,2700.0",
+                "PROD,1,1,1.0E-4",
+                "ENDDATA",
+            ]
+        )
     )
     model = read_deck(path)
     with EmbeddedSolver().open(model) as analysis:
@@ -40,7 +48,9 @@ def shares(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
         return energy_shares(model, analysis.system, vectors)
 
 
-def test_shares_of_a_clamped_rod_are_those_of_the_closed_form(shares: np.ndarray) -> None:
+def test_shares_of_a_clamped_rod_are_those_of_the_closed_form(
+    shares: np.ndarray,
+) -> None:
     x = (np.arange(N) + 0.5) / N
     wave = (np.arange(3) + 0.5) * np.pi
     strain = np.cos(wave * x[:, None]) ** 2
@@ -90,5 +100,8 @@ def test_intervals_from_errors_that_are_alike_hold_what_they_say() -> None:
     errors = rng.standard_normal((20_000, n)) @ np.linalg.cholesky(r).T
     size = np.sqrt((errors**2).mean(axis=1))
     off = np.abs(rng.standard_normal(len(size)))
-    held = [float((off < stdtrit(nu, 0.95) * size).mean()) for nu in (n, effective_freedom(r))]
+    held = [
+        float((off < stdtrit(nu, 0.95) * size).mean())
+        for nu in (n, effective_freedom(r))
+    ]
     assert held[0] < 0.85 < held[1] < 0.95

@@ -63,7 +63,9 @@ def candidate(name: str, target: str) -> str:
     return f'[[candidate]]\nname = "{name}"\ntargets = ["{target}"]\n'
 
 
-def study(folder: Path, candidates: dict[str, str] = CANDIDATES, stiff: float = 0.0) -> Path:
+def study(
+    folder: Path, candidates: dict[str, str] = CANDIDATES, stiff: float = 0.0
+) -> Path:
     """The study with the bending modes of the deck whose modulus is right."""
     (folder / "d.bdf").write_text(deck(stiff=stiff))
     (folder / "t.bdf").write_text(deck(TRUTH * 2.1e11, stiff))
@@ -87,7 +89,9 @@ def study(folder: Path, candidates: dict[str, str] = CANDIDATES, stiff: float = 
 
 def changed(folder: Path) -> list[str]:
     """Cards of the delivered deck that are not those of the initial one."""
-    old, new = ((folder / f).read_text().splitlines() for f in ("d.bdf", "updated/d.bdf"))
+    old, new = (
+        (folder / f).read_text().splitlines() for f in ("d.bdf", "updated/d.bdf")
+    )
     return [b for a, b in zip(old, new, strict=True) if a != b]
 
 
@@ -98,7 +102,10 @@ def test_one_of_perfectly_collinear_candidates_is_updated_the_others_are_held(
     assert run(["run", str(study(tmp_path))]) == 0
     told = capsys.readouterr().out
     for name in ("rho", "I"):
-        assert f"{name} is held at the deck's value: the data cannot tell it from E" in told
+        assert (
+            f"{name} is held at the deck's value: the data cannot tell it from E"
+            in told
+        )
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [p["name"] for p in summary["parameters"]] == ["E"]  # as the proposal has it
     assert summary["parameters"][0]["factor"] == pytest.approx(TRUTH, rel=1e-5)
@@ -128,7 +135,9 @@ def test_the_command_update_has_the_same_rule(tmp_path: Path, capsys: Capture) -
 def test_one_candidate_with_both_targets_shares_them_equally(tmp_path: Path) -> None:
     """The way out that the message names."""
     path = study(tmp_path, {"bending": "MAT1 1 E"})
-    path.write_text(path.read_text().replace('["MAT1 1 E"]', '["MAT1 1 E", "PBAR 1 I1,I2"]'))
+    path.write_text(
+        path.read_text().replace('["MAT1 1 E"]', '["MAT1 1 E", "PBAR 1 I1,I2"]')
+    )
     assert run(["run", str(path)]) == 0
     (found,) = json.loads((tmp_path / "summary.json").read_text())["parameters"]
     assert found["factor"] == pytest.approx(TRUTH**0.5, rel=1e-5)
@@ -173,7 +182,13 @@ def test_a_change_that_is_not_proven_is_not_written(
 ) -> None:
     """A spring that no mode feels: its field was rewritten for a change of 0.00094 %."""
     path = study(tmp_path, WITH_TIP, stiff=1.0)
-    words = ["update", str(path), str(tmp_path / "modes.json"), "--out", str(tmp_path / "updated")]
+    words = [
+        "update",
+        str(path),
+        str(tmp_path / "modes.json"),
+        "--out",
+        str(tmp_path / "updated"),
+    ]
     assert run(["run", str(path)] if command == "run" else words) == 0
     (line,) = changed(tmp_path)
     assert line.startswith("MAT1")
@@ -202,7 +217,9 @@ def tap(folder: Path) -> None:
     write_frfs(folder / "frfs.uff", FrfSet(h, freqs, *sides))
     channels = [f"{n}+{a}" for n in NODES for a in "YZ"]
     modes = Opened(read_deck(folder / "t.bdf"), 1.0).modes(900.0).modes.rows(channels)
-    write_modes(folder / "modes.json", replace(modes, damping=np.full(len(modes), 0.01)))
+    write_modes(
+        folder / "modes.json", replace(modes, damping=np.full(len(modes), 0.01))
+    )
 
 
 def test_stiffness_and_mass_of_a_region_are_one_to_frequencies_and_two_to_a_driving_point(
@@ -218,7 +235,8 @@ def test_stiffness_and_mass_of_a_region_are_one_to_frequencies_and_two_to_a_driv
     assert found["parameters"][0]["factor"] == pytest.approx(0.9 / 1.1, rel=1e-3)
     assert any("rho is held at the deck's value" in n for n in found["notes"])
     path.write_text(
-        path.read_text() + '[[residual]]\nkind = "frf"\nfile = "frfs.uff"\nerror = 0.05\n'
+        path.read_text()
+        + '[[residual]]\nkind = "frf"\nfile = "frfs.uff"\nerror = 0.05\n'
     )
     assert run(words) == 0
     found = json.loads(capsys.readouterr().out)
@@ -227,7 +245,9 @@ def test_stiffness_and_mass_of_a_region_are_one_to_frequencies_and_two_to_a_driv
     assert factors == pytest.approx({"E": 0.9, "rho": 1.1}, rel=0.02)  # the prior pulls
 
 
-def test_modal_masses_of_mass_scaled_shapes_tell_both_too(tmp_path: Path, capsys: Capture) -> None:
+def test_modal_masses_of_mass_scaled_shapes_tell_both_too(
+    tmp_path: Path, capsys: Capture
+) -> None:
     path = study(tmp_path, {"E": CANDIDATES["E"], "rho": CANDIDATES["rho"]})
     tap(tmp_path)
     kinds = '[update]\nresiduals = ["eigenvalues", "shapes", "modal masses"]\nmass_error = 0.02\n'
@@ -240,7 +260,9 @@ def test_modal_masses_of_mass_scaled_shapes_tell_both_too(tmp_path: Path, capsys
     modes = read_modes(tmp_path / "modes.json")
     write_modes(tmp_path / "modes.json", replace(modes, norm=Norm.UNSCALED))
     assert run(words) == 2
-    assert '"modal masses" need test modes of unit modal mass' in capsys.readouterr().err
+    assert (
+        '"modal masses" need test modes of unit modal mass' in capsys.readouterr().err
+    )
 
 
 def test_python_holds_what_the_data_cannot_distinguish(tmp_path: Path) -> None:
@@ -253,7 +275,9 @@ def test_python_holds_what_the_data_cannot_distinguish(tmp_path: Path) -> None:
     assert factors["E"] == pytest.approx(TRUTH, rel=1e-4)
     assert {n: a for n, a in factors.items() if n != "E"} == {"rho": 1.0, "I": 1.0}
     assert set(found.held) == {"rho", "I"}
-    low, high = (dict(zip(found.names, v.tolist(), strict=True)) for v in (found.low, found.high))
+    low, high = (
+        dict(zip(found.names, v.tolist(), strict=True)) for v in (found.low, found.high)
+    )
     assert low["rho"] == pytest.approx(0.2)
     assert high["E"] < 1
     assert found.misfits == ()

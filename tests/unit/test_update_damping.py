@@ -37,7 +37,9 @@ def system() -> tuple[np.ndarray, np.ndarray, tuple[Mechanism, ...]]:
     lam, phi = linalg.eigh(halves.sum(axis=0), np.diag(1 + 0.1 * np.arange(N)))
     ground = np.zeros((N, N))
     ground[3, 3] = 1.0
-    parts = [loss_factor(f"half {i + 1}", phi.T @ k @ phi) for i, k in enumerate(halves)]
+    parts = [
+        loss_factor(f"half {i + 1}", phi.T @ k @ phi) for i, k in enumerate(halves)
+    ]
     return lam, phi, (*parts, dashpot("dashpot", phi.T @ ground @ phi))
 
 
@@ -55,7 +57,10 @@ def test_poles_give_loss_factors_and_dashpots() -> None:
 
 def test_standard_deviation_from_poles_covers_the_scatter() -> None:
     lam, _, parts = system()
-    rng, true = np.random.default_rng(0), complex_modes(lam, *assembled(parts, TRUTH, NONE)).damping
+    rng, true = (
+        np.random.default_rng(0),
+        complex_modes(lam, *assembled(parts, TRUTH, NONE)).damping,
+    )
     std = 0.03 * true
     fits = [
         fit_poles(lam, parts, true + std * rng.standard_normal(N), std, np.arange(N))
@@ -64,7 +69,8 @@ def test_standard_deviation_from_poles_covers_the_scatter() -> None:
     scatter = np.std([f.coefficients for f in fits], axis=0)
     told = np.mean([f.std for f in fits], axis=0)
     assert (told > 0.85 * scatter).all()  # 7 % is the scatter of the scatter
-    assert (told < 1.5 * scatter).all()  # s² is not believed below 1: wider by 15 % on average
+    # s² is not believed below 1: wider by 15 % on average
+    assert (told < 1.5 * scatter).all()
 
 
 def test_a_mechanism_that_is_not_there_ends_at_its_bound() -> None:
@@ -85,4 +91,6 @@ def test_input_is_checked() -> None:
         fit_poles(lam, (), np.ones(1), np.ones(1), np.zeros(1, dtype=int))
     blind = Mechanism("blind", "viscous", np.zeros((N, N)))
     with pytest.raises(InputError, match="no datum depends on 'blind'"):
-        fit_poles(lam, (*parts, blind), np.full(N, 0.01), np.full(N, 1e-3), np.arange(N))
+        fit_poles(
+            lam, (*parts, blind), np.full(N, 0.01), np.full(N, 1e-3), np.arange(N)
+        )

@@ -38,14 +38,21 @@ GE, B = {1: 0.01, 2: 0.03, 3: 0.002}, 40.0
 def deck(ge: dict[int, float], b: float, bush_ge: float = 0.0) -> str:
     lines = ["SOL 103", "CEND", "SPC = 1", "BEGIN BULK"]
     lines += [f"GRID,{i + 1},,{0.5 * i},0.,0." for i in range(9)]
-    lines += [f"CBAR,{i + 1},{1 if i < 4 else 2},{i + 1},{i + 2},0.,0.,1." for i in range(8)]
+    lines += [
+        f"CBAR,{i + 1},{1 if i < 4 else 2},{i + 1},{i + 2},0.,0.,1." for i in range(8)
+    ]
     lines += [
         "GRID,20,,4.,1.,0.",
         "GRID,21,,4.5,1.,0.",
         "GRID,22,,4.5,0.,0.",
         "CQUAD4,30,3,9,22,21,20",
     ]
-    lines += ["CBUSH,40,4,9,,,,,0", "PBUSH,4,K,1.+5,1.+5,2.+5", f",,B,,,{b}", f",,GE,{bush_ge}"]
+    lines += [
+        "CBUSH,40,4,9,,,,,0",
+        "PBUSH,4,K,1.+5,1.+5,2.+5",
+        f",,B,,,{b}",
+        f",,GE,{bush_ge}",
+    ]
     # fields 2 to 9 of MAT1: E, G, NU, RHO, A, TREF, GE
     lines += [
         f"MAT1,{i},{e},,{nu},{rho},,,{ge.get(i, 0.0)}"
@@ -69,7 +76,9 @@ def read(folder: Path, text: str) -> Opened:
     return Opened(read_deck(folder / "a.bdf"), 1.0)
 
 
-def solved(opened: Opened) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def solved(
+    opened: Opened,
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """λ, shapes of all nodes, and ΦᵀDΦ, ΦᵀHΦ of the deck as it is."""
     modes = opened.modes(FMAX).modes
     system = opened.analysis.system
@@ -92,17 +101,25 @@ def test_the_parts_make_up_the_damping_of_the_deck(tmp_path: Path) -> None:
     opened = read(tmp_path, deck(GE, B))
     values, shapes, total = solved(opened)
     found = dampers(
-        opened.model, default_regions(opened.model, SPRING, {}), values, shapes, total, 0.01
+        opened.model,
+        default_regions(opened.model, SPRING, {}),
+        values,
+        shapes,
+        total,
+        0.01,
     )
     assert [r.name for r in found.regions] == ["MAT1 1", "MAT1 2", "MAT1 3", "spring"]
     size = np.abs(total[1]).max()
     np.testing.assert_allclose(
-        sum(GE[i + 1] * found.mechanisms[i].matrix for i in range(3)), total[1], atol=1e-9 * size
+        sum(GE[i + 1] * found.mechanisms[i].matrix for i in range(3)),
+        total[1],
+        atol=1e-9 * size,
     )
     np.testing.assert_allclose(
         B * found.mechanisms[3].matrix, total[0], atol=1e-9 * np.abs(total[0]).max()
     )
-    for left in found.base:  # every damper is in a region, so nothing is left beside them
+    # every damper is in a region, so nothing is left beside them
+    for left in found.base:
         np.testing.assert_allclose(left, 0.0, atol=1e-9 * size)
 
 
@@ -129,7 +146,8 @@ def test_loss_factors_and_dashpot_from_the_damping_of_the_modes(tmp_path: Path) 
     np.testing.assert_allclose(found.base[0], 0.0, atol=1e-9 * np.abs(total[0]).max())
     assert found.base[1][0, 0] > 0.1 * total[1][0, 0]  # the bush's GE is nobody's
     damped = complex_modes(values, *total)
-    true, at = damped.damping, np.abs(damped.shapes).argmax(axis=0)  # two close modes change places
+    # two close modes change places
+    true, at = damped.damping, np.abs(damped.shapes).argmax(axis=0)
     fit = fit_poles(values, found.mechanisms, true, 1e-4 * true, at, base=found.base)
     np.testing.assert_allclose(
         fit.coefficients, [*GE.values(), B], rtol=2e-3
@@ -146,7 +164,12 @@ def test_loss_factors_and_dashpot_from_the_damping_of_the_modes(tmp_path: Path) 
 def test_regions_are_called_by_the_names_of_the_study(tmp_path: Path) -> None:
     model = read(tmp_path, deck(GE, B)).model
     assert names(model, beam=[1], tail=[2]) == ["beam", "tail", "MAT1 3", "spring"]
-    assert names(model, beam=[1, 2]) == ["beam (MAT1 1)", "beam (MAT1 2)", "MAT1 3", "spring"]
+    assert names(model, beam=[1, 2]) == [
+        "beam (MAT1 1)",
+        "beam (MAT1 2)",
+        "MAT1 3",
+        "spring",
+    ]
 
 
 def test_cards_of_one_material_are_one_region(tmp_path: Path) -> None:
@@ -165,10 +188,17 @@ def test_springs_that_are_no_suspension_have_a_loss_factor(tmp_path: Path) -> No
 
 
 def test_springs_of_one_make_have_one_loss_factor(tmp_path: Path) -> None:
-    more = [f"PBUSH,{i},K,{k},{k},{k}" for i, k in ((11, 1e5), (12, 2e5), (13, 1e5), (14, 1e5))]
-    model = read(tmp_path, deck(GE, B).replace("ENDDATA", "\n".join([*more, "ENDDATA"]))).model
+    more = [
+        f"PBUSH,{i},K,{k},{k},{k}"
+        for i, k in ((11, 1e5), (12, 2e5), (13, 1e5), (14, 1e5))
+    ]
+    model = read(
+        tmp_path, deck(GE, B).replace("ENDDATA", "\n".join([*more, "ENDDATA"]))
+    ).model
 
-    def springs(suspension: ParameterSet, **regions: list[int]) -> list[tuple[str, list[int]]]:
+    def springs(
+        suspension: ParameterSet, **regions: list[int]
+    ) -> list[tuple[str, list[int]]]:
         found = default_regions(model, suspension, regions)
         return [
             (r.name, [t.id for t in r.targets])
@@ -224,7 +254,9 @@ def test_two_decks_with_common_coefficients_tell_apart_what_one_cannot() -> None
     λ_m).
     """
     one, two = np.array([100.0, 900.0]), np.array([400.0, 2500.0])
-    regions = [DampingRegion(n, (CardField("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))]
+    regions = [
+        DampingRegion(n, (CardField("MAT1", i, "GE"),)) for i, n in ((1, "A"), (2, "B"))
+    ]
 
     def mechanism(name: str, share: float, values: np.ndarray) -> Mechanism:
         return Mechanism(
@@ -232,15 +264,23 @@ def test_two_decks_with_common_coefficients_tell_apart_what_one_cannot() -> None
         )
 
     none = np.zeros((2, 2)), np.zeros((2, 2))
-    first = Dampers(tuple(regions), (mechanism("A", 0.4, one), mechanism("B", 0.6, one)), none)
+    first = Dampers(
+        tuple(regions), (mechanism("A", 0.4, one), mechanism("B", 0.6, one)), none
+    )
     second = Dampers((regions[1],), (mechanism("B", 1.0, two),), none)
     whole = joined_dampers([first, second])
     assert [m.name for m in whole.mechanisms] == ["A", "B"]
     assert whole.mechanisms[0].matrix[2:].any() == 0
     values, truth = np.concatenate([one, two]), np.array([0.05, 0.01])
     h = sum(c * m.matrix for c, m in zip(truth, whole.mechanisms, strict=True))
-    zeta = complex_modes(values, np.zeros((4, 4)), h).damping[np.argsort(np.argsort(values))]
-    fit = fit_poles(values, whole.mechanisms, zeta, 1e-3 * zeta, np.arange(4), base=whole.base)
+    zeta = complex_modes(values, np.zeros((4, 4)), h).damping[
+        np.argsort(np.argsort(values))
+    ]
+    fit = fit_poles(
+        values, whole.mechanisms, zeta, 1e-3 * zeta, np.arange(4), base=whole.base
+    )
     np.testing.assert_allclose(fit.coefficients, truth, rtol=0.01)
-    alone = fit_poles(one, first.mechanisms, zeta[:2], 1e-3 * zeta[:2], np.arange(2), base=none)
+    alone = fit_poles(
+        one, first.mechanisms, zeta[:2], 1e-3 * zeta[:2], np.arange(2), base=none
+    )
     assert np.abs(alone.coefficients / truth - 1).max() > 0.1

@@ -34,7 +34,10 @@ def beam(folder: Path, shear: str = "", e: float = 2.1e11, foot: str = "") -> Mo
     lines += [f"MAT1,1,{e:.6E},,0.3,7850.", "MAT1,2,2.1E11,,0.3,7850."]
     held = ["SPC1,1,123456,1"]
     if foot:
-        held = ["CBUSH,99,99,1,,,,,0", f"PBUSH,99,K,1.E13,1.E13,1.E13,{foot},{foot},{foot}"]
+        held = [
+            "CBUSH,99,99,1,,,,,0",
+            f"PBUSH,99,K,1.E13,1.E13,1.E13,{foot},{foot},{foot}",
+        ]
     path = folder / "beam.bdf"
     path.write_text("\n".join([*lines, *held, "ENDDATA", ""]))
     return rt.read_deck(path)
@@ -45,7 +48,9 @@ def measured(model: Model, rng: np.random.Generator) -> rt.FeModes:
     seen = fe.at(CHANNELS)
     moved = np.abs(seen.shapes).max(axis=0) > 1e-6  # not torsion and axial modes
     f = fe.frequencies[moved] * (1 + STATED * rng.standard_normal(int(moved.sum())))
-    return rt.modes_of_test(f, seen.shapes[:, moved], CHANNELS, std_frequency=STATED * f)
+    return rt.modes_of_test(
+        f, seen.shapes[:, moved], CHANNELS, std_frequency=STATED * f
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,14 +72,19 @@ def test_the_cause_of_the_deviations_is_named(
     for note in found.notes:
         assert found.named[0].cause in sentence(note)
         assert found.named[0].explained > 0.95
-    stored = replace(found, named=tuple(replace(p) for p in found.named))  # read anew, not the same
+    # read anew, not the same
+    stored = replace(found, named=tuple(replace(p) for p in found.named))
     assert [sentence(n) for n in stored.notes] == [sentence(n) for n in found.notes]
 
 
 def test_one_mode_alone_and_a_common_ratio_are_told_from_scatter() -> None:
     n = 10
     even = FormChange(
-        "common", "modulus", (), np.array([-1.0, 0.0, 1.0]), np.outer([-1.0, 0, 1], np.ones(n))
+        "common",
+        "modulus",
+        (),
+        np.array([-1.0, 0.0, 1.0]),
+        np.outer([-1.0, 0, 1], np.ones(n)),
     )
     noise = 0.002 * np.random.default_rng(0).standard_normal(n)
     std = np.full(n, 0.002)
@@ -90,7 +100,9 @@ def test_one_mode_alone_and_a_common_ratio_are_told_from_scatter() -> None:
     assert named(50 * noise) == []  # scatter beyond the stated errors is no pattern
 
 
-def test_intervals_hold_under_missing_shear_flexibility_and_say_so(tmp_path: Path) -> None:
+def test_intervals_hold_under_missing_shear_flexibility_and_say_so(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(2)
     test = measured(beam(tmp_path, shear="1.5", e=1.8e11), rng)
     deck = beam(tmp_path)

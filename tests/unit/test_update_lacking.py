@@ -17,7 +17,12 @@ from ringtrue.reduction.dense_models import DenseModel
 from ringtrue.updating.problem import residual_at, single
 from ringtrue.updating.selection.proposal import with_masses
 from ringtrue.updating.selection.selection_rules import FittedSet
-from ringtrue.updating.selection.subset_search import Search, SearchSettings, Subsets, subsets
+from ringtrue.updating.selection.subset_search import (
+    Search,
+    SearchSettings,
+    Subsets,
+    subsets,
+)
 from ringtrue.updating.target import Target
 
 N, TOTAL, PLACES = 10, 20.0, (2, 7)
@@ -29,7 +34,9 @@ def _chain() -> DenseModel:
     springs = np.zeros((N + 1, N, N))
     for i in range(N + 1):
         ends = [j for j in (i - 1, i) if 0 <= j < N]
-        springs[i][np.ix_(ends, ends)] = 1e5 * (1 + 0.1 * i) * (2 * np.eye(len(ends)) - 1)
+        springs[i][np.ix_(ends, ends)] = (
+            1e5 * (1 + 0.1 * i) * (2 * np.eye(len(ends)) - 1)
+        )
     changes = np.zeros((7, N, N))
     for g in range(5):
         changes[g] = springs[2 * g] + springs[2 * g + 1]
@@ -39,7 +46,12 @@ def _chain() -> DenseModel:
     groups = [Parameter(f"springs {g}", (), 0.3, 3.0, "log", 0.3) for g in range(5)]
     places = [
         Parameter(
-            f"mass at {i}", (CardField("CONM2", i, "M", (), TOTAL),), 1 - 1e-7, 1.4, "linear", 0.05
+            f"mass at {i}",
+            (CardField("CONM2", i, "M", (), TOTAL),),
+            1 - 1e-7,
+            1.4,
+            "linear",
+            0.05,
         )
         for i in PLACES
     ]
@@ -73,7 +85,9 @@ def test_sets_with_masses_are_sought_only_where_one_makes_a_set_better(
 ) -> None:
     aim, asked = _aim(truth), list[int]()
 
-    def search(barred: Sequence[int], known: Sequence[FittedSet], told: Progress) -> Subsets:
+    def search(
+        barred: Sequence[int], known: Sequence[FittedSet], told: Progress
+    ) -> Subsets:
         asked.append(len(barred))
         plain = Search.of(single(_chain(), aim), SETTINGS, barred=barred)
         return subsets(plain, told, known)
@@ -98,16 +112,24 @@ def test_a_point_of_a_search_has_all_squares_and_products_in_few_rows() -> None:
     assert few.value.size == 8 + 7 + 1
     of_frequency = slice(0, 8)
     np.testing.assert_array_equal(few.slope[of_frequency], whole.slope[of_frequency])
-    for rows, same in ((few.quantity == 0, of_frequency), (few.quantity == 1, slice(8, None))):
+    for rows, same in (
+        (few.quantity == 0, of_frequency),
+        (few.quantity == 1, slice(8, None)),
+    ):
         one = np.column_stack([few.slope[rows], few.value[rows]])
         other = np.column_stack([whole.slope[same], whole.value[same]])
         np.testing.assert_allclose(
-            one.T @ one, other.T @ other, rtol=1e-9, atol=1e-9 * np.abs(other.T @ other).max()
+            one.T @ one,
+            other.T @ other,
+            rtol=1e-9,
+            atol=1e-9 * np.abs(other.T @ other).max(),
         )
     fresh = Search.of(single(_chain(), aim), SETTINGS)
     assert fresh.value(x).value @ fresh.value(x).value == pytest.approx(
         whole.value @ whole.value, rel=1e-9
     )
     np.testing.assert_allclose(
-        fresh.point(x).slope.T @ fresh.point(x).slope, few.slope.T @ few.slope, rtol=1e-9
+        fresh.point(x).slope.T @ fresh.point(x).slope,
+        few.slope.T @ few.slope,
+        rtol=1e-9,
     )

@@ -42,12 +42,20 @@ def chain(n: int, groups: int, *, kind: str = "log") -> DenseModel:
     names = ParameterSet(
         tuple(Parameter(f"k{g + 1}", (), 0.2, 5.0, kind, 2.0) for g in range(groups))
     )
-    return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names)
+    return DenseModel.springs(
+        spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names
+    )
 
 
 def target(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
     at = model.modes(x)
-    return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)
+    return Target(
+        at.frequencies[:m],
+        at.shapes[:, :m],
+        np.zeros(m),
+        np.ones(m, dtype=bool),
+        **more,
+    )
 
 
 @pytest.mark.parametrize("kind", ["log", "linear"])
@@ -59,10 +67,15 @@ def test_model_derivatives_have_a_taylor_remainder_of_second_order(kind: str) ->
     def remainder(h: float) -> tuple[float, float]:
         there = model.modes(x + h * d)
         sign = np.sign((there.shapes * at.shapes).sum(axis=0))
-        lam, lam0 = (2 * np.pi * there.frequencies) ** 2, (2 * np.pi * at.frequencies) ** 2
+        lam, lam0 = (
+            (2 * np.pi * there.frequencies) ** 2,
+            (2 * np.pi * at.frequencies) ** 2,
+        )
         return (
             float(np.linalg.norm(lam - lam0 - h * at.d_lambda @ d)),
-            float(np.linalg.norm(there.shapes * sign - at.shapes - h * at.d_shapes @ d)),
+            float(
+                np.linalg.norm(there.shapes * sign - at.shapes - h * at.d_shapes @ d)
+            ),
         )
 
     coarse, fine = remainder(1e-3), remainder(1e-4)
@@ -74,9 +87,13 @@ def test_residual_slope_is_the_derivative(weight: float) -> None:
     model = chain(9, 3)
     aim = target(model, np.array([0.3, -0.1, 0.2]), 5, weights=Weights(shape=weight))
     x, d, h = np.zeros(3), np.array([0.3, 0.5, -0.4]), 1e-5
-    plus, minus = (residual_at(single(model, aim), x + s * h * d).value for s in (1, -1))
+    plus, minus = (
+        residual_at(single(model, aim), x + s * h * d).value for s in (1, -1)
+    )
     slope = residual_at(single(model, aim), x).slope @ d
-    np.testing.assert_allclose((minus - plus) / (2 * h), slope, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose(
+        (minus - plus) / (2 * h), slope, atol=1e-6 * np.abs(slope).max()
+    )
 
 
 def test_shape_part_is_one_minus_mac() -> None:
@@ -94,8 +111,12 @@ def test_scale_and_sign_of_test_shapes_do_not_matter() -> None:
     other = Target(aim.frequencies, aim.shapes * [3.0, -2, 1, -0.1], aim.std, aim.used)
     x = np.zeros(3)
     one, two = (residual_at(single(model, t), x) for t in (aim, other))
-    assert single(model, aim).cost(x) == pytest.approx(single(model, other).cost(x), rel=1e-10)
-    np.testing.assert_allclose(one.slope.T @ one.value, two.slope.T @ two.value, rtol=1e-8)
+    assert single(model, aim).cost(x) == pytest.approx(
+        single(model, other).cost(x), rel=1e-10
+    )
+    np.testing.assert_allclose(
+        one.slope.T @ one.value, two.slope.T @ two.value, rtol=1e-8
+    )
 
 
 def test_rotation_inside_a_close_pair_costs_nothing() -> None:
@@ -104,12 +125,19 @@ def test_rotation_inside_a_close_pair_costs_nothing() -> None:
     """
     k, m = chain(3, 1).stiffness, chain(3, 1).mass
     zero = np.zeros((3, 3))
-    left, right = np.block([[k, zero], [zero, zero]]), np.block([[zero, zero], [zero, k]])
+    left, right = (
+        np.block([[k, zero], [zero, zero]]),
+        np.block([[zero, zero], [zero, k]]),
+    )
     names = ParameterSet((Parameter("both", ()),))
-    model = DenseModel.springs(left + right, np.kron(np.eye(2), m), (left + right)[None], names)
+    model = DenseModel.springs(
+        left + right, np.kron(np.eye(2), m), (left + right)[None], names
+    )
     at = model.modes(np.zeros(1))
     turn = np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
-    aim = Target(at.frequencies[:2], at.shapes[:, :2] @ turn, np.zeros(2), np.ones(2, dtype=bool))
+    aim = Target(
+        at.frequencies[:2], at.shapes[:, :2] @ turn, np.zeros(2), np.ones(2, dtype=bool)
+    )
     r = residual_at(single(model, aim), np.zeros(1))
     assert r.used.sum() == 2
     assert r.value @ r.value < 1e-20
@@ -118,7 +146,9 @@ def test_rotation_inside_a_close_pair_costs_nothing() -> None:
 
 def test_held_modes_keep_a_partner_below_the_gate_and_lost_ones_cost() -> None:
     model = chain(9, 3)
-    aim = target(model, np.array([0.5, -0.4, 0.4]), 5, pairing=PairingSettings(mac_gate=0.97))
+    aim = target(
+        model, np.array([0.5, -0.4, 0.4]), 5, pairing=PairingSettings(mac_gate=0.97)
+    )
     now = model.linearise(np.zeros(3))
     plain, _, _ = match(aim, now)
     held, _, _ = match(aim, now, np.ones(5, dtype=bool))
@@ -130,7 +160,9 @@ def test_held_modes_keep_a_partner_below_the_gate_and_lost_ones_cost() -> None:
     assert len(whole.points[0].pairs) == 5
     assert problem.shared(whole, at) == pytest.approx(float(at.value @ at.value))
     assert problem.shared(at, whole) is None
-    assert at.cost == pytest.approx(float(at.value @ at.value) + LOST * (5 - len(plain)))
+    assert at.cost == pytest.approx(
+        float(at.value @ at.value) + LOST * (5 - len(plain))
+    )
 
 
 def test_dense_model_held_to_some_parameters() -> None:
@@ -141,7 +173,9 @@ def test_dense_model_held_to_some_parameters() -> None:
         part.modes(x[[2]]).frequencies, model.modes(x).frequencies, rtol=1e-12
     )
     np.testing.assert_allclose(
-        part.linearise(x[[2]]).d_lambda[:, 0], model.linearise(x).d_lambda[:, 2], rtol=1e-9
+        part.linearise(x[[2]]).d_lambda[:, 0],
+        model.linearise(x).d_lambda[:, 2],
+        rtol=1e-9,
     )
 
 
@@ -150,7 +184,9 @@ def test_input_is_checked() -> None:
         Target(np.ones(5), np.ones((3, 4)), np.ones(5), np.ones(5, dtype=bool))
     model = chain(4, 2)
     with pytest.raises(InputError, match="2 parameters and 4 DOFs"):
-        DenseModel.springs(model.stiffness, model.mass, model.d_stiffness[:1], model.parameters)
+        DenseModel.springs(
+            model.stiffness, model.mass, model.d_stiffness[:1], model.parameters
+        )
 
 
 def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
@@ -167,7 +203,11 @@ def test_a_mode_that_the_model_does_not_have_lets_go() -> None:
     shapes[:, 4] = np.sqrt(0.8) * psi + np.sqrt(0.2) * alien / np.linalg.norm(alien)
     f = true.frequencies * np.array([1, 1, 1, 1, 1.08])
     aim = Target(
-        f, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(frequency=0.01, mac=0.05, shape=1.0)
+        f,
+        shapes,
+        np.zeros(5),
+        np.ones(5, dtype=bool),
+        Weights(frequency=0.01, mac=0.05, shape=1.0),
     )
     pulled = solve(single(model, aim))
     near = solve(single(model, aim.doubting()), start=pulled.x)
@@ -242,7 +282,9 @@ def test_other_starts_are_for_modes_that_the_model_has() -> None:
     shapes[:, 4] = np.eye(9)[4]
     for given, own in ((shapes, 0), (aim.shapes, 1)):
         f = aim.frequencies * np.array([1, 1, 1, 1, 0.5])
-        problem = Problem((Configuration(model, replace(aim, frequencies=f, shapes=given)),))
+        problem = Problem(
+            (Configuration(model, replace(aim, frequencies=f, shapes=given)),)
+        )
         end = settled(problem).solution.end
         assert lost(problem, end) == 1
         assert displaced(problem, end) == own
@@ -292,7 +334,8 @@ class Rough:
         rng = np.random.default_rng(np.frombuffer(x.tobytes(), dtype=np.uint32))
         return replace(
             at,
-            frequencies=at.frequencies * (1 + self.size * rng.standard_normal(at.frequencies.size)),
+            frequencies=at.frequencies
+            * (1 + self.size * rng.standard_normal(at.frequencies.size)),
         )
 
 
@@ -307,7 +350,9 @@ def test_what_is_left_at_the_minimum_is_round_off_and_no_stall() -> None:
     assert best.outcome is Outcome.CONVERGED
     for seed in range(12):  # from where an updating on another basis has ended
         start = best.x + 1e-6 * np.random.default_rng(seed).standard_normal(3)
-        assert solve(single(Rough(model), aim), start=start).outcome is Outcome.CONVERGED
+        assert (
+            solve(single(Rough(model), aim), start=start).outcome is Outcome.CONVERGED
+        )
 
 
 def test_a_mode_that_has_a_partner_is_not_paired_anew_by_the_gates_of_those_that_lose_theirs() -> (
@@ -317,10 +362,17 @@ def test_a_mode_that_has_a_partner_is_not_paired_anew_by_the_gates_of_those_that
     # looks better
     shapes = np.sqrt(np.array([[0.80, 0.86], [0.20, 0.0], [0.0, 0.14]]))
     now = Linearisation(
-        np.zeros(1), np.array([10.0, 13.5]), shapes, np.zeros((2, 1)), np.zeros((3, 2, 1))
+        np.zeros(1),
+        np.array([10.0, 13.5]),
+        shapes,
+        np.zeros((2, 1)),
+        np.zeros((3, 2, 1)),
     )
     aim = Target(
-        np.array([10.0]), np.array([[1.0], [0.0], [0.0]]), np.zeros(1), np.ones(1, dtype=bool)
+        np.array([10.0]),
+        np.array([[1.0], [0.0], [0.0]]),
+        np.zeros(1),
+        np.ones(1, dtype=bool),
     )
     for held in (None, np.ones(1, dtype=bool)):
         pairs, _, _ = match(aim, now, held)
@@ -332,10 +384,17 @@ def test_a_mode_that_loses_its_partner_comes_before_one_that_had_none() -> None:
     # just inside
     one, two = np.sqrt([0.50, 0.50, 0.0]), np.sqrt([0.65, 0.0, 0.35])
     now = Linearisation(
-        np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1))
+        np.zeros(1),
+        np.array([10.0]),
+        np.eye(3)[:, :1],
+        np.zeros((1, 1)),
+        np.zeros((3, 1, 1)),
     )
     aim = Target(
-        np.array([10.0, 10.5]), np.stack([one, two], axis=1), np.zeros(2), np.ones(2, dtype=bool)
+        np.array([10.0, 10.5]),
+        np.stack([one, two], axis=1),
+        np.zeros(2),
+        np.ones(2, dtype=bool),
     )
     assert match(aim, now)[0].tolist() == [[1, 0]]
     assert match(aim, now, np.array([True, False]))[0].tolist() == [[0, 0]]
@@ -349,13 +408,23 @@ def test_another_shape_at_the_right_frequency_is_no_partner(deviation: float) ->
     own, other = np.array([1.0, 0.1, 0.0]), np.sqrt([0.4, 0.0, 0.6])
     f = np.array([10 * (1 + deviation), 10.0])
     now = Linearisation(
-        np.zeros(1), f, np.stack([own, other], axis=1), np.zeros((2, 1)), np.zeros((3, 2, 1))
+        np.zeros(1),
+        f,
+        np.stack([own, other], axis=1),
+        np.zeros((2, 1)),
+        np.zeros((3, 2, 1)),
     )
     gates = PairingSettings(close=0.0)
     aim = Target(
-        np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool), pairing=gates
+        np.array([10.0]),
+        np.eye(3)[:, :1],
+        np.zeros(1),
+        np.ones(1, dtype=bool),
+        pairing=gates,
     )
-    assert match(aim.doubting(), now)[0].tolist() == ([[0, 0]] if deviation < 0.04 else [])
+    assert match(aim.doubting(), now)[0].tolist() == (
+        [[0, 0]] if deviation < 0.04 else []
+    )
     cheap = replace(aim.doubting(), rule="cost")
     assert match(cheap, now)[0].tolist() == [[0, 0 if deviation < 0.04 else 1]]
 
@@ -363,10 +432,16 @@ def test_another_shape_at_the_right_frequency_is_no_partner(deviation: float) ->
 def test_near_the_end_a_pair_that_is_forbidden_stays_so() -> None:
     """Inside the wider gates, too."""
     now = Linearisation(
-        np.zeros(1), np.array([10.0]), np.eye(3)[:, :1], np.zeros((1, 1)), np.zeros((3, 1, 1))
+        np.zeros(1),
+        np.array([10.0]),
+        np.eye(3)[:, :1],
+        np.zeros((1, 1)),
+        np.zeros((3, 1, 1)),
     )
     known = Followed((), np.zeros((3, 0)), (0,), np.eye(3)[:, :1])
-    aim = Target(np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool))
+    aim = Target(
+        np.array([10.0]), np.eye(3)[:, :1], np.zeros(1), np.ones(1, dtype=bool)
+    )
     assert len(match(aim.doubting(), now)[0]) == 1
     assert not len(match(replace(aim, followed=known).doubting(), now)[0])
 
@@ -378,12 +453,23 @@ def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> No
     f, every = np.array([30.0, 10.0, 20.0, 25.0, 40.0]), np.eye(5)
     known = Followed((0, 2, 3), every[:, [0, 3, 2]], (1, 4), every[:, [2, 1]])
     used = np.array([True, True, False, True, True])
-    aim = Target(f, every, np.zeros(5), used, pairing=PairingSettings(mac_gate=0.0), followed=known)
+    aim = Target(
+        f,
+        every,
+        np.zeros(5),
+        used,
+        pairing=PairingSettings(mac_gate=0.0),
+        followed=known,
+    )
     low = aim.lowest(2)
     assert low.frequencies.tolist() == [10.0, 20.0, 25.0]
     assert low.used.tolist() == [True, False, True]
     now = Linearisation(
-        np.zeros(1), np.sort(f), every[:, np.argsort(f)], np.zeros((5, 1)), np.zeros((5, 5, 1))
+        np.zeros(1),
+        np.sort(f),
+        every[:, np.argsort(f)],
+        np.zeros((5, 1)),
+        np.zeros((5, 5, 1)),
     )
     of_all = {f[t]: m for t, m in match(aim, now)[0].tolist() if f[t] <= 25}
     assert {low.frequencies[t]: m for t, m in match(low, now)[0].tolist()} == of_all
@@ -394,15 +480,24 @@ def test_the_lowest_modes_of_a_test_keep_the_pairs_that_the_user_decides() -> No
 def test_a_mode_left_out_that_is_far_off_is_counted() -> None:
     """The settled pairs of an updating drop it; the figure that judges the set must not."""
     now = Linearisation(
-        np.zeros(1), np.array([10.0, 21.5, 30.0]), np.eye(3), np.zeros((3, 1)), np.zeros((3, 3, 1))
+        np.zeros(1),
+        np.array([10.0, 21.5, 30.0]),
+        np.eye(3),
+        np.zeros((3, 1)),
+        np.zeros((3, 3, 1)),
     )
     aim = Target(
-        np.array([10.0, 20.0, 30.0]), np.eye(3), np.zeros(3), np.array([True, False, True])
+        np.array([10.0, 20.0, 30.0]),
+        np.eye(3),
+        np.zeros(3),
+        np.array([True, False, True]),
     )
     settled_pairs = match(aim.settled(now), now)[0]
     assert aim.used[settled_pairs[:, 0]].all()
     assert left_out_deviation([aim], [now]) == pytest.approx(7.5)
-    assert np.isnan(left_out_deviation([replace(aim, used=np.ones(3, dtype=bool))], [now]))
+    assert np.isnan(
+        left_out_deviation([replace(aim, used=np.ones(3, dtype=bool))], [now])
+    )
 
 
 def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel:
@@ -422,7 +517,9 @@ def with_local_part(mass: float, frequency: float, x: float = 0.0) -> DenseModel
     part = np.zeros((1, n + 1, n + 1))
     part[0, :n, :n] = bare.stiffness
     whole = stiffness + mass * first * np.outer(held, held)
-    made = DenseModel.springs(whole, np.diag([*np.diag(bare.mass), mass]), part, bare.parameters)
+    made = DenseModel.springs(
+        whole, np.diag([*np.diag(bare.mass), mass]), part, bare.parameters
+    )
     return replace(made, observation=np.eye(n, n + 1))
 
 
@@ -450,7 +547,9 @@ def test_objective_is_zero_at_the_truth_with_a_mode_that_hardly_moves_the_sensor
 
 @pytest.mark.parametrize("rule", ["gates", "capped", "cost"])
 @pytest.mark.parametrize("mass", [1e-6, 1e-8])
-def test_local_mode_beside_a_global_one_is_not_taken_for_it(rule: str, mass: float) -> None:
+def test_local_mode_beside_a_global_one_is_not_taken_for_it(
+    rule: str, mass: float
+) -> None:
     """The thing has no such part and is softer; in the deck the part has the frequency that was
     measured.
     """
@@ -467,4 +566,5 @@ def test_local_mode_beside_a_global_one_is_not_taken_for_it(rule: str, mass: flo
     if rule != "gates":
         return  # the chain's own mode is so far off that it costs more than none
     done = solve(Problem((Configuration(model, measured),)))
-    np.testing.assert_allclose(done.x, truth, atol=0.01)  # the prior and the noise of the shape
+    # the prior and the noise of the shape
+    np.testing.assert_allclose(done.x, truth, atol=0.01)

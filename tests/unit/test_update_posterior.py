@@ -52,10 +52,14 @@ def chain(each: np.ndarray | None = None, std: float = 0.5) -> DenseModel:
     names = ParameterSet(
         tuple(Parameter(f"k{g + 1}", (), 0.1, 10.0, "log", std) for g in range(GROUPS))
     )
-    return DenseModel.springs(spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(N)), parts, names)
+    return DenseModel.springs(
+        spring.sum(axis=0), np.diag(1 + 0.05 * np.arange(N)), parts, names
+    )
 
 
-def measured(model: DenseModel, x: np.ndarray, rng: np.random.Generator, **more: object) -> Target:
+def measured(
+    model: DenseModel, x: np.ndarray, rng: np.random.Generator, **more: object
+) -> Target:
     """Noisy modes of the model at x."""
     at = model.modes(x)
     f = at.frequencies[:MODES] * (1 + NOISE_F * rng.standard_normal(MODES))
@@ -66,7 +70,9 @@ def measured(model: DenseModel, x: np.ndarray, rng: np.random.Generator, **more:
 
 
 @pytest.mark.parametrize("case", ["likelihood", "shape as one datum", "size unknown"])
-def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: str) -> None:
+def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(
+    case: str,
+) -> None:
     """100 repeats of noise, the truth drawn from the prior each time."""
     model, rng = chain(), np.random.default_rng(3)
     expected = (
@@ -88,7 +94,9 @@ def test_90_percent_intervals_hold_the_truth_85_to_95_percent_of_the_time(case: 
         end = solve(problem, start=truth).end
         scale = None if case == "size unknown" else np.ones(2)
         independent = 1.0 if case == "likelihood" else None
-        band = np.log(laplace(problem, end, scale, independent=independent).interval(0.9))
+        band = np.log(
+            laplace(problem, end, scale, independent=independent).interval(0.9)
+        )
         inside.append((band[:, 0] <= truth) & (truth <= band[:, 1]))
     assert 0.85 <= np.mean(inside) <= 0.95
 
@@ -102,7 +110,12 @@ def test_parameters_that_were_not_updated_may_be_off_too() -> None:
     for _ in range(50):
         truth = 0.1 * rng.standard_normal(GROUPS)
         aim = measured(
-            model, truth, rng, weights=Weights(1e-9, expected, 1.0), rule="cost", lost=1e6
+            model,
+            truth,
+            rng,
+            weights=Weights(1e-9, expected, 1.0),
+            rule="cost",
+            lost=1e6,
         )
         full = Problem((as_likelihood(Configuration(model, aim), 0.0, expected),))
         some = held_to(full, ["k1", "k2"])
@@ -121,7 +134,11 @@ def test_parameters_that_were_not_updated_may_be_off_too() -> None:
 
 def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
     """The covariance is that of the estimate over repeated noise, whatever the objective weighs."""
-    model, rng, truth = chain(std=5.0), np.random.default_rng(5), np.array([0.2, -0.3, 0.1, 0.0])
+    model, rng, truth = (
+        chain(std=5.0),
+        np.random.default_rng(5),
+        np.array([0.2, -0.3, 0.1, 0.0]),
+    )
     expected = NOISE_SHAPE**2 * (N - 1) / N
     ends, told = [], []
     for _ in range(60):
@@ -131,13 +148,20 @@ def test_a_shape_counted_as_one_datum_does_not_widen_the_truth() -> None:
         ends.append(end.x)
         told.append(laplace(problem, end, np.ones(2)).std)
     # a standard deviation from 60 draws is itself known to 9 %; three of that
-    np.testing.assert_allclose(np.mean(told, axis=0), np.std(ends, axis=0, ddof=1), rtol=0.27)
+    np.testing.assert_allclose(
+        np.mean(told, axis=0), np.std(ends, axis=0, ddof=1), rtol=0.27
+    )
 
 
 def test_sampling_agrees_with_laplace_where_the_model_is_close_to_linear() -> None:
     rng, model = np.random.default_rng(1), chain().with_parameters([0, 2])
     aim = measured(
-        model, np.array([0.2, 0.1]), rng, weights=Weights(0.0, 0.05, 0.0), rule="cost", lost=1e6
+        model,
+        np.array([0.2, 0.1]),
+        rng,
+        weights=Weights(0.0, 0.05, 0.0),
+        rule="cost",
+        lost=1e6,
     )
     problem = Problem((Configuration(model, aim),))
     normal = laplace(problem, solve(problem).end, np.ones(1))
@@ -145,7 +169,9 @@ def test_sampling_agrees_with_laplace_where_the_model_is_close_to_linear() -> No
     assert 0.4 < found.acceptance < 0.9
     assert found.size > 60
     # 60 independent samples: mean to 0.13, standard deviation to 9 %; three of each
-    np.testing.assert_allclose(found.flat().mean(axis=0), normal.x, atol=0.39 * normal.std.max())
+    np.testing.assert_allclose(
+        found.flat().mean(axis=0), normal.x, atol=0.39 * normal.std.max()
+    )
     np.testing.assert_allclose(found.flat().std(axis=0), normal.std, rtol=0.27)
 
 
@@ -180,9 +206,14 @@ def test_left_out_frequencies_of_another_form_lie_in_their_bands() -> None:
     for _ in range(8):
         twin = chain(np.exp(0.1 * rng.standard_normal(N)))
         aim = measured(
-            twin, np.array([0.2, -0.2, 0.1, 0.0]), rng, weights=Weights(0.005, 0.02, 0.0)
+            twin,
+            np.array([0.2, -0.2, 0.1, 0.0]),
+            rng,
+            weights=Weights(0.005, 0.02, 0.0),
         )
-        conf, held = with_discrepancy(Configuration(chain(), aim), folds_of(aim.used, 4))
+        conf, held = with_discrepancy(
+            Configuration(chain(), aim), folds_of(aim.used, 4)
+        )
         inside.append(held.inside(0.9)[np.isfinite(held.predicted)])
         assert conf.target.weights.frequency > NOISE_F
     assert 0.8 <= np.mean(np.concatenate(inside)) <= 0.98
@@ -214,7 +245,9 @@ def test_discrepancy_keeps_the_posterior_from_collapsing() -> None:
     blind = Problem((Configuration(chain(), aim),))
     conf, _ = with_discrepancy(Configuration(chain(), aim), folds_of(aim.used, 4))
     honest = Problem((conf,))
-    tight, wide = (laplace(p, solve(p).end, np.ones(n)).std for p, n in ((blind, 1), (honest, 1)))
+    tight, wide = (
+        laplace(p, solve(p).end, np.ones(n)).std for p, n in ((blind, 1), (honest, 1))
+    )
     assert (wide > 2 * tight).all()
 
 
@@ -230,7 +263,9 @@ def test_discrepancy_that_makes_the_parameters_uncertain_too_is_smaller() -> Non
     rng = np.random.default_rng(7)
     gain = rng.uniform(1.0, 4.0, 20_000)
     error = 0.03 * np.sqrt(gain) * rng.standard_normal(gain.size)
-    assert discrepancy(error, np.zeros(gain.size), gain) == pytest.approx(0.03, rel=0.06)
+    assert discrepancy(error, np.zeros(gain.size), gain) == pytest.approx(
+        0.03, rel=0.06
+    )
 
 
 def test_parts_of_the_variance_of_the_parameters_add_up() -> None:
@@ -238,7 +273,8 @@ def test_parts_of_the_variance_of_the_parameters_add_up() -> None:
     problem = Problem(
         (
             Configuration(
-                model, measured(model, np.zeros(GROUPS), np.random.default_rng(1), weights=w)
+                model,
+                measured(model, np.zeros(GROUPS), np.random.default_rng(1), weights=w),
             ),
         )
     )
@@ -260,7 +296,9 @@ def test_same_form_has_no_discrepancy_beyond_its_noise() -> None:
 
 def test_posterior_of_linked_parameters_and_its_draws() -> None:
     names = ParameterSet(tuple(Parameter(n, (), 0.1, 10.0, "log", 0.5) for n in "ab"))
-    both = Posterior(names, np.array([0.1]), np.array([[0.04]]), np.ones((2, 1)), names.std())
+    both = Posterior(
+        names, np.array([0.1]), np.array([[0.04]]), np.ones((2, 1)), names.std()
+    )
     np.testing.assert_allclose(both.std, 0.2)
     np.testing.assert_allclose(both.ratio, 0.4)
     assert both.moved.all()
@@ -268,10 +306,14 @@ def test_posterior_of_linked_parameters_and_its_draws() -> None:
     np.testing.assert_allclose(draws[:, 0], draws[:, 1])
     assert draws.std() == pytest.approx(0.2, rel=0.02)
     reach = 1.6448536 * 0.2
-    np.testing.assert_allclose(both.interval(0.9)[0], np.exp([0.1 - reach, 0.1 + reach]), rtol=1e-6)
+    np.testing.assert_allclose(
+        both.interval(0.9)[0], np.exp([0.1 - reach, 0.1 + reach]), rtol=1e-6
+    )
 
 
-def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_draws_do_not_depend_on_signs_of_eigenvectors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Three parameters, two of them correlated, with standard deviations a million apart."""
     names = ParameterSet(tuple(Parameter(n, (), 1e-9, 1e9, "log", 0.5) for n in "abc"))
     covariance = np.array([[0.04, 0.0, 1e-8], [0.0, 0.04, 0.0], [1e-8, 0.0, 4e-14]])
@@ -280,7 +322,9 @@ def test_draws_do_not_depend_on_signs_of_eigenvectors(monkeypatch: pytest.Monkey
     std = np.sqrt(np.diag(covariance))
     scatter = 4 * np.sqrt(2 / 20_000)  # of a variance from so many draws
     np.testing.assert_allclose(
-        np.cov(first.T) / np.outer(std, std), covariance / np.outer(std, std), atol=scatter
+        np.cov(first.T) / np.outer(std, std),
+        covariance / np.outer(std, std),
+        atol=scatter,
     )
     plain = linalg.eigh
 
@@ -322,8 +366,12 @@ def test_changes_that_the_test_does_not_prove() -> None:
     assert "holds 1; it may take up an error of the model's form" in flags[0].text
     assert "turns round" in flags[1].text
     others = form_flags(names, np.exp(x), interval, share, tied)
-    assert "holds 1; the test knows it and d together, not each by itself" in others[0].text
-    assert others[1].text == flags[1].text  # its interval does not hold 1: it is known by itself
+    assert (
+        "holds 1; the test knows it and d together, not each by itself"
+        in others[0].text
+    )
+    # its interval does not hold 1: it is known by itself
+    assert others[1].text == flags[1].text
     assert np.isnan(kept(x, np.zeros((0, 4)))).all()
 
 
@@ -333,17 +381,27 @@ def test_a_mass_that_may_be_none_is_not_proven_however_light() -> None:
     """
     places = (CardField("CONM2", n, "M", step=4000.0) for n in (7, 8))
     masses = ParameterSet(
-        (*(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places), Parameter("E"))
+        (
+            *(Parameter(f"mass {t.id}", (t,), 0.9999999, 1.4) for t in places),
+            Parameter("E"),
+        )
     )
     factor = np.array([1.015, 1.015, 1.015])
     interval = np.array([[0.9999999, 1.03], [1.01, 1.02], [0.99, 1.04]])
     (flag,) = form_flags(masses, factor, interval, np.ones(3), np.eye(3))
-    assert flag.text.startswith("mass 7: mass 60, but its interval, 0 to 120, holds none;")
+    assert flag.text.startswith(
+        "mass 7: mass 60, but its interval, 0 to 120, holds none;"
+    )
 
 
 def test_input_is_checked() -> None:
     with pytest.raises(InputError, match="even number"):
-        ensemble(lambda x: -(x**2).sum(axis=1), np.zeros((3, 2)), 10, np.random.default_rng(0))
+        ensemble(
+            lambda x: -(x**2).sum(axis=1),
+            np.zeros((3, 2)),
+            10,
+            np.random.default_rng(0),
+        )
     with pytest.raises(InputError, match="5 folds of 4 modes"):
         folds_of(np.ones(4, dtype=bool), 5)
     names = ParameterSet((Parameter("a"),))

@@ -50,7 +50,9 @@ def row(count: int = N) -> DenseModel:
         if i:
             v[i - 1] = -1
         spring[i] = 4e4 * np.outer(v, v)
-    parts = np.array([spring[3 * g : 3 * g + 3].sum(axis=0) for g in range(3)] + [np.zeros((N, N))])
+    parts = np.array(
+        [spring[3 * g : 3 * g + 3].sum(axis=0) for g in range(3)] + [np.zeros((N, N))]
+    )
     mass = np.diag(1 + 0.05 * np.arange(N))
     d_mass = np.zeros_like(parts)
     d_mass[3, 6:, 6:] = mass[6:, 6:]
@@ -64,7 +66,12 @@ def aim(model: DenseModel, modes: int = 5) -> Target:
     at = model.modes(np.array([0.4, -0.2, 0.3, 0.1]))
     rng = np.random.default_rng(3)
     shapes = at.shapes[:, :modes] * (1 + 0.05 * rng.standard_normal((N, modes)))
-    return Target(at.frequencies[:modes], shapes, np.full(modes, 0.002), np.ones(modes, dtype=bool))
+    return Target(
+        at.frequencies[:modes],
+        shapes,
+        np.full(modes, 0.002),
+        np.ones(modes, dtype=bool),
+    )
 
 
 def check(term: Term, model: DenseModel, target: Target, x: np.ndarray = X) -> None:
@@ -76,7 +83,9 @@ def check(term: Term, model: DenseModel, target: Target, x: np.ndarray = X) -> N
         return term(point(model, model.linearise(y), target)).value
 
     block = term(point(model, model.linearise(x), target))
-    got = np.stack([(at(x - e) - at(x + e)) / 2e-5 for e in 1e-5 * np.eye(x.size)], axis=1)
+    got = np.stack(
+        [(at(x - e) - at(x + e)) / 2e-5 for e in 1e-5 * np.eye(x.size)], axis=1
+    )
     assert block.slope.shape == got.shape
     assert block.datum.size == block.mode.size == block.value.size > 0
     np.testing.assert_allclose(block.slope, got, atol=DIFFERENCE * np.abs(got).max())
@@ -99,7 +108,9 @@ KINDS = {
     "mac ratio": lambda m: Mac(form="ratio"),
     "log frf": lambda m: frf(m, "log"),
     "complex frf": lambda m: frf(m, "complex"),
-    "anti-resonances": lambda m: AntiResonances(3, 3, np.array([4.0, 11.0, 17.0, 23.0])),
+    "anti-resonances": lambda m: AntiResonances(
+        3, 3, np.array([4.0, 11.0, 17.0, 23.0])
+    ),
     "frf at complex frequencies": lambda m: replace(frf(m, "log"), decay=0.1),
     "static": lambda m: StaticDeflections(np.eye(N)[:, [2, 8]], np.full((N, 2), 1e-4)),
 }
@@ -112,7 +123,9 @@ def test_sensitivity_is_the_derivative(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_residual_of_the_truth_is_zero_and_blind_to_the_scale_of_test_shapes(kind: str) -> None:
+def test_residual_of_the_truth_is_zero_and_blind_to_the_scale_of_test_shapes(
+    kind: str,
+) -> None:
     model = row()
     x = X * [1, 1, 1, 0]  # cross-orthogonality is with the nominal mass
     at = model.linearise(x)
@@ -128,7 +141,9 @@ def test_residual_of_the_truth_is_zero_and_blind_to_the_scale_of_test_shapes(kin
     if isinstance(term, AntiResonances):
         term = replace(term, frequencies=np.sqrt(zeros(at, 3, 3)[0][:4]) / (2 * np.pi))
     if isinstance(term, StaticDeflections):
-        term = replace(term, measured=linalg.solve(matrices_at(model, x).stiffness, term.loads))
+        term = replace(
+            term, measured=linalg.solve(matrices_at(model, x).stiffness, term.loads)
+        )
     assert np.abs(term(point(model, at, target)).value).max() < 1e-8
 
 
@@ -156,7 +171,9 @@ def test_mac_residuals_are_those_of_the_mac() -> None:
         Mac(1.0, "ratio")(at).value, (1 - np.sqrt(at.mac)) / np.sqrt(at.mac), atol=1e-12
     )
     shape = Shapes(1.0)(at)
-    np.testing.assert_allclose(np.bincount(shape.datum, shape.value**2), 1 - at.mac, atol=1e-12)
+    np.testing.assert_allclose(
+        np.bincount(shape.datum, shape.value**2), 1 - at.mac, atol=1e-12
+    )
 
 
 def test_frf_is_the_direct_solution() -> None:
@@ -168,10 +185,14 @@ def test_frf_is_the_direct_solution() -> None:
     h, _ = term.response(point(model, model.linearise(X), aim(model)))
     for q, w in enumerate((2 * np.pi * term.freqs).tolist()):
         direct = -(w**2) * np.linalg.inv(m.stiffness - w**2 * m.mass + 1j * w * d)
-        np.testing.assert_allclose(h[q], direct[np.ix_(term.outputs, term.inputs)], rtol=1e-10)
+        np.testing.assert_allclose(
+            h[q], direct[np.ix_(term.outputs, term.inputs)], rtol=1e-10
+        )
 
 
-def test_a_frf_that_symmetry_or_noise_leaves_nothing_of_does_not_drown_the_others() -> None:
+def test_a_frf_that_symmetry_or_noise_leaves_nothing_of_does_not_drown_the_others() -> (
+    None
+):
     """Two masses that do not feel each other: the model's transfer FRF is 0, the measured one noise
     80 dB down.
     """
@@ -182,11 +203,16 @@ def test_a_frf_that_symmetry_or_noise_leaves_nothing_of_does_not_drown_the_other
     both = np.array([0, 1])
     term = Frf(np.array([5.0, 12.0]), np.ones((2, 2, 2)), both, both, 0.02)
     now = model.linearise(np.array([0.1]))
-    target = Target(now.frequencies, now.shapes, np.full(2, 0.002), np.ones(2, dtype=bool))
+    target = Target(
+        now.frequencies, now.shapes, np.full(2, 0.002), np.ones(2, dtype=bool)
+    )
     true, _ = term.response(point(model, now, target))
-    noise = 1e-4 * np.array([[0, 1], [1, 0]]) * np.abs(true).max(axis=(1, 2), keepdims=True)
+    noise = (
+        1e-4 * np.array([[0, 1], [1, 0]]) * np.abs(true).max(axis=(1, 2), keepdims=True)
+    )
     term = replace(term, measured=true + noise)
-    assert np.abs(term(point(model, now, target)).value).max() < 0.1  # in standard deviations
+    # in standard deviations
+    assert np.abs(term(point(model, now, target)).value).max() < 0.1
     check(term, model, target, np.array([0.0]))
 
 
@@ -233,11 +259,17 @@ def test_reduced_model_gives_the_same_matrices_projected() -> None:
         sparse.eye_array(N).tocsr(),
     )
     reduced = reduced_model(system, 4)
-    v, small, whole = reduced.basis.vectors, matrices_at(reduced, X), matrices_at(dense, X)
+    v, small, whole = (
+        reduced.basis.vectors,
+        matrices_at(reduced, X),
+        matrices_at(dense, X),
+    )
     np.testing.assert_allclose(small.stiffness, v.T @ whole.stiffness @ v, atol=1e-8)
     np.testing.assert_allclose(small.d_mass[3], v.T @ whole.d_mass[3] @ v, atol=1e-10)
     part = reduced.with_parameters([3], X)
-    np.testing.assert_allclose(matrices_at(part, X[3:]).d_mass, small.d_mass[3:], atol=1e-12)
+    np.testing.assert_allclose(
+        matrices_at(part, X[3:]).d_mass, small.d_mass[3:], atol=1e-12
+    )
 
 
 def test_motions_without_mass_give_a_whole_basis_its_flexibility_in_silence() -> None:
@@ -248,7 +280,11 @@ def test_motions_without_mass_give_a_whole_basis_its_flexibility_in_silence() ->
     m, names = np.diag([0.0, 2.0, 0.0]), ParameterSet((Parameter("k", (), 0.2, 5.0),))
     every = (AffineTerm(power(0), sparse.csr_array(k), sparse.csr_array((3, 3))),)
     system = AffineSystem(
-        sparse.csr_array(k), sparse.csr_array(m), names, every, sparse.eye_array(3).tocsr()
+        sparse.csr_array(k),
+        sparse.csr_array(m),
+        names,
+        every,
+        sparse.eye_array(3).tocsr(),
     )
     whole = reduced_model(system, 1).on(np.eye(3)).whole()
     lam, _ = whole.vectors(np.zeros(1))
@@ -269,18 +305,26 @@ def masses() -> tuple[AffineSystem, np.ndarray]:
     empty = sparse.csr_array((6, 6))
     terms = tuple(AffineTerm(power(i), empty, m) for i, m in enumerate(part))
     return AffineSystem(
-        sparse.eye_array(6).tocsr(), part[0] + part[1], names, terms, sparse.eye_array(6).tocsr()
+        sparse.eye_array(6).tocsr(),
+        part[0] + part[1],
+        names,
+        terms,
+        sparse.eye_array(6).tocsr(),
     ), rigid
 
 
-def test_mass_properties_are_those_of_two_point_masses_and_their_slopes_are_derivatives() -> None:
+def test_mass_properties_are_those_of_two_point_masses_and_their_slopes_are_derivatives() -> (
+    None
+):
     system, vectors = masses()
     rigid = RigidMass(system, vectors)
     got = mass_properties(rigid.at(np.zeros(2))[0])
     xyz, m = np.array([[1.0, 2, 3], [-1, 0.5, 2]]), np.array([2.0, 3.0])
     cg = m @ xyz / m.sum()
     d = xyz - cg
-    tensor = sum(mi * (r @ r * np.eye(3) - np.outer(r, r)) for mi, r in zip(m, d, strict=True))
+    tensor = sum(
+        mi * (r @ r * np.eye(3) - np.outer(r, r)) for mi, r in zip(m, d, strict=True)
+    )
     wanted = [5.0, *cg, *np.diag(tensor), tensor[0, 1], tensor[1, 2], tensor[2, 0]]
     np.testing.assert_allclose(got, wanted, atol=1e-12)
 
@@ -295,7 +339,9 @@ def test_mass_properties_are_those_of_two_point_masses_and_their_slopes_are_deri
     x = np.array([0.2, -0.1])
     block = term(point(model, replace(model.linearise(np.zeros(2)), x=x), aim(row())))
     assert block.value.size == 7
-    slope = np.stack([(value(x - e) - value(x + e)) / 2e-5 for e in 1e-5 * np.eye(2)], axis=1)
+    slope = np.stack(
+        [(value(x - e) - value(x + e)) / 2e-5 for e in 1e-5 * np.eye(2)], axis=1
+    )
     np.testing.assert_allclose(block.slope, slope, atol=1e-7 * np.abs(slope).max())
 
 

@@ -34,7 +34,8 @@ from ringtrue.virtual.measurements import write_sheet
 
 TRUTH = small_study.TRUTH
 STUDY = '[model]\ndeck = "frame.bdf"\n' + "".join(
-    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\nstd = 1.0\n' for i in TRUTH
+    f'[[candidate]]\nname = "storey {i}"\ntargets = ["MAT1 {i} E"]\nstd = 1.0\n'
+    for i in TRUTH
 )
 
 Capture = pytest.CaptureFixture[str]
@@ -67,7 +68,9 @@ class Handed:
             raise SolverFailed("no licence left")
         return self.inner.modes(request)
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         raise AssertionError("it has none")
 
     def __enter__(self) -> Self:
@@ -117,15 +120,21 @@ def outside(monkeypatch: pytest.MonkeyPatch) -> Outside:
 def test_slopes_by_differences_are_the_derivatives(tmp_path: Path) -> None:
     (tmp_path / "frame.bdf").write_text(frame())
     model = read_deck(tmp_path / "frame.bdf")
-    every = ParameterSet(tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in TRUTH))
+    every = ParameterSet(
+        tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in TRUTH)
+    )
     with EmbeddedSolver().open(model) as analysis:
         seen = at_dofs(small_study.test_model().channels, analysis.dofs)
-    x, asked = np.log([0.9, 1.3, 9.99]), ModesRequest(9)  # the last one steps back from its bound
+    # the last one steps back from its bound
+    x, asked = np.log([0.9, 1.3, 9.99]), ModesRequest(9)
     exact = FullModel(model, every, seen, asked).linearise(x)
     near = FullModel(model, every, seen, asked, Outside()).linearise(x)
     assert near.d_lambda.shape == exact.d_lambda.shape
     sign = np.sign(np.sum(exact.shapes * near.shapes, axis=0))
-    for a, b in ((near.d_lambda, exact.d_lambda), (near.d_shapes * sign[:, None], exact.d_shapes)):
+    for a, b in (
+        (near.d_lambda, exact.d_lambda),
+        (near.d_shapes * sign[:, None], exact.d_shapes),
+    ):
         assert np.abs(a - b).max() < 5e-3 * np.abs(b).max()
 
 
@@ -147,10 +156,16 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
     lines += [f"CBAR,{i + 1},{1 + i // 5},{i + 1},{i + 2},0.,1.,0." for i in range(10)]
     (tmp_path / "bar.bdf").write_text("\n".join([*lines, "ENDDATA"]) + "\n")
     model = read_deck(tmp_path / "bar.bdf")
-    halves = ParameterSet(tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2)))
+    halves = ParameterSet(
+        tuple(Parameter(f"E{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2))
+    )
     with EmbeddedSolver().open(model) as analysis:
-        seen = at_dofs(tuple(f"{n}+{d}" for n in range(1, 12) for d in "YZ"), analysis.dofs)
-    at = FullModel(model, halves, seen, ModesRequest(10), Outside()).linearise(np.zeros(2))
+        seen = at_dofs(
+            tuple(f"{n}+{d}" for n in range(1, 12) for d in "YZ"), analysis.dofs
+        )
+    at = FullModel(model, halves, seen, ModesRequest(10), Outside()).linearise(
+        np.zeros(2)
+    )
     lam, free = (2 * np.pi * at.frequencies) ** 2, at.frequencies > 1.0
     assert free.tolist() == 5 * [False] + 4 * [
         True
@@ -161,7 +176,9 @@ def test_differences_of_repeated_and_rigid_body_modes(tmp_path: Path) -> None:
     assert np.abs(moved.sum(axis=-1)).max() < 1e-2 * np.abs(moved).max()
 
 
-def test_a_study_ends_where_differences_tell_no_better(tmp_path: Path, outside: Outside) -> None:
+def test_a_study_ends_where_differences_tell_no_better(
+    tmp_path: Path, outside: Outside
+) -> None:
     """Noise leaves residuals; slopes that are off by half a step cannot cancel them to the last
     digit.
     """
@@ -199,7 +216,8 @@ def test_a_solver_that_fails_at_a_trial_point_is_a_rejected_step(
     capsys: Capture, tmp_path: Path, outside: Outside, failing: range
 ) -> None:
     words = case(tmp_path, EmbeddedSolver())
-    outside.failing = failing  # the first five runs count the modes and give their slopes
+    # the first five runs count the modes and give their slopes
+    outside.failing = failing
     status, out, err = update(capsys, *words, "--solver", "outside", "--json", "-")
     assert status == 0, err
     found = json.loads(out)
@@ -247,7 +265,14 @@ def test_mystran_finds_a_wrong_modulus(capsys: Capture, tmp_path: Path) -> None:
         pytest.skip(str(e))
     words = case(tmp_path, MystranSolver())
     status, out, err = update(
-        capsys, *words, "--solver", "mystran", "--out", str(tmp_path / "up"), "--json", "-"
+        capsys,
+        *words,
+        "--solver",
+        "mystran",
+        "--out",
+        str(tmp_path / "up"),
+        "--json",
+        "-",
     )
     assert status == 0, err
     found = json.loads(out)

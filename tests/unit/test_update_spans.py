@@ -50,7 +50,9 @@ def tower(skew: float = 0.004, along: np.ndarray | None = None) -> DenseModel:
     )
     K = np.array(parts)
     M = np.diag(np.repeat(1 + 0.05 * np.arange(N), 2))
-    return DenseModel(K.sum(axis=0) + rest, M, K, np.zeros_like(K), np.eye(2 * N), names, MODES + 2)
+    return DenseModel(
+        K.sum(axis=0) + rest, M, K, np.zeros_like(K), np.eye(2 * N), names, MODES + 2
+    )
 
 
 def aim(seed: int = 0, rule: str = "capped") -> Target:
@@ -75,11 +77,19 @@ def test_j_and_its_gradient_are_steady_across_all_limits() -> None:
     gaps = np.arange(0.004, 1.1 * FADE * WORTH.close * CLOSE, 2e-4)
     cost = np.array([problem.cost(at(g)) for g in gaps])
     np.testing.assert_array_less(np.abs(np.diff(cost)), 0.02 * np.ptp(cost))
-    for gap in (0.8 * CLOSE, 1.2 * CLOSE, 1.1 * WORTH.close * CLOSE, 1.3 * WORTH.close * CLOSE):
+    for gap in (
+        0.8 * CLOSE,
+        1.2 * CLOSE,
+        1.1 * WORTH.close * CLOSE,
+        1.3 * WORTH.close * CLOSE,
+    ):
         y = at(gap)
-        got = [(problem.cost(y + e) - problem.cost(y - e)) / 2e-5 for e in 1e-5 * np.eye(4)]
+        got = [
+            (problem.cost(y + e) - problem.cost(y - e)) / 2e-5 for e in 1e-5 * np.eye(4)
+        ]
         told = 2 * problem.gradient(problem.evaluate(y))
-        np.testing.assert_allclose(told, got, atol=1e-5 * np.abs(got).max())  # of the differences
+        # of the differences
+        np.testing.assert_allclose(told, got, atol=1e-5 * np.abs(got).max())
 
 
 def test_the_limits_are_passed_by_sets_that_fade() -> None:
@@ -91,7 +101,9 @@ def test_the_limits_are_passed_by_sets_that_fade() -> None:
     for gap in (0.004, 1.2 * WORTH.close * CLOSE, 1.1 * FADE * WORTH.close * CLOSE):
         now = model.linearise(at(gap))
         pairs = np.stack([np.arange(2), np.arange(2)], axis=1)
-        sizes.append(spans(target.frequencies, target.used, pairs, now, target.pairing)[0])
+        sizes.append(
+            spans(target.frequencies, target.used, pairs, now, target.pairing)[0]
+        )
     assert [s.sets[-1].size for s in sizes] == [2, 2, 1]
     assert 1 < sizes[1].size < 2
     assert sizes[1].weight.sum() == pytest.approx(1.0)
@@ -101,7 +113,8 @@ def test_the_limits_are_passed_by_sets_that_fade() -> None:
         now, frequencies=np.append(-1e-4, now.frequencies[1:])
     )  # locked to a mode that nothing holds
     assert [
-        s.size for s in spans(target.frequencies, target.used, pairs, loose, target.pairing)
+        s.size
+        for s in spans(target.frequencies, target.used, pairs, loose, target.pairing)
     ] == [1, 1]
 
 
@@ -112,7 +125,10 @@ def test_slopes_between_the_limits_are_those_of_the_values(term: Mac | Shapes) -
     problem = Problem((Configuration(tower(), aim(), (Eigenvalues(), term)),))
     y = at(1.2 * WORTH.close * CLOSE)
     got = [
-        (problem.evaluate(y - e, slopes=False).value - problem.evaluate(y + e, slopes=False).value)
+        (
+            problem.evaluate(y - e, slopes=False).value
+            - problem.evaluate(y + e, slopes=False).value
+        )
         / 2e-5
         for e in 1e-5 * np.eye(4)
     ]
@@ -126,7 +142,9 @@ def test_every_method_ends_where_modes_stand_at_the_limit(kind: str) -> None:
     minimum.
     """
     for gap in (0.6 * CLOSE, 0.5 * WORTH.close * CLOSE, 0.6 * WORTH.close * CLOSE):
-        tie = np.array([[-1.0, 0, 1, 0], [1.0, 0, -1, 0], [0, -1.0, 0, 1], [0, 1.0, 0, -1]])
+        tie = np.array(
+            [[-1.0, 0, 1, 0], [1.0, 0, -1, 0], [0, -1.0, 0, 1], [0, 1.0, 0, -1]]
+        )
         limits = np.array([2 * gap, -2 * gap + 1e-3, 2 * gap, -2 * gap + 1e-3])
         tied = Problem((Configuration(tower(), aim()),), rows=tie, limits=limits)
         done = solve(tied, Method(kind), start=at(gap - 1e-4))  # type: ignore[arg-type]

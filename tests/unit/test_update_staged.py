@@ -44,14 +44,22 @@ def at(x: np.ndarray) -> Point:
 def frf(lines: int = 60) -> Frf:
     """Accelerances of the truth at three masses, one of them excited, over all modes."""
     some = np.array([0, 4, 8])
-    blank = Frf(RECORD, np.ones((RECORD.size, 3, 1)), some, some[:1], damping=0.003, std=0.1)
+    blank = Frf(
+        RECORD, np.ones((RECORD.size, 3, 1)), some, some[:1], damping=0.003, std=0.1
+    )
     data = blank.response(at(TRUTH))[0]
     chosen = np.linspace(0, RECORD.size - 1, lines).round().astype(int)
-    return replace(blank, freqs=RECORD[chosen], measured=data[chosen], record=(RECORD, data))
+    return replace(
+        blank, freqs=RECORD[chosen], measured=data[chosen], record=(RECORD, data)
+    )
 
 
 def problem(residual: Frf) -> Problem:
-    terms = Frequencies(0.01, "log"), Mac(0.05), Weighted(residual, 1 / residual.freqs.size)
+    terms = (
+        Frequencies(0.01, "log"),
+        Mac(0.05),
+        Weighted(residual, 1 / residual.freqs.size),
+    )
     whole = Problem((Configuration(row(), at(TRUTH).target, terms),))
     return held_to(whole, whole.parameters.names[:3])
 
@@ -68,7 +76,9 @@ def test_broad_peaks_are_those_of_the_model_at_complex_frequencies() -> None:
         error = np.abs(broad.measured - expected).max(axis=(1, 2))
         size = np.abs(expected).max(axis=(1, 2))
         assert (error < 2 * width * size)[inside].all()
-        assert (np.abs(frf().measured - expected).max(axis=(1, 2)) > error)[inside].mean() > 0.9
+        assert (np.abs(frf().measured - expected).max(axis=(1, 2)) > error)[
+            inside
+        ].mean() > 0.9
     alone = replace(frf(), record=None)
     assert alone.broadened(0.1) is alone
 
@@ -91,7 +101,11 @@ def test_an_end_in_a_wrong_minimum_is_a_misfit_and_the_right_one_is_none() -> No
     whole = problem(frf())
     wrong = settled(whole, course_of(QUIET), start=np.zeros(3)).solution.y
     found = misfits(whole, whole.evaluate(wrong))
-    assert [m.kind for m in found] == ["frequencies", "shapes", "data besides the modes"]
+    assert [m.kind for m in found] == [
+        "frequencies",
+        "shapes",
+        "data besides the modes",
+    ]
     for m in found:
         assert m.chi_square > m.limit
         assert m.ratio > 1

@@ -44,7 +44,13 @@ from ringtrue.updating.uncertainty import errors_of_shapes
 def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
     model = twin.read(twin.deck())
     found = {c.name: c for c in generate(model, CandidateSettings())}
-    names = ["MAT1 30 E", "MAT1 30 RHO", "PSHELL 30 T", "PSHELL 30 piece 1 E", "MAT1 20 E"]
+    names = [
+        "MAT1 30 E",
+        "MAT1 30 RHO",
+        "PSHELL 30 T",
+        "PSHELL 30 piece 1 E",
+        "MAT1 20 E",
+    ]
     names += [
         "PBUSH 900 K",
         "PBUSH 900 K1",
@@ -54,7 +60,8 @@ def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
         "MAT1 11 E",
     ]
     block = of_parameter(
-        model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),))
+        model,
+        Parameter("block", substructures=(Substructure("stiffness", (310, 312)),)),
     )
     apart = conflicts(model, [*(found[n] for n in names), block])
     names.append("block")
@@ -73,19 +80,26 @@ def test_factors_on_one_field_stay_apart_a_product_does_not() -> None:
 def test_a_given_parameter_knows_its_elements() -> None:
     model = twin.read(twin.deck())
     both = of_parameter(
-        model, Parameter("two", (CardField("MAT1", 11, "E"), CardField("MAT1", 12, "E")))
+        model,
+        Parameter("two", (CardField("MAT1", 11, "E"), CardField("MAT1", 12, "E"))),
     )
     assert both.elements == (100, 101, 102, 103)
     assert both.what == "MAT1 11 E, MAT1 12 E of 4 CBEAM"
     assert both.kind == "material"
-    part = of_parameter(model, Parameter("part", (CardField("MAT1", 30, "E", (310, 311)),)))
+    part = of_parameter(
+        model, Parameter("part", (CardField("MAT1", 30, "E", (310, 311)),))
+    )
     assert part.elements == (310, 311)
     block = of_parameter(
-        model, Parameter("block", substructures=(Substructure("stiffness", (310, 312)),))
+        model,
+        Parameter("block", substructures=(Substructure("stiffness", (310, 312)),)),
     )
     assert block.elements == (310, 312)
     springs = of_parameter(
-        model, Parameter("feet", (CardField("PBUSH", 900, "K1"), CardField("PBUSH", 900, "K2")))
+        model,
+        Parameter(
+            "feet", (CardField("PBUSH", 900, "K1"), CardField("PBUSH", 900, "K2"))
+        ),
     )
     assert (springs.what, springs.kind) == ("PBUSH 900 K1,K2 of 4 CBUSH", "spring")
 
@@ -94,7 +108,13 @@ def test_what_explains_the_misfit_comes_first_then_what_tells_most() -> None:
     """A small cause, and what does in its place, before a large column that explains nothing; zeros
     never come.
     """
-    g = np.array([[10.0, 9.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0, 1.9], [0.0, 1.0, 0.0, 0.0, 0.2]])
+    g = np.array(
+        [
+            [10.0, 9.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 2.0, 0.0, 1.9],
+            [0.0, 1.0, 0.0, 0.0, 0.2],
+        ]
+    )
     misfit = np.array([0.0, 3.0, 0.0])
     assert explaining(misfit, g, 1).tolist() == [2]
     assert explaining(misfit, g, 9).tolist() == [2, 4, 0, 1]
@@ -112,7 +132,12 @@ def test_the_force_residual_of_exact_shapes_is_what_is_wrong() -> None:
     every = EmbeddedSolver().open(start.model).eigen(ModesRequest(90))
     with EmbeddedSolver().open(twin.read(twin.deck(wrong))) as analysis:
         true = analysis.eigen(ModesRequest(12))
-    aim = Target(true.frequencies[:12], true.vectors[:, :12], np.zeros(12), np.ones(12, dtype=bool))
+    aim = Target(
+        true.frequencies[:12],
+        true.vectors[:, :12],
+        np.zeros(12),
+        np.ones(12, dtype=bool),
+    )
     at = (
         start.model,
         start.analysis.system,
@@ -144,9 +169,9 @@ def test_the_paired_residual_is_that_of_the_model_itself() -> None:
     w = Weights(SHARP * 0.01, SHARP**2 * 0.05, independent=errors_of_shapes(aim, now))
     same = residual_at(single(start.reduced, replace(aim, weights=w)), now.x)
     np.testing.assert_allclose(misfit, same.value, atol=1e-3 * np.abs(same.value).max())
-    error = np.linalg.norm(slopes - same.slope * start.reduced.parameters.std()) / np.linalg.norm(
-        slopes
-    )
+    error = np.linalg.norm(
+        slopes - same.slope * start.reduced.parameters.std()
+    ) / np.linalg.norm(slopes)
     assert error < 0.05  # sixteen modes of ninety
 
 
@@ -172,9 +197,15 @@ def test_what_is_wrong_is_among_the_first_that_explain() -> None:
         rng = np.random.default_rng(seed)
         aim = twin.measured(wrong := twin.truth(rng, 3), rng)
         left = misfits(
-            start.model, start.analysis.system, start.candidates, SeenModes(lam, phi, there), aim
+            start.model,
+            start.analysis.system,
+            start.candidates,
+            SeenModes(lam, phi, there),
+            aim,
         )[1]
-        found = [set(start.candidates[i].elements) for i in explaining(*left, 24).tolist()]
+        found = [
+            set(start.candidates[i].elements) for i in explaining(*left, 24).tolist()
+        ]
         held += [twin.region_elements(region) in found for region in wrong]
     assert np.mean(held) > 0.75
 
@@ -183,9 +214,14 @@ def test_effects_are_the_slopes_of_the_eigenvalues() -> None:
     start = twin.start()
     modes = start.reduced.linearise(np.zeros(len(start.candidates)))
     lam, phi = start.reduced.vectors(np.zeros(len(start.candidates)))
-    strain, kinetic = effects(start.model, start.analysis.system, start.candidates, lam, phi)
+    strain, kinetic = effects(
+        start.model, start.analysis.system, start.candidates, lam, phi
+    )
     np.testing.assert_allclose(
-        (strain - kinetic) * lam[:, None], modes.d_lambda, rtol=1e-6, atol=1e-9 * lam.max()
+        (strain - kinetic) * lam[:, None],
+        modes.d_lambda,
+        rtol=1e-6,
+        atol=1e-9 * lam.max(),
     )
 
 
@@ -194,22 +230,33 @@ def test_a_condensed_model_is_exact_where_it_was_made_and_close_between() -> Non
     p = len(model.parameters)
     at = [model.parameters.names.index(n) for n in ("MAT1 30 E", "MAT1 21 E")]
     few = model.with_parameters(at, np.zeros(p))
-    points = [np.zeros(2), np.array([0.4, 0.0]), np.array([0.0, -0.4]), np.array([0.4, -0.4])]
+    points = [
+        np.zeros(2),
+        np.array([0.4, 0.0]),
+        np.array([0.0, -0.4]),
+        np.array([0.4, -0.4]),
+    ]
     small = condensed(few, points, 60)
     assert small.basis.size == 60
     for (
         x
-    ) in points:  # four times twenty modes in sixty vectors: what is left out carries least energy
+        # four times twenty modes in sixty vectors: what is left out carries least energy
+    ) in points:
         np.testing.assert_allclose(
             small.modes(x).frequencies[:12], few.modes(x).frequencies[:12], rtol=1e-4
         )
     middle = np.array([0.2, -0.2])
     np.testing.assert_allclose(
-        small.modes(middle).frequencies[:12], few.modes(middle).frequencies[:12], rtol=1e-4
+        small.modes(middle).frequencies[:12],
+        few.modes(middle).frequencies[:12],
+        rtol=1e-4,
     )
     here, there = small.linearise(middle), few.linearise(middle)
     np.testing.assert_allclose(
-        here.d_lambda[:12], there.d_lambda[:12], rtol=2e-2, atol=1e-3 * there.d_lambda[:12].max()
+        here.d_lambda[:12],
+        there.d_lambda[:12],
+        rtol=2e-2,
+        atol=1e-3 * there.d_lambda[:12].max(),
     )
     assert (
         small.modes(middle).frequencies >= few.modes(middle).frequencies * (1 - 1e-12)
@@ -222,14 +269,18 @@ def test_expansion_in_a_basis_is_that_of_the_whole_model_where_it_spans_it() -> 
     n = 10
     k = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     m = np.diag(np.linspace(1.0, 2.0, n))
-    lam, phi = np.linalg.eigh(np.diag(np.diag(m) ** -0.5) @ k @ np.diag(np.diag(m) ** -0.5))
+    lam, phi = np.linalg.eigh(
+        np.diag(np.diag(m) ** -0.5) @ k @ np.diag(np.diag(m) ** -0.5)
+    )
     phi = np.diag(np.diag(m) ** -0.5) @ phi
     rng = np.random.default_rng(0)
     c = np.eye(n)[[1, 4, 8]]
     y = c @ phi[:, :2] * (1 + 0.02 * rng.standard_normal((3, 2)))
     f = np.sqrt(lam[:2]) / (2 * np.pi) * 1.03
     v = phi @ np.linalg.qr(rng.standard_normal((n, n)))[0]
-    q = expand_reduced(v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, ShapeReadings(c @ v, y, f, 0.02))
+    q = expand_reduced(
+        v.T @ k @ v, v.T @ m @ v, v.T @ k @ v, ShapeReadings(c @ v, y, f, 0.02)
+    )
     readings = ShapeReadings(sparse.csr_array(c), y, f, 0.02)
     full = expand_hybrid(sparse.csr_array(k), sparse.csr_array(m), readings, phi)
     # both leave the misfit that was asked for; the norms of the residual differ by what holds the
@@ -250,10 +301,15 @@ def test_candidates_without_effect_propose_nothing() -> None:
     model = DenseModel.springs(k, np.eye(n), np.zeros((2, n, n)), names)
     modes = model.modes(np.zeros(2))
     aim = Target(
-        1.01 * modes.frequencies[:4], modes.shapes[:, :4], np.zeros(4), np.ones(4, dtype=bool)
+        1.01 * modes.frequencies[:4],
+        modes.shapes[:, :4],
+        np.zeros(4),
+        np.ones(4, dtype=bool),
     )
     far = propose(single(model, replace(aim, frequencies=1.1 * modes.frequencies[:4])))
-    assert "no change of a candidate explains what is left (mean |Δf| 9.09 %" in far.text()
+    assert (
+        "no change of a candidate explains what is left (mean |Δf| 9.09 %" in far.text()
+    )
     found = propose(single(model, aim))
     assert found.members == ()
     np.testing.assert_array_equal(found.paired, 4)
@@ -263,7 +319,9 @@ def test_candidates_without_effect_propose_nothing() -> None:
 
 
 @pytest.mark.parametrize("groups", [[0, 1, 2], [0, 0, 1]])
-def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list[int]) -> None:
+def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(
+    groups: list[int],
+) -> None:
     """Of three candidates only the first is proposed; the truth of all is drawn from the prior,
     unit noise.
 
@@ -276,7 +334,9 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list
         @ np.array([[1.0, 0.7, 0.5], [0.0, 0.7, 0.5], [0.0, 0.0, 0.7]])
     )
     none, every = np.zeros(0), np.arange(3)
-    names = ParameterSet(tuple(Parameter(f"p{i}", (), 1e-4, 1e4, "log", 1.0) for i in every))
+    names = ParameterSet(
+        tuple(Parameter(f"p{i}", (), 1e-4, 1e4, "log", 1.0) for i in every)
+    )
     model = DenseModel.springs(np.eye(3), np.eye(3), np.zeros((3, 3, 3)), names)
     aim = Target(np.ones(3), np.eye(3), np.zeros(3), np.ones(3, dtype=bool))
     search = Search(
@@ -293,7 +353,13 @@ def test_the_error_of_a_member_covers_what_the_others_may_be_off_by(groups: list
         z = g @ truth + rng.standard_normal(12)
         x = np.array([g[:, 0] @ z / (g[:, 0] @ g[:, 0] + 1), 0.0, 0.0])
         end = Residual(
-            z - g @ x, g, np.zeros((0, 2), dtype=np.int64), none, none, none.astype(bool), every[:0]
+            z - g @ x,
+            g,
+            np.zeros((0, 2), dtype=np.int64),
+            none,
+            none,
+            none.astype(bool),
+            every[:0],
         )
         std = stated_errors(search, FittedSet(np.array([0]), x, 0.0), end)[0]
         held += abs(x[0] - truth[0]) < 1.645 * std

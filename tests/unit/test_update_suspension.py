@@ -27,14 +27,18 @@ def parameters(*names: str, std: float = 0.5) -> ParameterSet:
     return ParameterSet(tuple(Parameter(n, (), 0.1, 10.0, "log", std) for n in names))
 
 
-def body(axes: str = "xyz", names: tuple[str, ...] = ("k x", "k y", "k z")) -> RigidBody:
+def body(
+    axes: str = "xyz", names: tuple[str, ...] = ("k x", "k y", "k z")
+) -> RigidBody:
     """1 t, all inertias different, seen on top along some axes; springs common to the four
     corners.
     """
     at = np.array([[x, y, -0.7] for x in (-2.0, 2.0) for y in (-1.2, 1.2)])
     seen = [i for i, a in enumerate("xyz") if a in axes]
     points = np.repeat(at + np.array([0, 0, 1.5]), len(seen), axis=0)
-    targets = tuple(f"k:{'xyz'.index(n[-1]) + 1}:0,1,2,3" if n[0] == "k" else n for n in names)
+    targets = tuple(
+        f"k:{'xyz'.index(n[-1]) + 1}:0,1,2,3" if n[0] == "k" else n for n in names
+    )
     k = np.tile([1.0e6, 1.3e6, 3.0e6], (4, 1))
     inertia = np.diag([900.0, 2100.0, 2500.0])
     return RigidBody(
@@ -64,7 +68,9 @@ def test_modes_are_those_of_the_closed_form() -> None:
         (kx * 1.44 + ky * 4) / 2500,
     ]
     np.testing.assert_allclose(
-        flat.modes(np.zeros(3)).frequencies, np.sort(np.sqrt(lam)) / (2 * np.pi), rtol=1e-10
+        flat.modes(np.zeros(3)).frequencies,
+        np.sort(np.sqrt(lam)) / (2 * np.pi),
+        rtol=1e-10,
     )
 
 
@@ -76,9 +82,13 @@ def test_derivatives_to_every_kind_of_parameter() -> None:
     x, h = np.array([0.1, -0.1, 0.2, 0.15, 0.1, -0.05]), 1e-6
     at = model.linearise(x)
     for i, e in enumerate(np.eye(6)):
-        plus, minus = ((2 * np.pi * model.modes(x + s * h * e).frequencies) ** 2 for s in (1, -1))
+        plus, minus = (
+            (2 * np.pi * model.modes(x + s * h * e).frequencies) ** 2 for s in (1, -1)
+        )
         np.testing.assert_allclose(
-            (plus - minus) / (2 * h), at.d_lambda[:, i], atol=1e-6 * np.abs(at.d_lambda).max()
+            (plus - minus) / (2 * h),
+            at.d_lambda[:, i],
+            atol=1e-6 * np.abs(at.d_lambda).max(),
         )
 
 
@@ -86,7 +96,9 @@ def test_derivatives_to_every_kind_of_parameter() -> None:
 def test_springs_are_found_through_crossings(truth: tuple[float, ...]) -> None:
     model, x = body(), np.array(truth)
     at = model.modes(x)
-    aim = Target(at.frequencies, at.shapes, np.full(6, 1e-3), np.ones(6, dtype=bool), WEIGHTS)
+    aim = Target(
+        at.frequencies, at.shapes, np.full(6, 1e-3), np.ones(6, dtype=bool), WEIGHTS
+    )
     found = tune(model, aim)
     assert found.certain
     assert not found.ambiguity()
@@ -98,7 +110,9 @@ def test_springs_are_found_through_crossings(truth: tuple[float, ...]) -> None:
 def test_mass_and_centre_of_gravity_where_asked() -> None:
     model = body(names=("k z", "mass", "cg:1"))
     cg = Parameter("cg:1", (), 0.01, 1.99, "linear", 0.3)
-    model = replace(model, parameters=ParameterSet((*model.parameters.parameters[:2], cg)))
+    model = replace(
+        model, parameters=ParameterSet((*model.parameters.parameters[:2], cg))
+    )
     x = np.array([0.1, -0.2, 0.25])
     at = model.modes(x)
     aim = Target(
@@ -141,10 +155,13 @@ def test_a_pairing_that_the_test_leaves_open_is_reported() -> None:
         "50 %: test:model before tuning 1:1, 2:2",
         "50 %: test:model before tuning 1:2, 2:1",
     ]
-    np.testing.assert_allclose([a.weight for a in found.assignments[:2]], 0.5, atol=0.01)
+    np.testing.assert_allclose(
+        [a.weight for a in found.assignments[:2]], 0.5, atol=0.01
+    )
     ends = np.sort([a.x for a in found.assignments[:2]], axis=0)
     np.testing.assert_allclose(ends, [[-0.2, -0.2], [0.2, 0.2]], atol=2e-3)
-    assert (found.std > 0.2).all()  # the spread between the two is part of the uncertainty
+    # the spread between the two is part of the uncertainty
+    assert (found.std > 0.2).all()
     with_shapes = tune(model, replace(aim, weights=WEIGHTS))
     assert with_shapes.certain
     np.testing.assert_allclose(with_shapes.best.x, x, atol=2e-3)
@@ -158,7 +175,11 @@ def test_standard_deviations_cover_the_scatter() -> None:
     for _ in range(40):
         f = at.frequencies * (1 + sigma * rng.standard_normal(6))
         aim = Target(
-            f, at.shapes, np.full(6, sigma), np.ones(6, dtype=bool), Weights(1e-6, 1.0, 0.0)
+            f,
+            at.shapes,
+            np.full(6, sigma),
+            np.ones(6, dtype=bool),
+            Weights(1e-6, 1.0, 0.0),
         )
         found = tune(model, aim, start=x)
         ends.append(found.best.x)
@@ -167,13 +188,17 @@ def test_standard_deviations_cover_the_scatter() -> None:
     assert (ratio > 0.75).all()  # 11 % is the scatter of 40 draws
     assert (
         ratio < 1.8
-    ).all()  # residuals are not believed to be below their stated size: wider on average
+        # residuals are not believed to be below their stated size: wider on average
+    ).all()
 
 
 def test_input_is_checked() -> None:
     model = body()
     at = model.modes(np.zeros(3))
-    f, shapes = np.append(at.frequencies, 99.0), np.column_stack([at.shapes, at.shapes[:, 0]])
+    f, shapes = (
+        np.append(at.frequencies, 99.0),
+        np.column_stack([at.shapes, at.shapes[:, 0]]),
+    )
     with pytest.raises(InputError, match="7 rigid-body test modes for 6"):
         tune(model, Target(f, shapes, np.full(7, 1e-3), np.ones(7, dtype=bool)))
     with pytest.raises(InputError, match="target 'spring'"):

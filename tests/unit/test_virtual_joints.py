@@ -41,7 +41,9 @@ def amplitude(joints: SofteningJoints, force: float, hertz: float) -> float:
     """Of the steady displacement under a sine force."""
     pushed = tone(hertz, np.array([force]), np.zeros(1), SAMPLES, RATE)
     forces = joints.with_forces(pushed, SAMPLES, RATE)
-    moved = response_spectrum(joints.model, forces, lines(SAMPLES, RATE), quantity="displacement")
+    moved = response_spectrum(
+        joints.model, forces, lines(SAMPLES, RATE), quantity="displacement"
+    )
     return float(np.abs(fft.irfft(moved, SAMPLES)).max())
 
 

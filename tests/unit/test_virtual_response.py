@@ -47,21 +47,39 @@ def oscillator() -> ModalModel:
     pole = np.array([-ZETA * W0 + 1j * WD])
     one, none = np.array([[1 / MASS / (2j * WD)]]), np.zeros((1, 1))
     return ModalModel(
-        pole, np.ones((1, 1)), one, none, none, (Channel("1+Z"),), (Channel("1+Z"),), "receptance"
+        pole,
+        np.ones((1, 1)),
+        one,
+        none,
+        none,
+        (Channel("1+Z"),),
+        (Channel("1+Z"),),
+        "receptance",
     )
 
 
 def test_free_decay_after_a_short_pulse_is_the_closed_form() -> None:
     n, start, width, impulse = 8192, 2.0, 1e-3, 10.0
     force = pulse_spectrum(
-        Pulses(np.array([start]), np.array([width]), np.array([impulse]), np.array([0])), 1, n, RATE
+        Pulses(
+            np.array([start]), np.array([width]), np.array([impulse]), np.array([0])
+        ),
+        1,
+        n,
+        RATE,
     )
     x = np.fft.irfft(
-        response_spectrum(oscillator(), force, lines(n, RATE), quantity="displacement")[0], n
+        response_spectrum(oscillator(), force, lines(n, RATE), quantity="displacement")[
+            0
+        ],
+        n,
     )
     t = np.arange(n) / RATE - start - width / 2
-    want = np.where(t > 0, impulse / MASS / WD * np.exp(-ZETA * W0 * t) * np.sin(WD * t), 0.0)
-    later = (t > 0.2) & (t < 8)  # before it and at the kink the band limit of the pulse rings
+    want = np.where(
+        t > 0, impulse / MASS / WD * np.exp(-ZETA * W0 * t) * np.sin(WD * t), 0.0
+    )
+    # before it and at the kink the band limit of the pulse rings
+    later = (t > 0.2) & (t < 8)
     # 5e-4: the share of the oscillator's response beyond half the rate, (5/128)²
     np.testing.assert_allclose(x[later], want[later], atol=5e-4 * want.max())
 
@@ -86,12 +104,23 @@ def test_padding_keeps_the_decay_from_wrapping_to_the_start() -> None:
 
 def test_simulated_spectra_are_those_of_the_transfer_functions() -> None:
     rng = np.random.default_rng(3)
-    model, n, psd = at_outputs(made_up().modal, ["101+X", "105+Z", "110+Y"]), 1 << 17, 4.0
+    model, n, psd = (
+        at_outputs(made_up().modal, ["101+X", "105+Z", "110+Y"]),
+        1 << 17,
+        4.0,
+    )
     inputs = len(model.inputs)
-    force = rng.normal(0, np.sqrt(psd * RATE / 2), (inputs, n)) * (np.arange(inputs) < 6)[:, None]
+    force = (
+        rng.normal(0, np.sqrt(psd * RATE / 2), (inputs, n))
+        * (np.arange(inputs) < 6)[:, None]
+    )
     f, got = signal.welch(simulate(model, force, RATE, tail=0), RATE, nperseg=4096)
     want = (
-        np.abs(model.synthesise(f[1:])[:, :, :6] * ((2 * np.pi * f[1:]) ** 2)[:, None, None]) ** 2
+        np.abs(
+            model.synthesise(f[1:])[:, :, :6]
+            * ((2 * np.pi * f[1:]) ** 2)[:, None, None]
+        )
+        ** 2
     ).sum(axis=2) * psd
     band = slice(160, 1600)  # 10..100 Hz; 63 averages: 13 % a line, 1 % over the band
     ratio = got[:, 1:][:, band] / want.T[:, band]
@@ -100,13 +129,19 @@ def test_simulated_spectra_are_those_of_the_transfer_functions() -> None:
 
 
 def test_power_at_resonance_is_the_expected_one() -> None:
-    rng, site, n = np.random.default_rng(5), Ambient(correlation=0.0, machine_force=0.0), 1 << 18
+    rng, site, n = (
+        np.random.default_rng(5),
+        Ambient(correlation=0.0, machine_force=0.0),
+        1 << 18,
+    )
     model = at_outputs(made_up().modal, made_up().test.channels[:12])
     ids, points = [c.id for c in model.inputs], ("900+Z", "903+Z", "907+X")
     site = replace(site, points=points)
     forces = ambient_forces(ids, site, n, RATE, rng)
     poles = model.poles[8:30]
-    got = resonance_power(response_spectrum(model, forces, lines(n, RATE)), poles, n, RATE)
+    got = resonance_power(
+        response_spectrum(model, forces, lines(n, RATE)), poles, n, RATE
+    )
     want = expected_power(
         model, poles, input_psd(ids, np.abs(poles) / (2 * np.pi), site), "acceleration"
     )
@@ -177,4 +212,6 @@ def test_wrong_forces_are_refused() -> None:
     with pytest.raises(InputError, match="no output"):
         at_outputs(oscillator(), ["9+Z"])
     with pytest.raises(InputError, match="no input"):
-        ambient_forces(("1+Z",), Ambient(points=("2+Z",)), 64, RATE, np.random.default_rng(0))
+        ambient_forces(
+            ("1+Z",), Ambient(points=("2+Z",)), 64, RATE, np.random.default_rng(0)
+        )

@@ -54,11 +54,18 @@ def test_geophone_transfer_at_its_corner_and_far_above() -> None:
 def test_a_tone_through_a_geophone_comes_out_with_its_gain() -> None:
     n, amplitude = 5120, 1e-3
     quiet = replace(
-        GEOPHONE, floor=NoiseFloor(0.0, 0.0), hum=0.0, drift=0.0, offset=0.0, calibration=0.0
+        GEOPHONE,
+        floor=NoiseFloor(0.0, 0.0),
+        hum=0.0,
+        drift=0.0,
+        offset=0.0,
+        calibration=0.0,
     )
     motion = tone(4.5, np.array([amplitude]), np.zeros(1), n, RATE)
     volts, _ = record_volts(motion, chain(quiet), n, RATE, np.random.default_rng(0))
-    want = 28.8 * amplitude / (2 * 0.56) * -np.sin(2 * np.pi * 4.5 * np.arange(n) / RATE)
+    want = (
+        28.8 * amplitude / (2 * 0.56) * -np.sin(2 * np.pi * 4.5 * np.arange(n) / RATE)
+    )
     np.testing.assert_allclose(volts[0], want, atol=1e-7)
 
 
@@ -83,12 +90,17 @@ def test_calibration_errors_stay_within_one_percent() -> None:
 
 def test_self_noise_has_its_density_and_its_corner() -> None:
     n = 1 << 16
-    noise = Chain.draw((replace(ACCELEROMETER, hum=0.0),) * 8, np.random.default_rng(0)).noise(
-        n, RATE, np.random.default_rng(1)
+    noise = Chain.draw(
+        (replace(ACCELEROMETER, hum=0.0),) * 8, np.random.default_rng(0)
+    ).noise(n, RATE, np.random.default_rng(1))
+    f, psd = (
+        lines(n, RATE),
+        power(noise, n, RATE).mean(axis=0) / ACCELEROMETER.sensitivity**2,
     )
-    f, psd = lines(n, RATE), power(noise, n, RATE).mean(axis=0) / ACCELEROMETER.sensitivity**2
     micro_g = np.sqrt(psd) / 9.80665e-6
-    assert np.sqrt(np.mean(micro_g[(f > 50) & (f < 90)] ** 2)) == pytest.approx(0.1, rel=0.05)
+    assert np.sqrt(np.mean(micro_g[(f > 50) & (f < 90)] ** 2)) == pytest.approx(
+        0.1, rel=0.05
+    )
     assert np.sqrt(np.mean(micro_g[(f > 0.95) & (f < 1.05)] ** 2)) == pytest.approx(
         0.1 * np.sqrt(2), rel=0.1
     )
@@ -108,7 +120,9 @@ def test_blows_are_clean_but_for_the_doubles_and_overloads_among_them() -> None:
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MadeUp, CampaignPlan]:
+def campaign(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Path, MadeUp, CampaignPlan]:
     twin, folder = made_up(), tmp_path_factory.mktemp("campaign")
     plan = small_plan(twin)
     run_campaign(twin, plan, folder, 7, fast=True)
@@ -133,7 +147,10 @@ def test_the_log_names_records_that_can_be_read(
     campaign: tuple[Path, MadeUp, CampaignPlan],
 ) -> None:
     folder, _, plan = campaign
-    tests = {t["name"]: t for t in json.loads((folder / "campaign.json").read_text())["tests"]}
+    tests = {
+        t["name"]: t
+        for t in json.loads((folder / "campaign.json").read_text())["tests"]
+    }
     assert list(tests) == ["foundation", "frame", "hammer"]
     for r in tests["frame"]["records"]:
         history = read_record(folder / r["file"], 256.0)
@@ -145,7 +162,9 @@ def test_the_log_names_records_that_can_be_read(
         assert history.channels[0].id == r["force_channel"] == f"F:{r['reference']}"
         assert history.data.shape[1] % hammer["block_samples"] == 0
         blocks = history.data[0].reshape(-1, hammer["block_samples"])
-        assert (np.abs(np.argmax(np.abs(blocks), axis=1) - hammer["pretrigger_samples"]) < 5).all()
+        assert (
+            np.abs(np.argmax(np.abs(blocks), axis=1) - hammer["pretrigger_samples"]) < 5
+        ).all()
         assert blocks.shape[0] >= plan.hammer.hits
 
 
@@ -172,14 +191,18 @@ def test_events_are_not_recorded_and_nothing_of_the_truth_is(
     assert not any(f"{f:.3f}" in text for f in twin.modal.frequencies)
 
 
-def test_the_sheets_hold_places_and_directions(campaign: tuple[Path, MadeUp, CampaignPlan]) -> None:
+def test_the_sheets_hold_places_and_directions(
+    campaign: tuple[Path, MadeUp, CampaignPlan],
+) -> None:
     folder, twin, plan = campaign
     sheet = read_sensor_sheet(folder / "sensors.csv")
     assert set(sheet.model.channels) == set(
         plan.foundation + plan.frame + plan.references + plan.setups[0] + plan.setups[1]
     )
     known = twin.test.pick(sheet.model.channels)
-    np.testing.assert_allclose(sheet.model.channel_xyz(), known.channel_xyz(), rtol=1e-5)
+    np.testing.assert_allclose(
+        sheet.model.channel_xyz(), known.channel_xyz(), rtol=1e-5
+    )
     np.testing.assert_allclose(sheet.model.axes, known.axes)
     assert (
         read_sensor_sheet(folder / "sensors-frame.csv").channels[0].sensitivity

@@ -33,19 +33,42 @@ def made_up(seed: int = 1, points: int = 16) -> MadeUp:
     rng = np.random.default_rng(seed)
     ids = np.arange(1, points + 1) + 100
     xyz = np.column_stack(
-        [rng.uniform(0, 25, points), rng.uniform(0, 10, points), rng.uniform(0, 10, points)]
+        [
+            rng.uniform(0, 25, points),
+            rng.uniform(0, 10, points),
+            rng.uniform(0, 10, points),
+        ]
     )
     channels = tuple(f"{p}+{a}" for p in ids for a in "XYZ")
     test = TestModel(
-        ids, xyz, channels, np.repeat(ids, 3), np.tile(np.eye(3), (points, 1)), np.zeros((0, 2))
+        ids,
+        xyz,
+        channels,
+        np.repeat(ids, 3),
+        np.tile(np.eye(3), (points, 1)),
+        np.zeros((0, 2)),
     )
-    f = np.concatenate([rng.uniform(0.5, 2.5, 8), np.linspace(13, 95, 25) + rng.uniform(-1, 1, 25)])
+    f = np.concatenate(
+        [rng.uniform(0.5, 2.5, 8), np.linspace(13, 95, 25) + rng.uniform(-1, 1, 25)]
+    )
     zeta = np.concatenate([rng.uniform(0.02, 0.06, 8), rng.uniform(0.007, 0.03, 25)])
-    extra = ("900+Z", "901+Z", "902+Z", "903+Z", "904+Z", "905+Z", "906+Z", "907+Z", "907+X")
+    extra = (
+        "900+Z",
+        "901+Z",
+        "902+Z",
+        "903+Z",
+        "904+Z",
+        "905+Z",
+        "906+Z",
+        "907+Z",
+        "907+X",
+    )
     ground = tuple(f"{g}+{a}" for g in ("ground", "groundv") for a in "XYZ")
     references = channels[2:12:3]
     phi = _shapes(
-        rng, np.vstack([xyz.repeat(3, axis=0), rng.uniform(0, 10, (len(extra), 3))]), f.size
+        rng,
+        np.vstack([xyz.repeat(3, axis=0), rng.uniform(0, 10, (len(extra), 3))]),
+        f.size,
     )
     out, load = (
         phi[: len(channels)],
@@ -55,7 +78,9 @@ def made_up(seed: int = 1, points: int = 16) -> MadeUp:
     springs = rng.normal(size=(f.size, 3)) * np.sqrt(MASS)
     springs[8:] *= 0.1
     springs *= (2 * np.pi * 1.5) ** 2 / MASS
-    participation = np.hstack([load.T, springs, 0.02 * springs]) / (2j * poles.imag[:, None])
+    participation = np.hstack([load.T, springs, 0.02 * springs]) / (
+        2j * poles.imag[:, None]
+    )
     names = (*references, *extra, *ground)
     none = np.zeros((len(channels), len(names)))
     upper = none.copy()

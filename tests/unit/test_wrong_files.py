@@ -20,7 +20,9 @@ EMA = "`ringtrue ema` takes FRFs"
 
 
 @pytest.mark.parametrize("ending", ["h5", "csv", "npz"])
-def test_frfs_given_as_a_record(ending: str, frf, tmp_path: Path, capsys: Capture) -> None:
+def test_frfs_given_as_a_record(
+    ending: str, frf, tmp_path: Path, capsys: Capture
+) -> None:
     path = frf()
     if ending != "npz":
         path = tmp_path / f"frf.{ending}"
@@ -31,7 +33,11 @@ def test_frfs_given_as_a_record(ending: str, frf, tmp_path: Path, capsys: Captur
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [
-        ("beam.csv", "SOL 103\nCEND\n", "no record: a deck; `ringtrue check` takes decks"),
+        (
+            "beam.csv",
+            "SOL 103\nCEND\n",
+            "no record: a deck; `ringtrue check` takes decks",
+        ),
         (
             "beam.txt",
             "1  M Y S T R A N\n   R E A L   E I G E N V A L U E S\n",
@@ -104,14 +110,22 @@ def test_units_of_frfs_that_are_none_are_refused(tmp_path: Path) -> None:
         read_frfs(tmp_path / "f.csv")
 
 
-def test_files_of_moved_sensors_are_not_one_record(tmp_path: Path, capsys: Capture) -> None:
+def test_files_of_moved_sensors_are_not_one_record(
+    tmp_path: Path, capsys: Capture
+) -> None:
     """Two of six sensors stay; with all in place the two halves are one record."""
     y, half = made(), made().shape[1] // 2
     other = np.linalg.qr(np.random.default_rng(8).standard_normal((6, 6)))[0] @ y
     other[:2] = y[:2]
-    for name, data in (("a", y[:, :half]), ("b", y[:, half:]), ("moved", other[:, half:])):
+    for name, data in (
+        ("a", y[:, :half]),
+        ("b", y[:, half:]),
+        ("moved", other[:, half:]),
+    ):
         write_history(tmp_path / f"{name}.h5", wrap(data))
-    status, _, _ = call(capsys, "oma", tmp_path / "a.h5", tmp_path / "b.h5", "--fmin", 1)
+    status, _, _ = call(
+        capsys, "oma", tmp_path / "a.h5", tmp_path / "b.h5", "--fmin", 1
+    )
     assert status == 0
     told = refused(capsys, "oma", tmp_path / "a.h5", tmp_path / "moved.h5", "--fmin", 1)
     assert "`ringtrue oma --setups table.csv`" in told
@@ -127,7 +141,12 @@ def test_a_force_that_is_cut_off_is_said_to_be(tmp_path: Path, capsys: Capture) 
     rows = np.column_stack([np.arange(force.size) / 1000.0, force, response])
     path = tmp_path / "r.csv"
     np.savetxt(
-        path, rows, delimiter=",", header="time,1+Z [N],2+Z [m/s^2]", comments="", fmt="%.9g"
+        path,
+        rows,
+        delimiter=",",
+        header="time,1+Z [N],2+Z [m/s^2]",
+        comments="",
+        fmt="%.9g",
     )
     told = refused(capsys, "ema", path, "--struck", "1+Z")
     assert "1+Z: clipped at 5 N in 13,8" in told

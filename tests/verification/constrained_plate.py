@@ -74,5 +74,7 @@ def parameters() -> ParameterSet:
         ("spring", "CELAS2", 805, "K"),
     ]
     made = [Parameter(name, (CardField(*field),)) for name, *field in fields]
-    made.append(Parameter("corner", substructures=(Substructure("stiffness", (1, 2, 7, 8)),)))
+    made.append(
+        Parameter("corner", substructures=(Substructure("stiffness", (1, 2, 7, 8)),))
+    )
     return ParameterSet(tuple(made))

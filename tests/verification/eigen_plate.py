@@ -19,14 +19,18 @@ def _element(h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     k1 = np.vstack([k1, -k1[0], [3 * h, -h * h, -3 * h, 4 * h * h]]) / (30 * h)
     k0 = np.array([[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h]])
     k0 = (
-        np.vstack([k0, [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]])
+        np.vstack(
+            [k0, [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]]
+        )
         * h
         / 420
     )
     return k2, k1, k0
 
 
-def line(n: int, length: float, weight: np.ndarray | None = None) -> list[sparse.csr_array]:
+def line(
+    n: int, length: float, weight: np.ndarray | None = None
+) -> list[sparse.csr_array]:
     """The three matrices of n elements, each weighted, (2n+2, 2n+2)."""
     weight = np.ones(n) if weight is None else weight
     at = 2 * np.arange(n)[:, None] + np.arange(4)

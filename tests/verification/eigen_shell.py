@@ -22,14 +22,22 @@ def _full(card: str, n: int, **columns: object) -> Table:
             made[name] = np.full(n, f.default if name == f.name else 0)
     return table(
         card,
-        **{**made, **{k: np.broadcast_to(np.asarray(v), n).copy() for k, v in columns.items()}},
+        **{
+            **made,
+            **{k: np.broadcast_to(np.asarray(v), n).copy() for k, v in columns.items()},
+        },
     )
 
 
 def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model:
     """2 m by 1.3 m steel, 10 mm and up; region r has PSHELL and MAT1 r."""
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
-    ex, ey = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
+    i, j = (
+        a.ravel()
+        for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij")
+    )
+    ex, ey = (
+        a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
+    )
 
     def node(a: Int, b: Int) -> Int:
         return a * (ny + 1) + b + 1
@@ -37,7 +45,9 @@ def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model
     x = 2.0 * i / nx
     part = np.arange(1, regions + 1)
     tables = {
-        "GRID": _full("GRID", i.size, ID=node(i, j), X1=x, X2=1.3 * j / ny, X3=0.3 * np.sin(2 * x)),
+        "GRID": _full(
+            "GRID", i.size, ID=node(i, j), X1=x, X2=1.3 * j / ny, X3=0.3 * np.sin(2 * x)
+        ),
         "CQUAD4": _full(
             "CQUAD4",
             ex.size,
@@ -48,7 +58,9 @@ def shell(nx: int, ny: int, *, regions: int = 3, clamped: bool = False) -> Model
             G3=node(ex + 1, ey + 1),
             G4=node(ex, ey + 1),
         ),
-        "PSHELL": _full("PSHELL", regions, PID=part, MID1=part, MID2=part, T=0.009 + 0.001 * part),
+        "PSHELL": _full(
+            "PSHELL", regions, PID=part, MID1=part, MID2=part, T=0.009 + 0.001 * part
+        ),
         "MAT1": _full("MAT1", regions, MID=part, E=2.1e11, NU=0.3, RHO=7850.0),
     }
     if clamped:
@@ -63,5 +75,11 @@ def parameters(regions: int = 3) -> ParameterSet:
     """The thickness of the first region and Young's modulus of the others."""
     first = Parameter("t1", (CardField("PSHELL", 1, "T"),))
     return ParameterSet(
-        (first, *(Parameter(f"E{r}", (CardField("MAT1", r, "E"),)) for r in range(2, regions + 1)))
+        (
+            first,
+            *(
+                Parameter(f"E{r}", (CardField("MAT1", r, "E"),))
+                for r in range(2, regions + 1)
+            ),
+        )
     )

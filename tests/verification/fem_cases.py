@@ -28,7 +28,8 @@ def _defaults(card: str) -> dict[str, Any]:
 def ragged(*rows: Any) -> Ragged:
     """Rows of different length."""
     return Ragged(
-        np.concatenate([np.asarray(r) for r in rows]), np.cumsum([0, *(len(r) for r in rows)])
+        np.concatenate([np.asarray(r) for r in rows]),
+        np.cumsum([0, *(len(r) for r in rows)]),
     )
 
 
@@ -40,7 +41,9 @@ def cards(card: str, **given: Any) -> Table:
         k for k in full if k not in _defaults(card)
     ]
     made = {
-        k: full[k] if isinstance(full[k], Ragged | list | np.ndarray) else np.full(n, full[k])
+        k: full[k]
+        if isinstance(full[k], Ragged | list | np.ndarray)
+        else np.full(n, full[k])
         for k in names
     }
     return table(card, **made)
@@ -49,7 +52,9 @@ def cards(card: str, **given: Any) -> Table:
 def grid(xyz: Float, **given: Any) -> Table:
     """GRID 1.. at xyz (n, 3)."""
     x = np.asarray(xyz, dtype=float)
-    return cards("GRID", ID=np.arange(1, len(x) + 1), X1=x[:, 0], X2=x[:, 1], X3=x[:, 2], **given)
+    return cards(
+        "GRID", ID=np.arange(1, len(x) + 1), X1=x[:, 0], X2=x[:, 1], X3=x[:, 2], **given
+    )
 
 
 def model(*tables: Table, spc: int = 0, mpc: int = 0, **params: Any) -> Model:
@@ -72,10 +77,14 @@ def square(n: int, a: float, b: float, across: int = 0) -> tuple[Float, Int]:
     n) along y.
     """
     across = across or n
-    x, y = np.meshgrid(np.linspace(0, a, n + 1), np.linspace(0, b, across + 1), indexing="ij")
+    x, y = np.meshgrid(
+        np.linspace(0, a, n + 1), np.linspace(0, b, across + 1), indexing="ij"
+    )
     xyz = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     i = np.arange(len(xyz)).reshape(n + 1, across + 1)
-    quads = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(
+        -1, 4
+    )
     return xyz, quads + 1
 
 
@@ -103,7 +112,9 @@ def frequencies(system: System, count: int) -> Float:
     heavy = np.abs(M).sum(axis=1) > 0
     a, o = np.flatnonzero(heavy), np.flatnonzero(~heavy)
     if o.size:
-        K = K[np.ix_(a, a)] - K[np.ix_(a, o)] @ np.linalg.solve(K[np.ix_(o, o)], K[np.ix_(o, a)])
+        K = K[np.ix_(a, a)] - K[np.ix_(a, o)] @ np.linalg.solve(
+            K[np.ix_(o, o)], K[np.ix_(o, a)]
+        )
         M = M[np.ix_(a, a)]
     lam = eigh(K, M, eigvals_only=True, subset_by_index=(0, min(count, a.size) - 1))
     return np.sign(lam) * np.sqrt(np.abs(lam)) / (2 * np.pi)

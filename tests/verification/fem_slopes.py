@@ -12,7 +12,8 @@ from ringtrue.fem.parametrisation.derivatives import system_derivatives
 from ringtrue.model.model import Model
 
 NAMES = ("stiffness", "mass")
-SECOND = 3.7  # at least, by halving the step: a first-order error gives 2, a second-order one 4
+# at least, by halving the step: a first-order error gives 2, a second-order one 4
+SECOND = 3.7
 
 
 def matrix_derivatives(
@@ -33,7 +34,11 @@ def check_slopes(m: Model, p: Parameter) -> None:
         there = assemble(scaled(m, p, 1 + h))
         left.append(
             [
-                float(abs(getattr(there, n) - getattr(base, n) - h * getattr(slope, n)).max())
+                float(
+                    abs(
+                        getattr(there, n) - getattr(base, n) - h * getattr(slope, n)
+                    ).max()
+                )
                 for n in NAMES
             ]
         )

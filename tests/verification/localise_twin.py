@@ -34,7 +34,11 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.parametric import ReducedModel, reduced_model
 from ringtrue.solvers.embedded import EmbeddedAnalysis, EmbeddedSolver
-from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    CandidateSettings,
+    parameters,
+)
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.screening import effective
 from ringtrue.updating.target import Target
@@ -42,11 +46,16 @@ from ringtrue.updating.target import Target
 Array = npt.NDArray[np.float64]
 
 X, Y = (0.0, 2.0, 4.6), (0.0, 1.5, 3.0)  # m
-SECTION = (1.0, 1.4, 0.8, 1.8)  # of the four columns of a storey, relative; nothing is symmetric
+# of the four columns of a storey, relative; nothing is symmetric
+SECTION = (1.0, 1.4, 0.8, 1.8)
 CORNERS = ((0, 0), (2, 0), (0, 2), (2, 2))
 STOREYS = (1, 2, 3)
 FEET = 100  # material-like key of the springs
-REGIONS = (*[10 * s + c for s in STOREYS for c in range(1, 5)], *[10 * s for s in STOREYS], FEET)
+REGIONS = (
+    *[10 * s + c for s in STOREYS for c in range(1, 5)],
+    *[10 * s for s in STOREYS],
+    FEET,
+)
 MODES, COUNT = 12, 20
 
 
@@ -60,10 +69,13 @@ def node(level: int, i: int, j: int) -> int:
 def _storey(level: int, factor: Mapping[int, float]) -> list[str]:
     x, y = X, Y
     lines = [
-        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)
+        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}"
+        for j in range(3)
+        for i in range(3)
     ]
     lines += [
-        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS
+        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}"
+        for i, j in CORNERS
     ]
     for k, (i, j) in enumerate(CORNERS):
         low, middle, high, pid = (
@@ -73,7 +85,9 @@ def _storey(level: int, factor: Mapping[int, float]) -> list[str]:
             10 * level + k + 1,
         )
         lines.append(f"CBEAM,{100 * level + 2 * k},{pid},{low},{middle},1.0,0.0,0.0")
-        lines.append(f"CBEAM,{100 * level + 2 * k + 1},{pid},{middle},{high},1.0,0.0,0.0")
+        lines.append(
+            f"CBEAM,{100 * level + 2 * k + 1},{pid},{middle},{high},1.0,0.0,0.0"
+        )
         lines.append(f"MAT1,{pid},{2e11 * factor.get(pid, 1.0):.7E},,0.3,7850.0")
         a = SECTION[k] * (1.2 - 0.1 * level)
         lines.append(
@@ -86,9 +100,13 @@ def _storey(level: int, factor: Mapping[int, float]) -> list[str]:
             node(level, i + 1, j + 1),
             node(level, i, j + 1),
         ]
-        lines.append(f"CQUAD4,{100 * level + 10 + k},{10 * level}," + ",".join(map(str, ring)))
+        lines.append(
+            f"CQUAD4,{100 * level + 10 + k},{10 * level}," + ",".join(map(str, ring))
+        )
     lines.append(f"CONM2,{100 * level + 90},{node(level, 1, 0)},,{800.0 * level}")
-    lines.append(f"MAT1,{10 * level},{3e10 * factor.get(10 * level, 1.0):.7E},,0.2,2500.0")
+    lines.append(
+        f"MAT1,{10 * level},{3e10 * factor.get(10 * level, 1.0):.7E},,0.2,2500.0"
+    )
     return [*lines, f"PSHELL,{10 * level},{10 * level},0.1,{10 * level},,{10 * level}"]
 
 
@@ -97,7 +115,9 @@ def deck(factor: Mapping[int, float] | None = None) -> str:
     factor = factor or {}
     feet = [node(0, i, j) for i, j in CORNERS]
     lines = ["SOL 103", "CEND", "TITLE = Columns and floors", "BEGIN BULK"]
-    lines += [f"GRID,{n},,{X[i]},{Y[j]},0.0" for n, (i, j) in zip(feet, CORNERS, strict=True)]
+    lines += [
+        f"GRID,{n},,{X[i]},{Y[j]},0.0" for n, (i, j) in zip(feet, CORNERS, strict=True)
+    ]
     lines += [f"CBUSH,{900 + k},900,{n},,,,,0" for k, n in enumerate(feet)]
     k = [a * factor.get(FEET, 1.0) for a in (3e7, 3e7, 3e8, 5e6, 5e6, 5e6)]
     lines.append("PBUSH,900,K," + ",".join(f"{v:.7E}" for v in k))
@@ -108,8 +128,12 @@ def deck(factor: Mapping[int, float] | None = None) -> str:
 
 def channels() -> DofSet:
     """Where the test reads: 24 channels."""
-    labels = [f"{node(s, i, j)}+{a}" for s in STOREYS for i, j in CORNERS[:3] for a in "XY"]
-    return DofSet.parse([*labels, *[f"{node(s, i, 1)}+Z" for s in STOREYS for i in (1, 2)]])
+    labels = [
+        f"{node(s, i, j)}+{a}" for s in STOREYS for i, j in CORNERS[:3] for a in "XY"
+    ]
+    return DofSet.parse(
+        [*labels, *[f"{node(s, i, 1)}+Z" for s in STOREYS for i in (1, 2)]]
+    )
 
 
 def read(text: str) -> Model:
@@ -121,7 +145,9 @@ def read(text: str) -> Model:
 
 def observation(dofs: DofSet, seen: DofSet) -> Observation:
     at, sign = dofs.align(seen)
-    matrix = sparse.csr_array((sign, (np.arange(at.size), at)), shape=(at.size, len(dofs)))
+    matrix = sparse.csr_array(
+        (sign, (np.arange(at.size), at)), shape=(at.size, len(dofs))
+    )
     return Observation(matrix, seen.labels(), dofs, 1.0, np.zeros(at.size))
 
 
@@ -137,7 +163,9 @@ class Start:
 
 
 @cache
-def start(kinds: tuple[str, ...] = ("material", "property", "region", "spring")) -> Start:
+def start(
+    kinds: tuple[str, ...] = ("material", "property", "region", "spring"),
+) -> Start:
     model = read(deck())
     analysis = EmbeddedSolver().open(model)
     modes = analysis.eigen(ModesRequest(COUNT))
@@ -148,7 +176,9 @@ def start(kinds: tuple[str, ...] = ("material", "property", "region", "spring"))
         model,
         analysis,
         keep,
-        reduced_model(observed_system(model, analysis.system, parameters(keep), seen), COUNT),
+        reduced_model(
+            observed_system(model, analysis.system, parameters(keep), seen), COUNT
+        ),
         seen,
     )
 
@@ -165,7 +195,10 @@ def truth(rng: np.random.Generator, wrong: int = 3) -> dict[int, float]:
 
 
 def measured(
-    wrong: Mapping[int, float], rng: np.random.Generator, f: float = 0.002, shape: float = 0.01
+    wrong: Mapping[int, float],
+    rng: np.random.Generator,
+    f: float = 0.002,
+    shape: float = 0.01,
 ) -> Target:
     """Modes of the true structure with noise: relative on the frequencies, of the largest component
     on the shapes.
@@ -188,7 +221,9 @@ def region_elements(region: int) -> set[int]:
     return {100 * level + 2 * (column - 1), 100 * level + 2 * (column - 1) + 1}
 
 
-def write_test(folder: Path, frequencies: Array, shapes: Array, error: float, noise: Array) -> None:
+def write_test(
+    folder: Path, frequencies: Array, shapes: Array, error: float, noise: Array
+) -> None:
     """`frame.bdf`, the initial deck, `sensors.csv`, and `modes.json`.
 
     Stated deviations are the relative `error` of all frequencies and the `noise` (m,) of the
@@ -198,7 +233,11 @@ def write_test(folder: Path, frequencies: Array, shapes: Array, error: float, no
     std = Uncertainty.independent(
         error * frequencies, np.full(m, 1e-3), np.broadcast_to(noise, shapes.shape)
     )
-    write_modes(folder / "modes.json", ModeSet(frequencies, np.full(m, 0.01), shapes, labels), std)
+    write_modes(
+        folder / "modes.json",
+        ModeSet(frequencies, np.full(m, 0.01), shapes, labels),
+        std,
+    )
     (folder / "frame.bdf").write_text(deck())
     model = read(deck())
     at = dict(zip(model["GRID"].ids.tolist(), positions(model).tolist(), strict=True))

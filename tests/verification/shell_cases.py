@@ -28,7 +28,10 @@ def net(
     q = 2 if card in SECOND else 1
     a, b = np.meshgrid(np.arange(q * n + 1), np.arange(q * m + 1), indexing="ij")
     ids = np.arange(a.size).reshape(a.shape)
-    i, j = (v.ravel() for v in np.meshgrid(q * np.arange(n), q * np.arange(m), indexing="ij"))
+    i, j = (
+        v.ravel()
+        for v in np.meshgrid(q * np.arange(n), q * np.arange(m), indexing="ij")
+    )
     cell = {(r, s): ids[i + r, j + s] for r in range(q + 1) for s in range(q + 1)}
     c = [cell[0, 0], cell[q, 0], cell[q, q], cell[0, q]]
     low, high = c[:3], [c[0], c[2], c[3]]
@@ -69,11 +72,15 @@ def nearest(uv: Float, u: float, v: float) -> int:
     return int(np.hypot(uv[:, 0] - u, uv[:, 1] - v).argmin()) + 1
 
 
-def displacement(m: Model, loads: list[tuple[int, int, float]], node: int, component: int) -> float:
+def displacement(
+    m: Model, loads: list[tuple[int, int, float]], node: int, component: int
+) -> float:
     """Static displacement under loads (node, component, force)."""
     with EmbeddedSolver().open(m) as analysis:
         node_, component_, value = (np.array(v) for v in zip(*loads, strict=True))
         F = np.zeros((len(analysis.dofs), 1))
         np.add.at(F[:, 0], analysis.dofs.find(node_, component_), value)
         u = analysis.static(F)
-        return float(u[analysis.dofs.find(np.array([node]), np.array([component]))[0], 0])
+        return float(
+            u[analysis.dofs.find(np.array([node]), np.array([component]))[0], 0]
+        )

@@ -24,7 +24,14 @@ SECOND = ("CHEXA20", "CPENTA15", "CTETRA10", "CPYRAM13")
 _CUTS = {
     "CHEXA": [[0, 1, 2, 3, 4, 5, 6, 7]],
     "CPENTA": [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]],
-    "CTETRA": [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]],
+    "CTETRA": [
+        [0, 1, 2, 6],
+        [0, 2, 3, 6],
+        [0, 3, 7, 6],
+        [0, 7, 4, 6],
+        [0, 4, 5, 6],
+        [0, 5, 1, 6],
+    ],
     "CPYRAM": [
         [0, 1, 2, 3, 8],
         [4, 7, 6, 5, 8],
@@ -41,7 +48,9 @@ def kind(name: str) -> tuple[str, bool]:
     return name.rstrip("0123456789"), name in SECOND
 
 
-def box(nx: int, ny: int, nz: int, size: tuple[float, float, float]) -> tuple[Float, Int]:
+def box(
+    nx: int, ny: int, nz: int, size: tuple[float, float, float]
+) -> tuple[Float, Int]:
     """Nodes (., 3) and hexahedra (., 8), 0-based."""
     axes = [np.linspace(0, s, n + 1) for s, n in zip(size, (nx, ny, nz), strict=True)]
     xyz = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

@@ -20,7 +20,9 @@ from ringtrue.decks.nastran.reader import read_deck
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 
-DATA = Path(__file__).parents[3] / "shared" / "data" / "fe" / "msc2019" / "superelements"
+DATA = (
+    Path(__file__).parents[3] / "shared" / "data" / "fe" / "msc2019" / "superelements"
+)
 RECORDED = 3e-9  # of a frequency: component modes as far as Nastran's Lanczos converged
 SHAPES = 1e-6  # of the largest component: close modes mix their rounding
 DECKS = {
@@ -55,9 +57,15 @@ def test_recorded_modes(deck: str) -> None:
     alone = np.append(np.diff(want) > 1e-6 * want[1:], True)
     alone[1:] &= alone[:-1]
     for mode in np.flatnonzero(alone).tolist():
-        rows = shapes[np.isin(shapes["DOMAIN_ID"], domains["ID"][domains["MODE"] == mode + 1])]
-        recorded = np.stack([rows[c] for c in ("X", "Y", "Z", "RX", "RY", "RZ")], axis=1)
-        at = found.labels.find(np.repeat(rows["ID"], 6), np.tile(np.arange(1, 7), rows.size))
+        rows = shapes[
+            np.isin(shapes["DOMAIN_ID"], domains["ID"][domains["MODE"] == mode + 1])
+        ]
+        recorded = np.stack(
+            [rows[c] for c in ("X", "Y", "Z", "RX", "RY", "RZ")], axis=1
+        )
+        at = found.labels.find(
+            np.repeat(rows["ID"], 6), np.tile(np.arange(1, 7), rows.size)
+        )
         points = found.labels.find(rows["ID"], np.zeros_like(rows["ID"]))
         here = np.where(at >= 0, found.shapes[at, mode], 0.0).reshape(-1, 6)
         here[points >= 0, 0] = found.shapes[points[points >= 0], mode]
@@ -85,4 +93,6 @@ def test_statics_of_superelements_are_those_of_one_mesh() -> None:
     one = DATA / "cantilever_bar/no_super/noReduction.dat"
     want = rt.static(one, forces={"6+Y": -1.0}, responses=["3+Y", "6+Y", "11+Y"]).values
     assert found.cases == ("SUBCASE 1", "SUBCASE 2")
-    np.testing.assert_allclose(found.values, np.concatenate([want, 2 * want]), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.values, np.concatenate([want, 2 * want]), rtol=1e-9
+    )

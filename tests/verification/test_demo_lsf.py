@@ -21,7 +21,8 @@ from ringtrue.shapes import mac, mpc, realise
 from ringtrue.study.store import Store
 
 pytestmark = [pytest.mark.demo, pytest.mark.timeout(1500)]
-FROZEN = "1632fa84378e3da7c7e43bb6d23dec3caf3e3ef6ed38b3003df38fd0079bca53"  # of version 1
+# of version 1
+FROZEN = "1632fa84378e3da7c7e43bb6d23dec3caf3e3ef6ed38b3003df38fd0079bca53"
 RIGID_BELOW = 2.5  # Hz, rigid-body and hung modes
 
 
@@ -46,7 +47,9 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Example:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worked, "make_twin", kept)
         result = demo.run_demo(folder, fast=True)
-    return Example(folder, result, json.loads((folder / "summary.json").read_text()), made[0])
+    return Example(
+        folder, result, json.loads((folder / "summary.json").read_text()), made[0]
+    )
 
 
 def test_what_must_hold_does(example: Example) -> None:
@@ -98,7 +101,9 @@ def test_ratios_are_physical() -> None:
     for seed in range(20):
         r = twin.ratios(seed)
         spec = twin.as_built(seed)
-        concrete = [spec.modulus[k] for k in ("slab", "long walls", "end walls", "haunches")]
+        concrete = [
+            spec.modulus[k] for k in ("slab", "long walls", "end walls", "haunches")
+        ]
         assert 15e9 <= min(concrete) <= max(concrete) <= 42e9
         steel = [
             v
@@ -112,14 +117,19 @@ def test_ratios_are_physical() -> None:
 def test_hung_parts_stay_unpaired_with_a_reason(example: Example) -> None:
     lone = example.summary["rigid_body_unpaired"]
     assert all(u["reason"] for u in lone)
-    assert all(1.5 < u["frequency_hz"] < RIGID_BELOW for u in lone if u["set"] == "test")
+    assert all(
+        1.5 < u["frequency_hz"] < RIGID_BELOW for u in lone if u["set"] == "test"
+    )
 
 
 def test_damping_is_that_of_the_structure(example: Example) -> None:
     twin, found = example.twin, Store(example.folder / "study.h5").load("identify")
     truth_shapes = twin.real_modes.rows(found.hammer.modes.channels)
     like = mac(realise(found.hammer.modes.shapes), truth_shapes.shapes)
-    near = np.abs(truth_shapes.frequencies / found.hammer.modes.frequencies[:, None] - 1) < 0.01
+    near = (
+        np.abs(truth_shapes.frequencies / found.hammer.modes.frequencies[:, None] - 1)
+        < 0.01
+    )
     at = np.argmax(np.where(near, like, -1), axis=1)
     sure = found.hammer.modes.confidence >= 0.5
     error = np.abs(found.hammer.modes.damping / truth_shapes.damping[at] - 1)[sure]

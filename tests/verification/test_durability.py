@@ -24,7 +24,9 @@ from ringtrue.errors import DataError
 from ringtrue.study.run import load_study, run_study
 from ringtrue.study.store import Store
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the faults need forked processes")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="the faults need forked processes"
+)
 
 FLIPS = 8
 
@@ -57,7 +59,9 @@ def test_a_fault_at_a_write_leaves_whole_stages_and_the_end_is_the_same(
     for write, how in zip(writes[::3], kinds, strict=False):
         assert durable.struck(study, write, how) == durable.expected(how), (write, how)
         assert durable.stored(study).items() <= wanted.items(), (write, how)
-        parts = [name for name in durable.leftovers(study.parent) if name.endswith(".part")]
+        parts = [
+            name for name in durable.leftovers(study.parent) if name.endswith(".part")
+        ]
         # those of kills before are swept
         assert len(parts) == (how in ("before", "half")), (write, how)
     assert durable.forked(lambda: durable.whole_run(study)) == 0
@@ -69,7 +73,9 @@ def test_no_flipped_bit_is_in_a_result_that_is_read(home: Path, fresh: object) -
     path = home / "done/study.h5"
     image, right = path.read_bytes(), durable.read_anew(path)
     refused = 0
-    for bit in np.random.default_rng(1).choice(8 * len(image), FLIPS, replace=False).tolist():
+    for bit in (
+        np.random.default_rng(1).choice(8 * len(image), FLIPS, replace=False).tolist()
+    ):
         path.write_bytes(durable.flipped(image, bit))
         found = durable.read_anew(path)
         wrong = [
@@ -98,7 +104,9 @@ def test_a_damaged_stage_is_named_and_run_anew(
     data = bytearray(path.read_bytes())
     data[at] ^= 0x10
     path.write_bytes(bytes(data))
-    with pytest.raises(DataError, match=rf"stage '{stage}' is damaged .*run the study again"):
+    with pytest.raises(
+        DataError, match=rf"stage '{stage}' is damaged .*run the study again"
+    ):
         Store(path).load(stage)
     with pytest.raises(DataError, match=rf"stage '{stage}' is damaged"):
         load_study(path)
@@ -130,7 +138,8 @@ def test_every_data_set_has_its_checksum(home: Path, fresh: object) -> None:
             lacking.append(name)
         if isinstance(item, h5py.Dataset):
             text = h5py.check_string_dtype(item.dtype)
-            assert text is None or text.length is not None, name  # no heap, which has no checksum
+            # no heap, which has no checksum
+            assert text is None or text.length is not None, name
 
     with h5py.File(home / "done/study.h5") as file:
         file.visititems(look)

@@ -33,7 +33,9 @@ ENGINES = installed()
 def chain(n: int) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Masses 1 between springs 100, both ends held."""
     side = -100 * np.ones(n - 1)
-    k = sparse.diags_array([200 * np.ones(n), side, side], offsets=[0, 1, -1], format="csr")
+    k = sparse.diags_array(
+        [200 * np.ones(n), side, side], offsets=[0, 1, -1], format="csr"
+    )
     return sparse.csr_array(k), sparse.csr_array(sparse.eye_array(n, format="csr"))
 
 
@@ -50,12 +52,16 @@ def held() -> EmbeddedAnalysis:
     """Dashpots of a tenth of critical at a corner, loss factor 1 %."""
     model = shell(8, 6, clamped=True)
     system = assemble(model)
-    row = np.flatnonzero((system.free.node == 63) & (np.abs(system.free.direction) <= 3))
+    row = np.flatnonzero(
+        (system.free.node == 63) & (np.abs(system.free.direction) <= 3)
+    )
     d = np.zeros(system.stiffness.shape[0])
     d[row] = 400.0
     viscous = sparse.csr_array(sparse.diags_array(d, format="csr"))
     viscous.eliminate_zeros()
-    damped = replace(system, viscous=viscous, structural=sparse.csr_array(0.01 * system.stiffness))
+    damped = replace(
+        system, viscous=viscous, structural=sparse.csr_array(0.01 * system.stiffness)
+    )
     return EmbeddedAnalysis(model, damped)
 
 
@@ -74,7 +80,9 @@ def test_full_problem_is_that_of_the_dense_companion(method, monkeypatch):
     assert np.allclose(full.modes.poles, want, rtol=1e-9)
     assert full.residuals.max() < 1e-9
     phi = full.modes.shapes
-    assert np.allclose(np.einsum("fm,fm->m", phi, 2 * full.modes.poles * (m @ phi) + d @ phi), 1)
+    assert np.allclose(
+        np.einsum("fm,fm->m", phi, 2 * full.modes.poles * (m @ phi) + d @ phi), 1
+    )
 
 
 def test_proportional_damping_in_closed_form():
@@ -82,11 +90,15 @@ def test_proportional_damping_in_closed_form():
     n = 120
     k, m = chain(n)
     alpha, beta = 0.05, 0.002
-    full = full_modes(DynamicStiffness(k, m, sparse.csr_array(alpha * m + beta * k)), 6.0)
+    full = full_modes(
+        DynamicStiffness(k, m, sparse.csr_array(alpha * m + beta * k)), 6.0
+    )
     lam = 400 * np.sin(np.arange(1, n + 1) * np.pi / 2 / (n + 1)) ** 2
     lam = lam[lam <= 36.0]
     decay = (alpha + beta * lam) / 2
-    assert np.allclose(full.modes.poles, -decay + 1j * np.sqrt(lam - decay**2), rtol=1e-9)
+    assert np.allclose(
+        full.modes.poles, -decay + 1j * np.sqrt(lam - decay**2), rtol=1e-9
+    )
 
 
 def test_bad_upper_end():
@@ -126,7 +138,9 @@ def test_superposition_with_residual_vectors_is_the_direct_solution(held, kind):
     near = held.frf(out, into, f, ModesRequest(24), damping=None, kind=kind)
     modes = held.eigen(ModesRequest(24))
     shapes = held.system.transform @ modes.vectors
-    ends = [shapes[at] * sign[:, None] for at, sign in map(held.dofs.align, (out, into))]
+    ends = [
+        shapes[at] * sign[:, None] for at, sign in map(held.dofs.align, (out, into))
+    ]
     damping = project(modes.vectors, held.system.viscous, held.system.structural)
     bare = coupled(f, CoupledModes(modes.values, *damping), *ends, kind=kind)
     size = np.abs(exact).max(axis=0)

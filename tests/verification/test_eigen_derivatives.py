@@ -27,7 +27,9 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 N, M = 14, 8
 
 
-def _case(clamped: bool) -> tuple[sparse.csr_array, sparse.csr_array, list[MatrixDerivatives]]:
+def _case(
+    clamped: bool,
+) -> tuple[sparse.csr_array, sparse.csr_array, list[MatrixDerivatives]]:
     """A plate whose first half changes stiffness or mass."""
     half = (np.arange(N) < N // 2).astype(float)
     k, m = plate(N, N, ly=1.13)
@@ -42,8 +44,12 @@ def _remainders(k, m, slope, base, d_lambda, d_phi, h):
     phi = got.vectors[:, :M] * np.sign(
         np.einsum("fm,fm->m", base.vectors[:, :M], m @ got.vectors[:, :M])
     )
-    r_lambda = np.abs(got.values[:M] - base.values[:M] - h * d_lambda) / base.values[:M].max()
-    return r_lambda.max(), np.linalg.norm(phi - base.vectors[:, :M] - h * d_phi, axis=0).max()
+    r_lambda = (
+        np.abs(got.values[:M] - base.values[:M] - h * d_lambda) / base.values[:M].max()
+    )
+    return r_lambda.max(), np.linalg.norm(
+        phi - base.vectors[:, :M] - h * d_phi, axis=0
+    ).max()
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -56,9 +62,12 @@ def test_taylor_remainder(which):
     d_lambda = np.einsum("fm,fm->m", phi, load)
     d_phi = eigenvector_derivatives(pencil, base, slopes, count=M)[:, :, which]
     steps = (1e-2, 1e-3)
-    r = np.array([_remainders(k, m, slopes[which], base, d_lambda, d_phi, h) for h in steps])
+    r = np.array(
+        [_remainders(k, m, slopes[which], base, d_lambda, d_phi, h) for h in steps]
+    )
     order = np.log(r[0] / r[1]) / np.log(steps[0] / steps[1])
-    assert np.allclose(order, 2, atol=0.1)  # cubic terms bend it by about the larger step
+    # cubic terms bend it by about the larger step
+    assert np.allclose(order, 2, atol=0.1)
 
 
 def test_against_full_modal_expansion():
@@ -73,7 +82,9 @@ def test_against_full_modal_expansion():
         d = got[:, 3:M, i]
         rest = k @ d - (m @ d) * lam + load - (m @ phi) * d_lambda
         assert np.abs(rest).max() < 1e-6 * np.abs(load).max()
-        norm = 2 * np.einsum("fm,fm->m", phi, m @ d) + np.einsum("fm,fm->m", phi, s.mass @ phi)
+        norm = 2 * np.einsum("fm,fm->m", phi, m @ d) + np.einsum(
+            "fm,fm->m", phi, s.mass @ phi
+        )
         assert np.abs(norm).max() < 1e-9
 
 
@@ -94,7 +105,8 @@ def test_the_solution_meets_its_tolerance() -> None:
                 - (m @ phi) * np.einsum("fm,fm->m", phi, load)
             )
             assert (
-                np.linalg.norm(rest, axis=0) <= 3 * tolerance * np.linalg.norm(load, axis=0)
+                np.linalg.norm(rest, axis=0)
+                <= 3 * tolerance * np.linalg.norm(load, axis=0)
             ).all()
 
 
@@ -108,11 +120,15 @@ def test_subspace_of_a_repeated_root_moves_as_told():
     ring = np.minimum(np.arange(N), np.arange(N)[::-1]) < 3
     weight = ring.astype(float)
     dk = plate(N, N, weight=weight)[0]
-    turn = np.arange(k.shape[0]).reshape(N + 1, 2, N + 1, 2).transpose(2, 3, 0, 1).ravel()
+    turn = (
+        np.arange(k.shape[0]).reshape(N + 1, 2, N + 1, 2).transpose(2, 3, 0, 1).ravel()
+    )
     dk = sparse.csr_array(dk + dk[turn][:, turn])
     pencil = Pencil(k, m)
     base = solve_modes(pencil, 14)
-    d = eigenvector_derivatives(pencil, base, [MatrixDerivatives(dk, 0 * m)], count=6)[:, 4:6, 0]
+    d = eigenvector_derivatives(pencil, base, [MatrixDerivatives(dk, 0 * m)], count=6)[
+        :, 4:6, 0
+    ]
     phi, h = base.vectors[:, 4:6], 1e-4
     ends = [solve_modes(Pencil(k + s * h * dk, m), 8).vectors[:, 4:6] for s in (1, -1)]
     probe = m @ np.random.default_rng(3).standard_normal((k.shape[0], 3))
@@ -157,7 +173,9 @@ def _hub() -> Model:
 @pytest.mark.parametrize(
     ("m", "nodes"), [(shell(8, 5, clamped=True), (20, 27)), (_hub(), (20, 99))]
 )
-def test_vectors_where_nodes_move_across_a_shell(m: Model, nodes: tuple[int, ...]) -> None:
+def test_vectors_where_nodes_move_across_a_shell(
+    m: Model, nodes: tuple[int, ...]
+) -> None:
     """The forces of such a move are large and move next to nothing: the residual must be small
     beside what is left.
 

@@ -33,7 +33,9 @@ SOLVED = 1e-7  # what a solve leaves of the load, beside the tolerance
 def case() -> tuple[Pencil, EigenModes, list[MatrixDerivatives]]:
     model = shell(16, 12, regions=REGIONS)
     fields = [
-        (card, r, f) for r in range(1, REGIONS + 1) for card, f in (("MAT1", "E"), ("PSHELL", "T"))
+        (card, r, f)
+        for r in range(1, REGIONS + 1)
+        for card, f in (("MAT1", "E"), ("PSHELL", "T"))
     ]
     system = assemble(model)
     slopes = system_derivatives(
@@ -43,7 +45,9 @@ def case() -> tuple[Pencil, EigenModes, list[MatrixDerivatives]]:
     return pencil, solve_modes(pencil, M + 4), slopes
 
 
-def _worst(pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: np.ndarray) -> float:
+def _worst(
+    pencil: Pencil, modes: EigenModes, slope: MatrixDerivatives, d: np.ndarray
+) -> float:
     """Largest relative residual of the elastic modes' equations, 2-norm."""
     phi, lam = modes.vectors[:, RIGID:M], modes.values[RIGID:M]
     load = slope.stiffness @ phi - (slope.mass @ phi) * lam
@@ -59,7 +63,9 @@ def test_every_column_meets_the_tolerance(case, monkeypatch, many, columns) -> N
     """
     pencil, modes, slopes = case
     pencil.at(modes.shift)
-    monkeypatch.setattr(derivatives, "SETTINGS", derivatives.ComplementSettings(many=many))
+    monkeypatch.setattr(
+        derivatives, "SETTINGS", derivatives.ComplementSettings(many=many)
+    )
     monkeypatch.setattr(derivatives, "COLUMNS", columns)
     d = eigenvector_derivatives(pencil, modes, slopes, count=M, tolerance=TOLERANCE)
     assert (pencil.shift == modes.shift) == (many > 0)
@@ -83,18 +89,27 @@ def test_fields_of_any_mass(coupled) -> None:
     if coupled:
         mass[1, 2] = mass[2, 1] = 0.3
     mass = sparse.csr_array(mass)
-    x, y, c = rng.standard_normal((4, n)), rng.standard_normal((5, n)), rng.standard_normal((4, 5))
+    x, y, c = (
+        rng.standard_normal((4, n)),
+        rng.standard_normal((5, n)),
+        rng.standard_normal((4, 5)),
+    )
     inertia = derivatives.Inertia(mass)
     a, b = inertia.fields(x), inertia.fields(y)
     np.testing.assert_allclose(a.dot(b), x @ (mass @ y.T), atol=1e-10)
     b.add(c, a)
-    np.testing.assert_allclose(inertia.forces(b), (mass @ (y + c.T @ x).T).T, atol=1e-12)
+    np.testing.assert_allclose(
+        inertia.forces(b), (mass @ (y + c.T @ x).T).T, atol=1e-12
+    )
     a.times(c, b)
     np.testing.assert_allclose(inertia.forces(b), (mass @ (c.T @ x).T).T, atol=1e-12)
 
 
 def test_rows_move_to_their_places() -> None:
-    rows, place = np.outer(np.arange(12.0), np.ones(3)), np.array([1, 2, 3, 6, 7, 8, 10])
+    rows, place = (
+        np.outer(np.arange(12.0), np.ones(3)),
+        np.array([1, 2, 3, 6, 7, 8, 10]),
+    )
     derivatives._spread(rows, place)
     assert rows[place, 0].tolist() == [1, 2, 3, 4, 5, 6, 7]
 
@@ -108,7 +123,9 @@ def test_sketches_keep_norms(case) -> None:
         np.linalg.norm(inertia.sketch(inertia.fields(modes.vectors.T)), axis=1), exact
     )
     rng = np.random.default_rng(5)
-    wide = derivatives.Inertia(sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr())
+    wide = derivatives.Inertia(
+        sparse.diags_array(rng.uniform(1.0, 2.0, 20_000)).tocsr()
+    )
     x = wide.fields(rng.standard_normal((30, 20_000)))
     norms = np.linalg.norm(wide.forces(x), axis=1)
     assert 1e-4 < np.abs(np.linalg.norm(wide.sketch(x), axis=1) / norms - 1).max() < 0.1
@@ -140,11 +157,15 @@ def test_a_space_that_is_full_starts_anew(case, monkeypatch) -> None:
     pencil.at(modes.shift)
     small = derivatives.ComplementSettings(each=1, spare=0)
     monkeypatch.setattr(derivatives, "SETTINGS", small)
-    d = eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
+    d = eigenvector_derivatives(
+        pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE
+    )
     assert _worst(pencil, modes, slopes[1], d[:, RIGID:, 0]) < TOLERANCE + SOLVED
     monkeypatch.setattr(derivatives, "SETTINGS", replace(small, runs=1))
     with pytest.raises(NotConverged, match="did not converge"):
-        eigenvector_derivatives(pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE)
+        eigenvector_derivatives(
+            pencil, modes, slopes[1:2], count=M, tolerance=TOLERANCE
+        )
 
 
 def test_one_parameter_or_all(case) -> None:

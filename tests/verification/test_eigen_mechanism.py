@@ -23,7 +23,9 @@ E, AREA, WEAK, RHO, LENGTH = 2.1e11, 1e-4, 1e-9, 7850.0, 1.0
 LINES = [(1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.3, 0.5, 0.7)]
 
 
-def bars(folder: Path, nodes: np.ndarray, hold: str = "", autospc: str = "YES") -> Model:
+def bars(
+    folder: Path, nodes: np.ndarray, hold: str = "", autospc: str = "YES"
+) -> Model:
     """CBARs from node to node (n, 3)."""
     lines = [
         "SOL 103",
@@ -40,7 +42,8 @@ def bars(folder: Path, nodes: np.ndarray, hold: str = "", autospc: str = "YES") 
         f"SPC1,1,{hold},1" if hold else "$",
     ]
     lines += [
-        f"GRID,{k},,{x:.12f},{y:.12f},{z:.12f}" for k, (x, y, z) in enumerate(nodes.tolist(), 1)
+        f"GRID,{k},,{x:.12f},{y:.12f},{z:.12f}"
+        for k, (x, y, z) in enumerate(nodes.tolist(), 1)
     ]
     lines += [f"CBAR,{k},1,{k},{k + 1},.3,-.5,.81" for k in range(1, len(nodes))]
     (folder / "line.bdf").write_text("\n".join([*lines, "ENDDATA", ""]))
@@ -48,7 +51,9 @@ def bars(folder: Path, nodes: np.ndarray, hold: str = "", autospc: str = "YES") 
 
 
 def straight(axis: tuple[float, float, float], count: int) -> np.ndarray:
-    return np.linspace(0, LENGTH, count)[:, None] * np.array(axis) / np.linalg.norm(axis)
+    return (
+        np.linspace(0, LENGTH, count)[:, None] * np.array(axis) / np.linalg.norm(axis)
+    )
 
 
 @pytest.mark.parametrize("axis", LINES)
@@ -70,10 +75,13 @@ def test_held_line(tmp_path, axis):
     """The cantilever's first frequency in its weak plane, (1.8751)² √(EI/ρA)/(2πL²); lumped mass on
     40 bars.
     """
-    with EmbeddedSolver().open(bars(tmp_path, straight(axis, 41), "123456")) as analysis:
+    with EmbeddedSolver().open(
+        bars(tmp_path, straight(axis, 41), "123456")
+    ) as analysis:
         found = analysis.modes(ModesRequest(4)).modes.frequencies[0]
     assert found == pytest.approx(
-        1.8751041**2 * np.sqrt(E * WEAK / (RHO * AREA)) / (2 * np.pi * LENGTH**2), rel=2e-3
+        1.8751041**2 * np.sqrt(E * WEAK / (RHO * AREA)) / (2 * np.pi * LENGTH**2),
+        rel=2e-3,
     )
 
 
@@ -81,7 +89,9 @@ def test_held_line(tmp_path, axis):
 def test_free_line_with_a_corner(tmp_path, count):
     """Six rigid-body modes and no more."""
     nodes = straight((1.0, 0.0, 0.0), count)
-    nodes[count // 2 + 1 :, 1] = 0.3 * (nodes[count // 2 + 1 :, 0] - nodes[count // 2, 0])
+    nodes[count // 2 + 1 :, 1] = 0.3 * (
+        nodes[count // 2 + 1 :, 0] - nodes[count // 2, 0]
+    )
     with EmbeddedSolver().open(bars(tmp_path, nodes)) as analysis:
         f = analysis.modes(ModesRequest(8)).modes.frequencies
     assert np.abs(f[:6]).max() < 1e-2 * f[6]

@@ -46,7 +46,9 @@ def test_square_free_plate(mesh, scale):
     assert got.residuals.max() < RESIDUAL
     assert got.orthogonality < 1e-9
     assert got.complete
-    top = np.take_along_axis(got.vectors, np.abs(got.vectors).argmax(axis=0)[None], axis=0)
+    top = np.take_along_axis(
+        got.vectors, np.abs(got.vectors).argmax(axis=0)[None], axis=0
+    )
     assert (top > 0).all()
 
 
@@ -75,11 +77,14 @@ def test_a_root_repeated_more_often_than_a_block_is_wide(count, apart):
     k, m = k[free][:, free], m[free][:, free]
     stiffer = 1 + apart * np.linspace(0, 1, copies)
     many = [
-        sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * copies)
+        sparse.csr_array(sparse.block_diag(a))
+        for a in ([c * k for c in stiffer], [m] * copies)
     ]
     got = solve_modes(Pencil(*many), count)
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
-    assert np.allclose(got.values, np.sort(np.outer(stiffer, one).ravel())[:count], rtol=1e-8)
+    assert np.allclose(
+        got.values, np.sort(np.outer(stiffer, one).ravel())[:count], rtol=1e-8
+    )
     assert got.complete
     assert got.orthogonality < 1e-9
 
@@ -89,10 +94,21 @@ def block() -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
     """K, M and the 20 lowest eigenvalues of a free block of solids, 630 DOFs."""
     xyz, nodes = solid_meshes.box(6, 5, 4, (1.0, 0.7, 0.4))
     s = assemble(
-        model(grid(xyz), solid_meshes.elements("CHEXA", nodes), solid_meshes.psolid(), steel())
+        model(
+            grid(xyz),
+            solid_meshes.elements("CHEXA", nodes),
+            solid_meshes.psolid(),
+            steel(),
+        )
     )
     k, m = s.stiffness, s.mass
-    return k, m, linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True, subset_by_index=(0, 19))
+    return (
+        k,
+        m,
+        linalg.eigh(
+            k.toarray(), m.toarray(), eigvals_only=True, subset_by_index=(0, 19)
+        ),
+    )
 
 
 @pytest.mark.parametrize("count", [2, 6, 8, 20])
@@ -104,7 +120,8 @@ def test_free_bodies(block, bodies, count):
     k, m, one = block
     stiffer = 1 + 0.03 * np.arange(bodies)
     many = [
-        sparse.csr_array(sparse.block_diag(a)) for a in ([c * k for c in stiffer], [m] * bodies)
+        sparse.csr_array(sparse.block_diag(a))
+        for a in ([c * k for c in stiffer], [m] * bodies)
     ]
     got = solve_modes(Pencil(*many), count)
     want = np.sort(np.outer(stiffer, one).ravel())[:count]
@@ -127,13 +144,17 @@ def test_missing_mode_is_found_by_the_count(monkeypatch):
         calls.append(theta.size)
         if not theta.size:
             self.basis[n:] = 0
-            q, self.loaded, _ = self._orthonormal(self.basis[:, : self.ahead].copy(), 0.0)
+            q, self.loaded, _ = self._orthonormal(
+                self.basis[:, : self.ahead].copy(), 0.0
+            )
             self._put(q, 0)
 
     monkeypatch.setattr(lanczos.Krylov, "start", blind)
     got = solve_modes(Pencil(*both), 8, shift=-100.0)
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:8]
-    assert np.allclose(got.values, np.sort(np.concatenate([one, 1.21 * one]))[:8], rtol=1e-8)
+    assert np.allclose(
+        got.values, np.sort(np.concatenate([one, 1.21 * one]))[:8], rtol=1e-8
+    )
     assert got.complete
     assert max(calls) > 0
 
@@ -162,7 +183,8 @@ def test_a_mechanism_of_many_motions(count):
     across it.
     """
     along = sparse.diags_array(
-        [-np.ones(299), np.r_[1.0, np.full(298, 2.0), 1.0], -np.ones(299)], offsets=(-1, 0, 1)
+        [-np.ones(299), np.r_[1.0, np.full(298, 2.0), 1.0], -np.ones(299)],
+        offsets=(-1, 0, 1),
     )
     k = sparse.csr_array(sparse.block_diag([along, sparse.csr_array((300, 300))]))
     got = solve_modes(Pencil(k, sparse.csr_array(sparse.eye_array(600))), count)
@@ -176,10 +198,14 @@ def test_a_band_with_more_equal_bodies_than_rounding_brings():
     k, m = plate(3, 3)
     many = [sparse.csr_array(sparse.block_diag([a] * 60)) for a in (k, m)]
     one = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[:5]
-    got = solve_modes(Pencil(*many), band=(0.0, np.sqrt((one[3] + one[4]) / 2) / (2 * np.pi)))
+    got = solve_modes(
+        Pencil(*many), band=(0.0, np.sqrt((one[3] + one[4]) / 2) / (2 * np.pi))
+    )
     assert got.complete
     assert got.values.size == 240
-    assert np.allclose(got.values, np.repeat(one[:4], 60), rtol=1e-7, atol=1e-7 * one[3])
+    assert np.allclose(
+        got.values, np.repeat(one[:4], 60), rtol=1e-7, atol=1e-7 * one[3]
+    )
 
 
 @pytest.mark.parametrize(("spread", "proved"), [(0.0, True), (2e-2, False)])
@@ -203,9 +229,15 @@ def test_a_band_of_many_modes_over_a_singular_mass(monkeypatch, sharp):
     heavy = np.arange(k.shape[0]) % 4 == 0
     lumped = sparse.csr_array(sparse.diags_array(np.where(heavy, m.diagonal(), 0.0)))
     d = k.toarray()
-    a, b, c = d[np.ix_(heavy, heavy)], d[np.ix_(heavy, ~heavy)], d[np.ix_(~heavy, ~heavy)]
+    a, b, c = (
+        d[np.ix_(heavy, heavy)],
+        d[np.ix_(heavy, ~heavy)],
+        d[np.ix_(~heavy, ~heavy)],
+    )
     want = linalg.eigh(
-        a - b @ np.linalg.solve(c, b.T), lumped.toarray()[np.ix_(heavy, heavy)], eigvals_only=True
+        a - b @ np.linalg.solve(c, b.T),
+        lumped.toarray()[np.ix_(heavy, heavy)],
+        eigvals_only=True,
     )
     f = np.sqrt(np.maximum(want, 0)) / (2 * np.pi)
     if not sharp:
@@ -231,7 +263,9 @@ def test_mass_of_low_rank():
     assert "rank" in got.proof
 
 
-@pytest.mark.parametrize("ends", [(-1.0, 200.0), (60.0, 420.0), (300.0, 420.0), (41.0, 55.0)])
+@pytest.mark.parametrize(
+    "ends", [(-1.0, 200.0), (60.0, 420.0), (300.0, 420.0), (41.0, 55.0)]
+)
 def test_band(ends):
     k, m = plate(12, 12)
     want = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
@@ -313,12 +347,16 @@ def test_nearly_all_modes_of_equal_structures():
     ):
         assert got.complete
         assert "were computed" in got.proof
-        assert np.allclose(got.values, np.repeat(one[:-2], 6), rtol=1e-8, atol=1e-9 * one[-1])
+        assert np.allclose(
+            got.values, np.repeat(one[:-2], 6), rtol=1e-8, atol=1e-9 * one[-1]
+        )
 
 
 def test_bodies_without_any_motion_but_rigid_ones():
     """500 free pairs of rows, one with a mass: nothing but modes at zero."""
-    K = sparse.csr_array(sparse.block_diag([1e3 * np.array([[1.0, -1], [-1, 1]])] * 500))
+    K = sparse.csr_array(
+        sparse.block_diag([1e3 * np.array([[1.0, -1], [-1, 1]])] * 500)
+    )
     M = sparse.csr_array(sparse.diags_array(np.tile([2.0, 0.0], 500)))
     got = solve_modes(Pencil(K, M), 10)
     assert got.values.size == 10
@@ -332,8 +370,12 @@ def test_a_stiffness_that_leaves_no_digits_is_told(digits, held_at):
     link.
     """
     big, soft = 0.7 * 10.0**digits, 1 / 3
-    k = np.array([[big + soft, -big, 0], [-big, big + soft + 1, -1], [0, -1, 1 + held_at]])
-    got = solve_modes(Pencil(sparse.csr_array(k), sparse.csr_array(np.diag([1.0, 2.0, 1.0]))), 2)
+    k = np.array(
+        [[big + soft, -big, 0], [-big, big + soft + 1, -1], [0, -1, 1 + held_at]]
+    )
+    got = solve_modes(
+        Pencil(sparse.csr_array(k), sparse.csr_array(np.diag([1.0, 2.0, 1.0]))), 2
+    )
     one = linalg.eigh(
         [[1 + 2 * soft, -1], [-1, 1 + held_at]], np.diag([3.0, 1.0]), eigvals_only=True
     )
@@ -367,4 +409,6 @@ def test_mechanism_without_mass(mesh):
     k, m = (sparse.csr_array(sparse.block_diag([a, np.zeros((1, 1))])) for a in (k, m))
     last = k.shape[0] - 1
     with pytest.raises(SingularModel, match=rf"at DOF {last}\b.*mechanism"):
-        solve_modes(Pencil(k, m, labels=lambda rows: [f"DOF {i}" for i in rows.tolist()]), 5)
+        solve_modes(
+            Pencil(k, m, labels=lambda rows: [f"DOF {i}" for i in rows.tolist()]), 5
+        )

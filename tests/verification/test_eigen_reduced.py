@@ -19,7 +19,8 @@ from ringtrue.solvers.observed import FullModel, reduced
 
 COUNT = 14
 ROUNDING = (
-    1e-6  # ε|φ|ᵀ|K||φ|/λ of the lowest mode of this thin shell: double precision tells no more
+    # ε|φ|ᵀ|K||φ|/λ of the lowest mode of this thin shell: double precision tells no more
+    1e-6
 )
 
 
@@ -44,7 +45,9 @@ def test_nominal(case):
     sign = np.sign(np.einsum("cm,cm->m", a.shapes, b.shapes))
     assert np.allclose(a.frequencies, b.frequencies, rtol=ROUNDING)
     assert np.allclose(a.shapes, b.shapes * sign, atol=1e-7 * np.abs(a.shapes).max())
-    assert np.allclose(a.d_lambda, b.d_lambda, rtol=1e-6, atol=1e-6 * np.abs(a.d_lambda).max())
+    assert np.allclose(
+        a.d_lambda, b.d_lambda, rtol=1e-6, atol=1e-6 * np.abs(a.d_lambda).max()
+    )
     size = np.abs(a.d_shapes).max()
     assert (
         np.abs(a.d_shapes - b.d_shapes * sign[:, None]).max() < 2e-3 * size
@@ -72,14 +75,18 @@ def test_enrichment_makes_it_exact_there(case):
     assert 0.2 < before / was < 5  # an estimate
     assert richer.error(x) < 1e-3 * before
     assert np.allclose(
-        richer.modes(np.zeros(3)).frequencies, fast.modes(np.zeros(3)).frequencies, rtol=ROUNDING
+        richer.modes(np.zeros(3)).frequencies,
+        fast.modes(np.zeros(3)).frequencies,
+        rtol=ROUNDING,
     )
 
 
 def test_enrichment_without_parameters_adds_the_modes_alone(case):
     fast = case[1].with_parameters([])
     richer, truth = fast.enrich(np.zeros(0), sensitivities=True)
-    assert np.allclose(richer.modes(np.zeros(0)).frequencies, truth.frequencies, rtol=ROUNDING)
+    assert np.allclose(
+        richer.modes(np.zeros(0)).frequencies, truth.frequencies, rtol=ROUNDING
+    )
 
 
 def test_a_solver_reports_its_own_progress():

@@ -38,13 +38,21 @@ def beam(length: float) -> Model:
     i, x = np.arange(1, n + 1), np.zeros((n + 1, 3))
     x[:, 0] = np.linspace(0, length, n + 1)
     section = {"A": h * h, "I1": h**4 / 12, "I2": h**4 / 6, "J": h**4 / 6}
-    p = cards("PBEAM", PID=[1], MID=1, **section, **{f"{k}B": v for k, v in section.items()})
+    p = cards(
+        "PBEAM", PID=[1], MID=1, **section, **{f"{k}B": v for k, v in section.items()}
+    )
     return model(
-        grid(x), cards("CBEAM", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0), p, steel(), COUPMASS=1
+        grid(x),
+        cards("CBEAM", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0),
+        p,
+        steel(),
+        COUPMASS=1,
     )
 
 
-def solved(m: Model, method: str, monkeypatch: pytest.MonkeyPatch) -> tuple[EigenModes, int]:
+def solved(
+    m: Model, method: str, monkeypatch: pytest.MonkeyPatch
+) -> tuple[EigenModes, int]:
     system = assemble(m)
     count = [0]
     step = lanczos.Krylov.step
@@ -54,7 +62,9 @@ def solved(m: Model, method: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Eige
         step(self)
 
     monkeypatch.setattr(lanczos.Krylov, "step", counted)
-    return solve_modes(Pencil(system.stiffness, system.mass, method=method), 20), count[0]
+    return solve_modes(Pencil(system.stiffness, system.mass, method=method), 20), count[
+        0
+    ]
 
 
 @pytest.mark.parametrize("method", COUNTING)
@@ -65,7 +75,9 @@ def test_plates(t: float, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     thin, blocks = solved(shell(t), method, monkeypatch)
     assert thin.complete
     assert blocks <= MOST
-    np.testing.assert_allclose(thin.values[6:] / t**2, thick.values[6:] / 1e-6, rtol=NOISE)
+    np.testing.assert_allclose(
+        thin.values[6:] / t**2, thick.values[6:] / 1e-6, rtol=NOISE
+    )
 
 
 @pytest.mark.parametrize("method", COUNTING)
@@ -79,7 +91,9 @@ def test_a_foil_of_solids(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = grid(np.vstack([xyz, np.add(xyz, [0, 0, t])]))
     hexa = cards("CHEXA", EID=np.arange(1, len(quads) + 1), PID=1, **g)
     found, blocks = solved(
-        model(nodes, hexa, cards("PSOLID", PID=[1], MID=1), steel()), method, monkeypatch
+        model(nodes, hexa, cards("PSOLID", PID=[1], MID=1), steel()),
+        method,
+        monkeypatch,
     )
     assert found.complete
     assert blocks <= MOST

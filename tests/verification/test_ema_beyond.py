@@ -20,7 +20,8 @@ from ringtrue.shapes import mac
 
 MASS, LEVEL, AVERAGES = 10.0, 0.01, 5.0
 EXACT = 0.995  # MAC: ten times what the noise leaves
-SCALE = 0.03  # of a modal mass: what modes far beyond the lines may leave near an end of these
+# of a modal mass: what modes far beyond the lines may leave near an end of these
+SCALE = 0.03
 
 
 def plate(
@@ -42,19 +43,34 @@ def plate(
     phi = 2 / np.sqrt(MASS) * np.sin(np.pi * j * x) * np.sin(np.pi * k * y)
     s, w = 2j * np.pi * freqs[:, None], 2 * np.pi * fn
     h = np.einsum(
-        "fk,ok,ik->foi", s**2 / (s**2 + 2 * zeta * w * s + w**2), phi, phi[list(references)]
+        "fk,ok,ik->foi",
+        s**2 / (s**2 + 2 * zeta * w * s + w**2),
+        phi,
+        phi[list(references)],
     )
     sigma = level * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
-    noise = sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    noise = (
+        sigma
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        / np.sqrt(2)
+    )
     coherence = 1 / (1 + AVERAGES * (sigma / np.abs(h)) ** 2)
     out = tuple(Channel(f"{i}+Z", "acceleration", "m/s^2") for i in range(points))
     forces = tuple(Channel(f"{i}+Z", "force", "N") for i in references)
     return FrfSet(
-        h + noise, freqs, out, forces, coherence, np.full(len(references), AVERAGES), "accelerance"
+        h + noise,
+        freqs,
+        out,
+        forces,
+        coherence,
+        np.full(len(references), AVERAGES),
+        "accelerance",
     ), phi
 
 
-def same(found: HammerResult, fn: np.ndarray, zeta: np.ndarray, phi: np.ndarray) -> None:
+def same(
+    found: HammerResult, fn: np.ndarray, zeta: np.ndarray, phi: np.ndarray
+) -> None:
     modes = found.modes
     assert len(modes) == fn.size, (modes.frequencies, found.others.sentences())
     np.testing.assert_allclose(modes.frequencies, fn, rtol=1e-3)
@@ -71,7 +87,9 @@ def test_lines_that_end_beside_modes(seed: int) -> None:
     within 1 % inside.
     """
     rng = np.random.default_rng(seed)
-    fn = np.array([60, 210, 390, 403, 500, 640, 655, 820, 1010, 1090, 1193, 1218, 1500, 1700.0])
+    fn = np.array(
+        [60, 210, 390, 403, 500, 640, 655, 820, 1010, 1090, 1193, 1218, 1500, 1700.0]
+    )
     zeta = rng.uniform(0.003, 0.012, fn.size)
     frfs, phi = plate(fn, zeta, np.arange(398.0, 1200.1, 0.5), rng)
     at = (fn > 400) & (fn < 1200)
@@ -94,7 +112,10 @@ def test_a_matrix_of_forty_references(seed: int) -> None:
     have orders for.
     """
     rng = np.random.default_rng(seed)
-    fn, zeta = np.arange(22.0, 55.0, 3.0) + rng.uniform(-1, 1, 11), rng.uniform(0.03, 0.06, 11)
+    fn, zeta = (
+        np.arange(22.0, 55.0, 3.0) + rng.uniform(-1, 1, 11),
+        rng.uniform(0.03, 0.06, 11),
+    )
     frfs, phi = plate(fn, zeta, np.arange(10.0, 70.1, 0.25), rng, 50, range(40))
     same(identify_hammer(frfs), fn, zeta, phi)
 
@@ -114,5 +135,6 @@ def test_a_crowded_band(seed: int) -> None:
     )
     mode, true = linear_sum_assignment(far)
     assert len(mode) == len(found.modes) >= fn.size - 3, found.others.sentences()
-    assert far[mode, true].max() < 1  # a neighbour that is missed costs half a bandwidth
+    # a neighbour that is missed costs half a bandwidth
+    assert far[mode, true].max() < 1
     assert not any(n.startswith("the responses disagree") for n in found.notes)

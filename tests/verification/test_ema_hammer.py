@@ -21,10 +21,19 @@ from ringtrue.errors import DataError
 from ringtrue.identification.frf.confidence import DroppedPole, doubtful_candidates
 from ringtrue.identification.frf.data_checks import lines_between, sound_pairs
 from ringtrue.identification.frf.lines import cmif, prepare
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import (
+    HammerModes,
+    HammerResult,
+    identify_hammer,
+)
 from ringtrue.identification.frf.plscf import Plscf, choose_bands, cluster_poles, plscf
 from ringtrue.identification.frf.refinement import refine
-from ringtrue.identification.frf.residues import driving_pairs, lsfd, noise, solve_shapes
+from ringtrue.identification.frf.residues import (
+    driving_pairs,
+    lsfd,
+    noise,
+    solve_shapes,
+)
 from ringtrue.io.frfs import read_frfs
 from ringtrue.shapes import mac
 
@@ -70,11 +79,21 @@ def simulate(
     inputs = tuple(Channel(f"{i + 1}+Z", "force", "N") for i in refs)
     coherence = np.abs(mean) ** 2 / power
     return FrfSet(
-        mean, freqs, out, inputs, coherence, np.full(n_in, 4.0), "accelerance", decay, "simulated"
+        mean,
+        freqs,
+        out,
+        inputs,
+        coherence,
+        np.full(n_in, 4.0),
+        "accelerance",
+        decay,
+        "simulated",
     ), phi
 
 
-def same(result: HammerResult, phi: np.ndarray, df: float, dz: float, least_mac: float) -> None:
+def same(
+    result: HammerResult, phi: np.ndarray, df: float, dz: float, least_mac: float
+) -> None:
     modes = result.modes
     assert len(modes) == FN.size, result.reasons
     assert np.abs(modes.frequencies / FN - 1).max() < df
@@ -94,7 +113,9 @@ def test_finds_all_modes_and_no_other(n_in: int) -> None:
     same(result, phi, 5e-4, 0.03 if n_in > 1 else 0.06, 0.98)
     assert result.modes.norm is Norm.MASS
     if n_in > 1:  # a single driving point may be a node of a mode
-        scale = np.linalg.norm(result.modes.shapes, axis=0) / np.linalg.norm(phi, axis=0)
+        scale = np.linalg.norm(result.modes.shapes, axis=0) / np.linalg.norm(
+            phi, axis=0
+        )
         np.testing.assert_allclose(scale, 1.0, atol=0.02)
     assert result.synthesis_error.shape == (40, n_in)
     assert np.median(result.synthesis_error) < 0.05
@@ -104,7 +125,10 @@ def test_finds_all_modes_and_no_other(n_in: int) -> None:
 @pytest.mark.parametrize("level", [0.01, 0.05])
 def test_one_input_separates_three_modes_in_one_bandwidth(level: float) -> None:
     """Gaps of a quarter bandwidth; the responses tell the modes apart."""
-    fn, rng = np.array([14.0, 30.0, 30.15, 30.3, 47.0, 60.0]), np.random.default_rng(500)
+    fn, rng = (
+        np.array([14.0, 30.0, 30.15, 30.3, 47.0, 60.0]),
+        np.random.default_rng(500),
+    )
     phi = rng.standard_normal((24, fn.size))
     phi[0] = np.sign(phi[0]) * (0.4 + np.abs(phi[0]) / 2)
     freqs = np.linspace(0.05, 125.0, 2500)
@@ -116,11 +140,14 @@ def test_one_input_separates_three_modes_in_one_bandwidth(level: float) -> None:
         phi[0],
     )
     sigma = level * np.sqrt(np.mean(np.abs(h) ** 2, axis=0) / 2) / 2  # the mean of four
-    y = (h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)))[:, :, None]
+    y = (
+        h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    )[:, :, None]
     coherence = 1 / (1 + 8 * (sigma / np.abs(h)) ** 2)[:, :, None]
     out = tuple(Channel(f"{i + 1}+Z") for i in range(24))
     modes = identify_hammer(
-        FrfSet(y, freqs, out, out[:1], coherence, np.full(1, 4.0)), HammerModes(5.0, 100.0)
+        FrfSet(y, freqs, out, out[:1], coherence, np.full(1, 4.0)),
+        HammerModes(5.0, 100.0),
     ).modes
     assert len(modes) == fn.size
     np.testing.assert_allclose(modes.frequencies, fn, rtol=1e-3)
@@ -180,12 +207,16 @@ def test_a_mode_near_a_node_of_the_only_force(seed: int) -> None:
     )
     sigma = 5e-4 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
     y = (
-        h + sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+        h
+        + sigma
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        / np.sqrt(2)
     )[:, :, None]
     out = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(20))
     coherence = 1 / (1 + 4 * (sigma / np.abs(h)) ** 2)[:, :, None]
     modes = identify_hammer(
-        FrfSet(y, freqs, out, out[:1], coherence, np.full(1, 4.0)), HammerModes(8.0, 38.0)
+        FrfSet(y, freqs, out, out[:1], coherence, np.full(1, 4.0)),
+        HammerModes(8.0, 38.0),
     ).modes
     np.testing.assert_allclose(modes.frequencies, fn, rtol=1e-3)
     assert np.diag(mac(modes.shapes, phi)).min() > 0.98
@@ -212,7 +243,8 @@ def test_modes_of_complex_shapes_are_found() -> None:
         * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
     )
     r = identify_hammer(
-        replace(frfs, data=h, coherence=np.full(h.shape, np.nan)), HammerModes(5.0, 100.0)
+        replace(frfs, data=h, coherence=np.full(h.shape, np.nan)),
+        HammerModes(5.0, 100.0),
     )
     assert len(r.modes) == FN.size, r.others.sentences()
     assert np.diag(mac(r.modes.shapes, phi)).min() > 0.98
@@ -239,7 +271,9 @@ def test_stated_deviations_cover_the_errors() -> None:
         error_f.append((r.modes.frequencies - FN) / r.uncertainty.frequency)
         error_z.append((r.modes.damping - ZETA) / r.uncertainty.damping)
         error_phi.append(
-            ((np.abs(r.modes.shapes) - np.abs(phi)) / r.uncertainty.shape)[np.abs(phi) > 0.3]
+            ((np.abs(r.modes.shapes) - np.abs(phi)) / r.uncertainty.shape)[
+                np.abs(phi) > 0.3
+            ]
         )
     for z in (error_f, error_z, np.concatenate(error_phi)):
         assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
@@ -258,19 +292,28 @@ def test_deviations_cover_errors_that_grow_with_the_response_or_fade_with_a_wind
     error = []
     for seed in range(3):
         rng = np.random.default_rng(40 + seed)
-        frfs, _ = simulate(40 + seed, n_out=16, n_in=2, decay=0.5 if window else 0.0, level=1e-6)
+        frfs, _ = simulate(
+            40 + seed, n_out=16, n_in=2, decay=0.5 if window else 0.0, level=1e-6
+        )
         h = frfs.data
         e = (
             rng.standard_normal((4, *h.shape)) + 1j * rng.standard_normal((4, *h.shape))
         ) / np.sqrt(2)
         if window:  # steady noise in the block, faded
             t = np.arange(h.shape[0]) / (h.shape[0] * (frfs.freqs[1] - frfs.freqs[0]))
-            e = np.fft.fft(np.fft.ifft(e, axis=1) * np.exp(-0.5 * t)[:, None, None], axis=1)
-        e *= 0.05 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0)) if window else 0.02 * np.abs(h)
+            e = np.fft.fft(
+                np.fft.ifft(e, axis=1) * np.exp(-0.5 * t)[:, None, None], axis=1
+            )
+        e *= (
+            0.05 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
+            if window
+            else 0.02 * np.abs(h)
+        )
         y = h + e
         coherence = np.abs(y.mean(axis=0)) ** 2 / (np.abs(y) ** 2).mean(axis=0)
         r = identify_hammer(
-            replace(frfs, data=y.mean(axis=0), coherence=coherence), HammerModes(5.0, 100.0)
+            replace(frfs, data=y.mean(axis=0), coherence=coherence),
+            HammerModes(5.0, 100.0),
         )
         assert len(r.modes) == FN.size
         error.append((r.modes.frequencies - FN) / r.uncertainty.frequency)
@@ -345,9 +388,13 @@ def test_the_band_ends_where_the_frfs_are_noise(known: bool) -> None:
     rng, beyond = np.random.default_rng(0), frfs.freqs > 100
     white = rng.standard_normal((2, *frfs.data.shape)).T @ np.array([1, 1j])
     data = np.where(beyond[:, None, None], white.T, frfs.data)
-    coherence = np.where(beyond[:, None, None], rng.beta(1, 3, frfs.data.shape), frfs.coherence)
+    coherence = np.where(
+        beyond[:, None, None], rng.beta(1, 3, frfs.data.shape), frfs.coherence
+    )
     blind = np.full(coherence.shape, np.nan)
-    result = identify_hammer(replace(frfs, data=data, coherence=coherence if known else blind))
+    result = identify_hammer(
+        replace(frfs, data=data, coherence=coherence if known else blind)
+    )
     same(result, phi, 5e-4, 0.03, 0.98)
     assert any(n.startswith("the band ends at 10") for n in result.notes)
 
@@ -362,10 +409,17 @@ def test_noise_on_the_force_moves_no_pole() -> None:
     error = []
     for seed in range(4):
         frfs, _ = simulate(seed, n_out=12, n_in=2, level=0.005)
-        pulse = 0.01 * np.random.default_rng(seed).standard_normal((8, 2)) @ np.array([1, 1j])
-        factor = 1 + np.exp(-2j * np.pi * np.outer(frfs.freqs, np.arange(8) / 250)) @ pulse
+        pulse = (
+            0.01
+            * np.random.default_rng(seed).standard_normal((8, 2))
+            @ np.array([1, 1j])
+        )
+        factor = (
+            1 + np.exp(-2j * np.pi * np.outer(frfs.freqs, np.arange(8) / 250)) @ pulse
+        )
         result = identify_hammer(
-            replace(frfs, data=frfs.data * factor[:, None, None]), HammerModes(5.0, 100.0)
+            replace(frfs, data=frfs.data * factor[:, None, None]),
+            HammerModes(5.0, 100.0),
         )
         assert len(result.modes) == FN.size
         u = result.uncertainty
@@ -383,7 +437,10 @@ def test_measured_free_beam() -> None:
     frfs = read_frfs(DATA / "ema/free_beam/frf.npz")
     keep = frfs.freqs <= 5000
     frfs = replace(
-        frfs, data=frfs.data[keep], freqs=frfs.freqs[keep], coherence=frfs.coherence[keep]
+        frfs,
+        data=frfs.data[keep],
+        freqs=frfs.freqs[keep],
+        coherence=frfs.coherence[keep],
     )
     modes = identify_hammer(frfs, HammerModes(fmin=100.0, fmax=4500.0)).modes
     published = np.array([177.0, 477.4, 933.1, 1535.5, 2286.9, 3162.4, 4181.2])
@@ -408,7 +465,10 @@ def test_free_beam_beyond_its_bending_modes() -> None:
     frfs = read_frfs(DATA / "ema/free_beam/frf.npz")
     keep = frfs.freqs <= 6100
     frfs = replace(
-        frfs, data=frfs.data[keep], freqs=frfs.freqs[keep], coherence=frfs.coherence[keep]
+        frfs,
+        data=frfs.data[keep],
+        freqs=frfs.freqs[keep],
+        coherence=frfs.coherence[keep],
     )
     f = identify_hammer(frfs, HammerModes(fmin=1000.0, fmax=6000.0)).modes.frequencies
     bending = np.array([1535.4, 2286.9, 3162.4, 4181.2, 5323.9])
@@ -419,7 +479,9 @@ def test_free_beam_beyond_its_bending_modes() -> None:
     np.testing.assert_allclose(rest / n, 1395, rtol=0.015)
     near = np.abs(frfs.freqs - 1377) < 15
     part, slope = frfs.data[near], np.linspace(0, 1, near.sum())[:, None, None]
-    peak = frfs.freqs[near][np.abs(part - part[0] * (1 - slope) - part[-1] * slope).argmax(axis=0)]
+    peak = frfs.freqs[near][
+        np.abs(part - part[0] * (1 - slope) - part[-1] * slope).argmax(axis=0)
+    ]
     assert (np.abs(peak - 1376.8) < 2).mean() > 0.9
 
 
@@ -443,16 +505,26 @@ def test_repeated_roots_are_two_modes_of_one_plane(references: list[int]) -> Non
     """
     x, y = (g.ravel() for g in np.meshgrid(*[np.linspace(0, 1, 6)] * 2))
     orders = [(1, 1), (0, 2), (2, 0), (2, 1), (1, 2), (2, 2)]
-    phi = np.stack([np.cos(np.pi * i * x) * np.cos(np.pi * j * y) for i, j in orders], axis=1)
+    phi = np.stack(
+        [np.cos(np.pi * i * x) * np.cos(np.pi * j * y) for i, j in orders], axis=1
+    )
     fn, rng = np.array([10.0, 22.0, 22.0, 35.0, 35.0, 50.0]), np.random.default_rng(1)
     freqs = np.linspace(0.05, 80.0, 1600)
     s, w = 2j * np.pi * freqs[:, None], 2 * np.pi * fn
-    h = np.einsum("fk,ok,ik->foi", s**2 / (s**2 + 0.016 * w * s + w**2), phi, phi[references])
-    h += 0.01 * h.std() * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    h = np.einsum(
+        "fk,ok,ik->foi", s**2 / (s**2 + 0.016 * w * s + w**2), phi, phi[references]
+    )
+    h += (
+        0.01
+        * h.std()
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    )
     out = tuple(Channel(f"{i}+Z") for i in range(36))
     given = tuple(out[i] for i in references)
     result = identify_hammer(
-        FrfSet(h, freqs, out, given, np.full(h.shape, np.nan), np.full(len(given), np.nan)),
+        FrfSet(
+            h, freqs, out, given, np.full(h.shape, np.nan), np.full(len(given), np.nan)
+        ),
         HammerModes(5.0, 60.0),
     )
     modes = result.modes
@@ -461,7 +533,9 @@ def test_repeated_roots_are_two_modes_of_one_plane(references: list[int]) -> Non
     for a, b in ((1, 2), (3, 4)):
         turn = np.linalg.lstsq(phi[:, [a, b]], modes.shapes[:, [a, b]])[0]
         np.testing.assert_allclose(turn.conj().T @ turn, np.eye(2), atol=0.05)
-        np.testing.assert_allclose(phi[:, [a, b]] @ turn, modes.shapes[:, [a, b]], atol=0.05)
+        np.testing.assert_allclose(
+            phi[:, [a, b]] @ turn, modes.shapes[:, [a, b]], atol=0.05
+        )
         assert (result.uncertainty.shape[:, [a, b]].max(axis=0) > 0.4).all()
         assert "fits as well" in result.reasons[a]
         assert "fits as well" in result.reasons[b]
@@ -469,7 +543,9 @@ def test_repeated_roots_are_two_modes_of_one_plane(references: list[int]) -> Non
 
 def test_one_reference_cannot_tell_repeated_roots_and_says_so() -> None:
     frfs, _ = simulate(0, n_in=1)
-    assert any("show as one" in n for n in identify_hammer(frfs, HammerModes(5.0, 20.0)).notes)
+    assert any(
+        "show as one" in n for n in identify_hammer(frfs, HammerModes(5.0, 20.0)).notes
+    )
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -496,10 +572,16 @@ def test_a_doubtful_mode_is_listed_and_taken_up() -> None:
     g = s[:, None] ** 2 / (s[:, None] ** 2 + 0.02 * w * s[:, None] + w**2)
     h = np.einsum("fk,ok,ik->foi", g, phi, phi[:2])
     sigma = 0.05 * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
-    h += sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    h += (
+        sigma
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        / np.sqrt(2)
+    )
     outputs = tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(12))
     inputs = tuple(Channel(f"{i + 1}+Z", "force", "N") for i in range(2))
-    frfs = FrfSet(h, freqs, outputs, inputs, np.full(h.shape, np.nan), np.ones(2), "accelerance")
+    frfs = FrfSet(
+        h, freqs, outputs, inputs, np.full(h.shape, np.nan), np.ones(2), "accelerance"
+    )
     strict = HammerModes(5.0, 75.0, confidence_min=0.95)
     found = identify_hammer(frfs, strict)
     assert found.modes.frequencies == pytest.approx(fn[[0, 2]], rel=1e-3)
@@ -514,10 +596,14 @@ def test_a_doubtful_mode_is_listed_and_taken_up() -> None:
 
 
 def test_a_candidate_that_came_back_is_not_doubtful() -> None:
-    def one(f: float, shape: list[float], *, alone: bool, confidence: float = 0.4) -> DroppedPole:
+    def one(
+        f: float, shape: list[float], *, alone: bool, confidence: float = 0.4
+    ) -> DroppedPole:
         pole = 2 * np.pi * f * complex(-0.01, 1.0)
         note = Note("pole gain", "warning", f"{f:.5g} Hz", {"why": "weak"})
-        return DroppedPole(pole, np.ones(1), np.array(shape), 0.1, 0.1, confidence, alone, note)
+        return DroppedPole(
+            pole, np.ones(1), np.array(shape), 0.1, 0.1, confidence, alone, note
+        )
 
     modes = np.array([10.0, 20.0])
     shapes = np.array([[1.0, 0.0], [0.0, 1.0]])

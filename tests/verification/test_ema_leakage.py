@@ -73,12 +73,19 @@ def test_the_share_that_a_hann_window_takes() -> None:
 
 
 def test_damping_of_blocks_under_a_hann_window() -> None:
-    found = [identify_hammer(of_noise(seed, "hann"), HammerModes(fmin=5)) for seed in range(6)]
+    found = [
+        identify_hammer(of_noise(seed, "hann"), HammerModes(fmin=5))
+        for seed in range(6)
+    ]
     assert all(any("Hann window" in x for x in r.notes) for r in found)
-    f, zeta = (np.array([getattr(r.modes, k) for r in found]) for k in ("frequencies", "damping"))
+    f, zeta = (
+        np.array([getattr(r.modes, k) for r in found])
+        for k in ("frequencies", "damping")
+    )
     std = np.array([r.uncertainty.damping for r in found])
     np.testing.assert_allclose(f, np.tile(FN, (6, 1)), rtol=2e-3)
-    np.testing.assert_allclose(zeta.mean(axis=0), ZETA, rtol=0.02)  # without: 10 to 60 %
+    # without: 10 to 60 %
+    np.testing.assert_allclose(zeta.mean(axis=0), ZETA, rtol=0.02)
     z = (zeta - ZETA) / std
     assert np.sqrt(np.mean(z**2)) < 1.6
     np.testing.assert_allclose(
@@ -87,13 +94,21 @@ def test_damping_of_blocks_under_a_hann_window() -> None:
 
 
 @pytest.mark.parametrize("decay", [0.0, 4.0])
-def test_blows_with_and_without_an_exponential_window_are_not_taken_for_noise(decay: float) -> None:
+def test_blows_with_and_without_an_exponential_window_are_not_taken_for_noise(
+    decay: float,
+) -> None:
     """The same lines, free of leakage; what the window adds to the damping nobody can know."""
     rng = np.random.default_rng(1)
     freqs = np.arange(1, 180) * RATE / BLOCK
     s, w = decay + 2j * np.pi * freqs[:, None], 2 * np.pi * FN
     h = (s**2 / (s**2 + 2 * ZETA * w * s + w**2) * PHI[POINT]) @ PHI.T
-    h = h * (1 + 0.01 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)))
-    r = identify_hammer(FrfSet(h[:, :, None], freqs, RESPONSES, FORCE), HammerModes(fmin=5))
+    h = h * (
+        1 + 0.01 * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+    )
+    r = identify_hammer(
+        FrfSet(h[:, :, None], freqs, RESPONSES, FORCE), HammerModes(fmin=5)
+    )
     assert not any("Hann" in x for x in r.notes)
-    np.testing.assert_allclose(r.modes.damping, ZETA + decay / (2 * np.pi * FN), rtol=0.02)
+    np.testing.assert_allclose(
+        r.modes.damping, ZETA + decay / (2 * np.pi * FN), rtol=0.02
+    )

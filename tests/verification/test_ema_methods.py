@@ -79,13 +79,17 @@ def reciprocity(model: ModalModel) -> np.ndarray:
 
 
 def test_reciprocity_of_a_symmetric_structure() -> None:
-    model = identify_hammer(frfs(chain(), np.random.default_rng(3)), HammerModes(3.0, 35.0)).model
+    model = identify_hammer(
+        frfs(chain(), np.random.default_rng(3)), HammerModes(3.0, 35.0)
+    ).model
     assert reciprocity(model).min() > 0.99
     wrong = replace(model, participation=model.participation * [1.0, -1.0])
     assert reciprocity(wrong).min() < 0.9
 
 
-def results(f: np.ndarray, z: np.ndarray, order: np.ndarray) -> tuple[ModeSet, Uncertainty]:
+def results(
+    f: np.ndarray, z: np.ndarray, order: np.ndarray
+) -> tuple[ModeSet, Uncertainty]:
     n = f.size + 1
     labels = tuple(f"{i + 1}+X" for i in range(n))
     modes = ModeSet(f[order], z[order], np.eye(n)[:, order], labels)
@@ -106,7 +110,9 @@ def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
         z[2] *= force**0.5
         noise = rng.standard_normal((2, 3))
         found.append(
-            results(f * (1 + 1e-4 * noise[0]), z * (1 + 1e-2 * noise[1]), rng.permutation(3))
+            results(
+                f * (1 + 1e-4 * noise[0]), z * (1 + 1e-2 * noise[1]), rng.permutation(3)
+            )
         )
     table = level_dependence(levels, found)
     np.testing.assert_array_equal(table.levels, np.sort(levels))
@@ -119,14 +125,17 @@ def test_level_dependence_tells_a_softening_mode_from_linear_ones() -> None:
         level_dependence([1.0], found[:1])
 
 
-def test_a_linear_structure_is_rarely_called_nonlinear_however_many_modes_it_has() -> None:
+def test_a_linear_structure_is_rarely_called_nonlinear_however_many_modes_it_has() -> (
+    None
+):
     """One in a hundred structures, not modes: of 200 with ten modes each, less than six."""
     rng, f, z = np.random.default_rng(6), np.arange(5.0, 15.0), np.full(10, 0.01)
     called = 0
     for _ in range(200):
         noise = rng.standard_normal((3, 2, 10))
         found = [
-            results(f * (1 + 1e-4 * x[0]), z * (1 + 1e-2 * x[1]), np.arange(10)) for x in noise
+            results(f * (1 + 1e-4 * x[0]), z * (1 + 1e-2 * x[1]), np.arange(10))
+            for x in noise
         ]
         called += not level_dependence([1.0, 2.0, 4.0], found).linear.all()
     assert called < 6
@@ -151,7 +160,9 @@ def test_batches_loaded_by_moved_sensors() -> None:
     ]
     assert np.diag(mac(fit.modes.shapes, phi)).min() > 0.98
     assert fit.modes.norm is Norm.MASS
-    same = identify_batches([frfs(chain(), rng, s) for s in sets], HammerModes(3.0, 35.0))
+    same = identify_batches(
+        [frfs(chain(), rng, s) for s in sets], HammerModes(3.0, 35.0)
+    )
     assert np.median(same.chance) > 0.02
     settings = HammerModes(3.0, 35.0)
     joint = identify_hammer(join_frfs(loaded), settings)
@@ -178,4 +189,6 @@ def test_batches_loaded_by_heavy_sensors_keep_their_modes() -> None:
     loaded = [frfs(x, rng, s, level=1e-3) for x, s in zip(systems, sets, strict=True)]
     fit = identify_batches(loaded, HammerModes(3.0, 35.0))
     for b, x in enumerate(systems):
-        np.testing.assert_allclose(fit.frequency[b], np.abs(poles(*x)[0]) / (2 * np.pi), rtol=1e-3)
+        np.testing.assert_allclose(
+            fit.frequency[b], np.abs(poles(*x)[0]) / (2 * np.pi), rtol=1e-3
+        )

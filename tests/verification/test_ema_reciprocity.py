@@ -19,8 +19,11 @@ def structure(seed: int, points: int, noise: float = 0.02) -> ModalModel:
     phi = rng.standard_normal((8, 6)) + 0j
     at = [Channel(f"{i + 1}+Z", "acceleration") for i in range(8)]
     force = tuple(Channel(f"{i + 1}+Z", "force", "N") for i in range(points))
-    turn = np.exp(1j * rng.uniform(0, 6, 6)) * rng.uniform(0.2, 5, 6)  # any scale of a mode
-    shapes, struck = (x + noise * rng.standard_normal(x.shape) for x in (phi, phi[:points]))
+    # any scale of a mode
+    turn = np.exp(1j * rng.uniform(0, 6, 6)) * rng.uniform(0.2, 5, 6)
+    shapes, struck = (
+        x + noise * rng.standard_normal(x.shape) for x in (phi, phi[:points])
+    )
     poles = 2j * np.pi * np.arange(1, 7) * (1 + 0.01j)
     return ModalModel(
         poles,
@@ -45,7 +48,9 @@ def test_a_sound_structure_is_reciprocal_and_nothing_is_said(points: int) -> Non
 def test_exchanged_references_are_named() -> None:
     model = structure(5, 3)
     wrong = replace(model, participation=model.participation[:, [2, 1, 0]])
-    assert "references 1+Z and 3+Z look exchanged" in reciprocity_note(wrong, driving_pairs(wrong))
+    assert "references 1+Z and 3+Z look exchanged" in reciprocity_note(
+        wrong, driving_pairs(wrong)
+    )
 
 
 def test_a_reference_struck_elsewhere_is_named() -> None:
@@ -57,7 +62,9 @@ def test_a_reference_struck_elsewhere_is_named() -> None:
 def test_of_two_points_that_fit_in_no_way_no_reason_is_made_up() -> None:
     model = structure(6, 2)
     wrong = replace(model, inputs=(model.inputs[0], Channel("7+Z", "force", "N")))
-    assert "a point or direction is wrong" in reciprocity_note(wrong, driving_pairs(wrong))
+    assert "a point or direction is wrong" in reciprocity_note(
+        wrong, driving_pairs(wrong)
+    )
 
 
 def test_a_hammer_known_to_be_turned_needs_no_second_word() -> None:

@@ -15,7 +15,11 @@ import pytest
 from ringtrue.core.modes import Norm
 from ringtrue.core.signals import Channel, FrfSet, Impacts
 from ringtrue.identification.frf.data_checks import sound_pairs
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import (
+    HammerModes,
+    HammerResult,
+    identify_hammer,
+)
 
 FN = np.array([11.0, 17.0, 26.0, 38.0])
 ZETA = np.array([0.01, 0.012, 0.008, 0.01])
@@ -39,7 +43,9 @@ def frfs(seed: int, struck: np.ndarray, shared: float = 0.0) -> FrfSet:
     )
     h = h * (1 + shared * rng.standard_normal(2))
     noise = 0.01 * np.sqrt((np.abs(h) ** 2).mean(axis=0)) * np.ones(h.shape)
-    h = h + noise * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    h = h + noise * (
+        rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)
+    ) / np.sqrt(2)
     coherence = 1 / (1 + 4 * ((noise / np.abs(h)) ** 2 + 2 * shared**2))
     out = tuple(Channel(f"{k + 1}+Z", "acceleration", "m/s^2") for k in range(12))
     given = tuple(Channel(f"{k + 1}+Z", "force", "N") for k in STRUCK)
@@ -49,12 +55,16 @@ def frfs(seed: int, struck: np.ndarray, shared: float = 0.0) -> FrfSet:
 def scores(result: HammerResult) -> np.ndarray:
     """Errors of the shapes' moduli in stated deviations."""
     assert (len(result.modes), result.modes.norm) == (4, Norm.MASS)
-    return np.asarray((np.abs(result.modes.shapes) - np.abs(PHI)) / result.uncertainty.shape)
+    return np.asarray(
+        (np.abs(result.modes.shapes) - np.abs(PHI)) / result.uncertainty.shape
+    )
 
 
 def test_a_skewed_blow_makes_the_modal_mass_doubtful_and_is_told() -> None:
     """A fifth of another direction in one of two blows; the errors of all shapes are some 10 %."""
-    skewed = PHI[STRUCK] + np.array([[0.3], [0.0]]) * np.random.default_rng(4).standard_normal(4)
+    skewed = PHI[STRUCK] + np.array([[0.3], [0.0]]) * np.random.default_rng(
+        4
+    ).standard_normal(4)
     result = identify_hammer(frfs(0, skewed), HammerModes(fmax=45.0))
     assert any("1+Z 8+Z disagree" in n for n in result.notes)
     assert np.abs(np.abs(result.modes.shapes / PHI) - 1).max() > 0.05
@@ -93,7 +103,9 @@ def test_noise_on_the_force_is_in_the_deviations() -> None:
             1 + 0.03 / np.sqrt(2) * np.random.default_rng(100 + seed).standard_normal(2)
         )
         told = replace(
-            bare, data=noisy, impacts=replace(blows, weight=np.repeat(blows.weight, 12, axis=1))
+            bare,
+            data=noisy,
+            impacts=replace(blows, weight=np.repeat(blows.weight, 12, axis=1)),
         )
         all_scores.append(scores(identify_hammer(told, HammerModes(fmax=45.0))))
     assert 0.6 < np.sqrt(np.mean(np.square(all_scores))) < 1.6
@@ -119,7 +131,9 @@ def test_a_delay_of_a_sample_does_not_turn_a_driving_point(
     """
     f = np.arange(1, 1001) * 0.5
     s, w = 2j * np.pi * f[:, None], 2 * np.pi * np.array([20.0, 35.0, 90.0])
-    h = (s**2 / (s**2 + 0.02 * w * s + w**2)).sum(axis=1) + flexibility * s[:, 0] ** 2 / w[0] ** 2
+    h = (s**2 / (s**2 + 0.02 * w * s + w**2)).sum(axis=1) + flexibility * s[
+        :, 0
+    ] ** 2 / w[0] ** 2
     h = sign * h * np.exp(1j * phase * f / f[-1])
     x = replace(
         frfs(1, PHI[STRUCK]),
@@ -147,4 +161,6 @@ def test_a_response_that_comes_late_is_told(delay: float) -> None:
     assert told[0].startswith(
         f"response 5+Z looks {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}"
     )
-    assert not any("response" in n for n in identify_hammer(x, HammerModes(fmax=45.0)).notes)
+    assert not any(
+        "response" in n for n in identify_hammer(x, HammerModes(fmax=45.0)).notes
+    )

@@ -26,22 +26,39 @@ SAYS = "the responses disagree about the modes"
 
 
 def frfs(
-    fn: np.ndarray, zeta: np.ndarray, phi: np.ndarray, references: tuple[int, ...], seed: int
+    fn: np.ndarray,
+    zeta: np.ndarray,
+    phi: np.ndarray,
+    references: tuple[int, ...],
+    seed: int,
 ) -> FrfSet:
     """Accelerances of modes `fn` (out, m), white noise of 1 % of the rms of each."""
     rng = np.random.default_rng(seed)
     freqs = np.arange(40.0, 700.1, 0.5)
     s, w = 2j * np.pi * freqs[:, None, None], 2 * np.pi * fn
     h = np.einsum(
-        "fok,ok,ik->foi", s**2 / (s**2 + 2 * zeta * w * s + w**2), phi, phi[list(references)]
+        "fok,ok,ik->foi",
+        s**2 / (s**2 + 2 * zeta * w * s + w**2),
+        phi,
+        phi[list(references)],
     )
     sigma = LEVEL * np.sqrt(np.mean(np.abs(h) ** 2, axis=0))
-    noise = sigma * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    noise = (
+        sigma
+        * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+        / np.sqrt(2)
+    )
     coherence = 1 / (1 + AVERAGES * (sigma / np.abs(h)) ** 2)
     out = tuple(Channel(f"{i}+Z", "acceleration", "m/s^2") for i in range(phi.shape[0]))
     forces = tuple(Channel(f"{i}+Z", "force", "N") for i in references)
     return FrfSet(
-        h + noise, freqs, out, forces, coherence, np.full(len(references), AVERAGES), "accelerance"
+        h + noise,
+        freqs,
+        out,
+        forces,
+        coherence,
+        np.full(len(references), AVERAGES),
+        "accelerance",
     )
 
 
@@ -64,11 +81,15 @@ def shapes(count: int, modes: int, rng: np.random.Generator) -> np.ndarray:
             (4, 2),
         ]
     ).T
-    phi = np.sin(np.pi * j * x) * np.sin(np.pi * k * y) + 0.1 * rng.standard_normal((count, j.size))
+    phi = np.sin(np.pi * j * x) * np.sin(np.pi * k * y) + 0.1 * rng.standard_normal(
+        (count, j.size)
+    )
     return np.asarray(2 / np.sqrt(10.0) * phi[:, :modes])
 
 
-@pytest.mark.parametrize(("references", "shift"), [((0, 5), 0.25), ((0, 5, 7), 0.5), ((0,), 0.25)])
+@pytest.mark.parametrize(
+    ("references", "shift"), [((0, 5), 0.25), ((0, 5, 7), 0.5), ((0,), 0.25)]
+)
 def test_one_mode_with_the_scatter_of_the_responses(
     references: tuple[int, ...], shift: float
 ) -> None:
@@ -79,7 +100,9 @@ def test_one_mode_with_the_scatter_of_the_responses(
     modes = found.modes
     assert len(modes) == FN.size, modes.frequencies
     scatter = fn.std(axis=0, ddof=1)
-    np.testing.assert_allclose(modes.frequencies, fn.mean(axis=0), atol=0.3 * scatter.max())
+    np.testing.assert_allclose(
+        modes.frequencies, fn.mean(axis=0), atol=0.3 * scatter.max()
+    )
     np.testing.assert_allclose(
         found.uncertainty.frequency, scatter, rtol=0.3
     )  # responses at nodes count less
@@ -98,7 +121,9 @@ def test_true_pairs_stay_two(references: tuple[int, ...], gap: float) -> None:
     """A second mode of each, `gap` half-power bandwidths above."""
     phi = shapes(15, 12, np.random.default_rng(3))
     fn = np.concatenate([FN, FN * (1 + 2 * gap * ZETA)])
-    found = identify_hammer(frfs(np.tile(fn, (15, 1)), np.tile(ZETA, 2), phi, references, 2))
+    found = identify_hammer(
+        frfs(np.tile(fn, (15, 1)), np.tile(ZETA, 2), phi, references, 2)
+    )
     assert len(found.modes) == fn.size, found.modes.frequencies
     assert not any(n.startswith(SAYS) for n in found.notes)
 

@@ -103,11 +103,15 @@ def test_weight(tmp_path: Path, lists: str, expected: float, coupled: int) -> No
     (tmp_path / "b.bdf").write_text(
         "CEND\n" + "\n".join(case_control(model)) + "\nBEGIN BULK\n" + write_bulk(model)
     )
-    assert weight(read_deck(tmp_path / "b.bdf")) == pytest.approx(BEFORE + expected, rel=1e-12)
+    assert weight(read_deck(tmp_path / "b.bdf")) == pytest.approx(
+        BEFORE + expected, rel=1e-12
+    )
 
 
 def test_unchosen_lists_count_nothing(tmp_path: Path) -> None:
-    (tmp_path / "a.bdf").write_text("CEND\n" + BULK + "NSM1,9,ELEMENT,2.,ALL\nNSMADD,7,9\n")
+    (tmp_path / "a.bdf").write_text(
+        "CEND\n" + BULK + "NSM1,9,ELEMENT,2.,ALL\nNSMADD,7,9\n"
+    )
     model = read_deck(tmp_path / "a.bdf")
     assert weight(model) == pytest.approx(BEFORE, rel=1e-12)
     assert dict(model.kept) == {"NSM1": 1, "NSMADD": 1}
@@ -117,8 +121,12 @@ def test_a_list_is_what_the_property_would_say(tmp_path: Path) -> None:
     plain = BULK.replace("PSHELL,1,1,.1,1,,1\n", "PSHELL,1,1,.1,1,,1,,6.\n").replace(
         ",.1,4.\n", ",.1,4.5\n"
     )
-    want = assemble(read(tmp_path, "NSM1,9,ELEMENT,0.,ALL\n", bulk=plain)).mass.toarray()
-    got = assemble(read(tmp_path, "NSM1,9,PSHELL,6.,1\nNSML,9,PBEAML,6,.5\n")).mass.toarray()
+    want = assemble(
+        read(tmp_path, "NSM1,9,ELEMENT,0.,ALL\n", bulk=plain)
+    ).mass.toarray()
+    got = assemble(
+        read(tmp_path, "NSM1,9,PSHELL,6.,1\nNSML,9,PBEAML,6,.5\n")
+    ).mass.toarray()
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * want.max())
 
 
@@ -137,7 +145,9 @@ def test_a_list_is_what_the_property_would_say(tmp_path: Path) -> None:
         ("NSM1,9,ELEMENT,2.,14,THRU,11", DeckError, "a THRU b BY c"),
     ],
 )
-def test_refused(tmp_path: Path, lists: str, error: type[RingtrueError], message: str) -> None:
+def test_refused(
+    tmp_path: Path, lists: str, error: type[RingtrueError], message: str
+) -> None:
     with pytest.raises(error, match=message):
         assemble(read(tmp_path, lists + "\n"))
 
@@ -174,10 +184,14 @@ LISTS = "NSMADD,9,3,4\nNSML1,3,ELEMENT,7.,11,14\nNSM1,4,PBAR,2.,5\n"
 def test_derivatives(tmp_path: Path, parameter: Parameter) -> None:
     """A node that moves changes the share of all elements of a whole mass."""
     bulk = BULK.replace(",,,0.,.5", ",,,.2,.5")
-    model = read(tmp_path, LISTS + "NSML1,3,PBAR,5.,5\n" * (parameter.name != "mass"), bulk=bulk)
+    model = read(
+        tmp_path, LISTS + "NSML1,3,PBAR,5.,5\n" * (parameter.name != "mass"), bulk=bulk
+    )
     got = matrix_derivatives(model, parameter, assemble(model))[1].toarray()
     h = 1e-5
-    up, down = (assemble(scaled(model, parameter, 1 + s * h)).mass.toarray() for s in (1, -1))
+    up, down = (
+        assemble(scaled(model, parameter, 1 + s * h)).mass.toarray() for s in (1, -1)
+    )
     np.testing.assert_allclose(got, (up - down) / (2 * h), atol=1e-8 * up.max())
     assert np.abs(got).max() > 1e-3 * up.max()
     if parameter.name == "mass":
@@ -192,7 +206,9 @@ def test_a_value_is_edited_in_its_place(tmp_path: Path) -> None:
         weight(model) + 7, rel=1e-12
     )
     edit_fields(model, [FieldChange("NSML1", 3, "VALUE", 9.5)], tmp_path / "new")
-    assert (tmp_path / "new/a.bdf").read_text().endswith(LISTS.replace("7.,11", "9.5,11"))
+    assert (
+        (tmp_path / "new/a.bdf").read_text().endswith(LISTS.replace("7.,11", "9.5,11"))
+    )
     both = read(tmp_path, LISTS + "NSML1,3,PBAR,5.,5\n")
     with pytest.raises(InputError, match="has several values"):
         apply_factors(both, parameters, np.array([2.0]))

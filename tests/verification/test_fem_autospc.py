@@ -10,7 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_cases import cards, frequencies, grid, model, pshell, shells, spc, square, steel
+from fem_cases import (
+    cards,
+    frequencies,
+    grid,
+    model,
+    pshell,
+    shells,
+    spc,
+    square,
+    steel,
+)
 from solid_meshes import box, elements, psolid
 
 from ringtrue.core.arrays import Float
@@ -19,14 +29,25 @@ from ringtrue.model.model import Table
 
 # N/m and N m/rad: 1e9 times the bending of the beam, 1e4 times what EPZERO allows for one ratio
 STIFF = 3e14
-ROUNDED = 2e-3  # of a frequency: 1e-16 of STIFF is 1e-3 of the beam's smallest bending stiffness
+# of a frequency: 1e-16 of STIFF is 1e-3 of the beam's smallest bending stiffness
+ROUNDED = 2e-3
 UNITS = {
     "SI": (1.0, 1.0),
     "mm-t-s": (1e3, 1e-3),
 }  # length and mass by those of SI; the second is the same
 TURN = {"basic": 0, "skewed": 5}
 SKEW = cards(
-    "CORD2R", CID=[5], A1=0.0, A2=0.0, A3=0.0, B1=1.0, B2=2.0, B3=3.0, C1=1.0, C2=-1.0, C3=0.5
+    "CORD2R",
+    CID=[5],
+    A1=0.0,
+    A2=0.0,
+    A3=0.0,
+    B1=1.0,
+    B2=2.0,
+    B3=3.0,
+    C1=1.0,
+    C2=-1.0,
+    C3=0.5,
 )
 Parts = tuple[
     Float, tuple[Table, ...], int, str
@@ -44,12 +65,22 @@ def beam(length: float, E: float, rho: float) -> Parts:
         "J": 1e-9 * length**4,
     }
     bars = cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X2=1.0)
-    return x, (bars, cards("PBAR", PID=[1], MID=1, **section), steel(E, 0.3, rho)), 6, "1"
+    return (
+        x,
+        (bars, cards("PBAR", PID=[1], MID=1, **section), steel(E, 0.3, rho)),
+        6,
+        "1",
+    )
 
 
 def plate(length: float, E: float, rho: float) -> Parts:
     xyz, quads = square(4, length, 0.5 * length, across=2)
-    return xyz, (shells(quads), pshell(0.01 * length), steel(E, 0.3, rho)), len(xyz), "123"
+    return (
+        xyz,
+        (shells(quads), pshell(0.01 * length), steel(E, 0.3, rho)),
+        len(xyz),
+        "123",
+    )
 
 
 def block(length: float, E: float, rho: float) -> Parts:
@@ -69,7 +100,11 @@ def clamped(parts: Parts, frame: int, *more: Table, also: str = "") -> System:
         "G": [*ids.tolist(), tip],
         "C": ["123456"] * ids.size + [also or "0"],
     }
-    spcs = cards("SPC", **held) if also else cards("SPC", **{k: v[:-1] for k, v in held.items()})
+    spcs = (
+        cards("SPC", **held)
+        if also
+        else cards("SPC", **{k: v[:-1] for k, v in held.items()})
+    )
     return assemble(model(grid(xyz, CD=frame), SKEW, *tables, *more, spcs, spc=1))
 
 
@@ -77,7 +112,11 @@ def clamped(parts: Parts, frame: int, *more: Table, also: str = "") -> System:
 @pytest.mark.parametrize("frame", TURN)
 @pytest.mark.parametrize(
     ("name", "component"),
-    [(n, c) for n, (_, components) in STRUCTURES.items() for c in range(1, components + 1)],
+    [
+        (n, c)
+        for n, (_, components) in STRUCTURES.items()
+        for c in range(1, components + 1)
+    ],
 )
 def test_a_stiff_spring_is_a_support_of_its_component_alone(
     name: str, component: int, frame: str, units: str
@@ -90,7 +129,9 @@ def test_a_stiff_spring_is_a_support_of_its_component_alone(
     sprung = clamped(parts, TURN[frame], spring)
     supported = clamped(parts, TURN[frame], also=str(component))
     assert sprung.autospc.labels() == without.autospc.labels()
-    np.testing.assert_allclose(frequencies(sprung, 4), frequencies(supported, 4), rtol=ROUNDED)
+    np.testing.assert_allclose(
+        frequencies(sprung, 4), frequencies(supported, 4), rtol=ROUNDED
+    )
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 2, 3)])
@@ -111,7 +152,9 @@ def test_a_stiff_bush_in_a_skewed_direction(axis: Float) -> None:
     found = []
     for more, held in (((bush, cards("PBUSH", PID=[9], K1=STIFF)), "0"), ((), "1")):
         spcs = cards("SPC", SID=[1, 1], G=[1, 6], C=["123456", held])
-        found.append(assemble(model(grid(xyz, CD=cd), frame, *tables, *more, spcs, spc=1)))
+        found.append(
+            assemble(model(grid(xyz, CD=cd), frame, *tables, *more, spcs, spc=1))
+        )
     assert not len(found[0].autospc)
     np.testing.assert_allclose(*(frequencies(s, 4) for s in found), rtol=ROUNDED)
 
@@ -123,7 +166,11 @@ def test_the_springs_of_one_bush_are_judged_apart() -> None:
         cards("PBUSH", PID=[1], K1=1e13, K2=1e3, K3=4e3),
     )
     s = assemble(
-        model(grid(np.zeros((1, 3)), PS="456"), *bush, cards("CONM2", EID=[2], G=1, M=10.0))
+        model(
+            grid(np.zeros((1, 3)), PS="456"),
+            *bush,
+            cards("CONM2", EID=[2], G=1, M=10.0),
+        )
     )
     assert s.free.labels() == ("1+X", "1+Y", "1+Z")
     np.testing.assert_allclose(
@@ -136,8 +183,15 @@ def test_a_beam_at_a_rigid_link_of_bars() -> None:
     links.
     """
     xyz = np.array([[0.0, 0, 0], [0.5, 0, 0], [1, 0, 0], [1, 0, 0.1]])
-    bars = cards("CBAR", EID=[1, 2, 3], PID=[1, 1, 2], GA=[1, 2, 3], GB=[2, 3, 4], X2=1.0)
-    section = {"A": [1e-4, 1e5], "I1": [8e-10, 1e1], "I2": [6e-10, 1e1], "J": [1e-9, 1e1]}
+    bars = cards(
+        "CBAR", EID=[1, 2, 3], PID=[1, 1, 2], GA=[1, 2, 3], GB=[2, 3, 4], X2=1.0
+    )
+    section = {
+        "A": [1e-4, 1e5],
+        "I1": [8e-10, 1e1],
+        "I2": [6e-10, 1e1],
+        "J": [1e-9, 1e1],
+    }
     tables = (bars, cards("PBAR", PID=[1, 2], MID=[1, 2], **section))
     steels = cards("MAT1", MID=[1, 2], E=2e11, NU=0.3, RHO=[8000.0, 0.0])
     s = assemble(model(grid(xyz), *tables, steels, spc([1], "123456"), spc=1))
@@ -156,12 +210,21 @@ def test_a_wire_bends() -> None:
     )
     assert not len(
         assemble(
-            model(grid([[0, 0, 0], [length, 0, 0]]), *tables, steel(), spc([1], "123456"), spc=1)
+            model(
+                grid([[0, 0, 0], [length, 0, 0]]),
+                *tables,
+                steel(),
+                spc([1], "123456"),
+                spc=1,
+            )
         ).autospc
     )
 
 
-SPRINGS = {"none": (), "stiff": (cards("CELAS2", EID=[900, 901], K=STIFF, G1=1, C1=[3, 4]),)}
+SPRINGS = {
+    "none": (),
+    "stiff": (cards("CELAS2", EID=[900, 901], K=STIFF, G1=1, C1=[3, 4]),),
+}
 
 
 @pytest.mark.parametrize("spring", SPRINGS)
@@ -192,7 +255,9 @@ def test_rod_ends_are_held_across(frame: str, spring: str) -> None:
         cards("CROD", EID=i, PID=1, G1=i, G2=i + 1),
         cards("PROD", PID=[1], MID=1, A=1e-4, J=1e-9),
     )
-    s = assemble(model(grid(line, CD=TURN[frame]), SKEW, *rods, steel(), *SPRINGS[spring]))
+    s = assemble(
+        model(grid(line, CD=TURN[frame]), SKEW, *rods, steel(), *SPRINGS[spring])
+    )
     count = np.bincount(s.autospc.node, minlength=6)[1:]
     assert count[1:].tolist() == [4] * 4
     assert count[0] == (

@@ -69,7 +69,9 @@ def tip(m: Model, *load: float) -> Float:
 
 def over(c: float, d: float, power: int = 0) -> float:
     """∫ (1 - ξ)^power / (c + (d - c) ξ) dξ."""
-    return quad(lambda x: (1 - x) ** power / (c + (d - c) * x), 0, 1, epsabs=0, epsrel=1e-13)[0]
+    return quad(
+        lambda x: (1 - x) ** power / (c + (d - c) * x), 0, 1, epsabs=0, epsrel=1e-13
+    )[0]
 
 
 def test_tapered_cantilever() -> None:
@@ -82,13 +84,17 @@ def test_tapered_cantilever() -> None:
     assert tip(m, 0, 0, 1.0)[2] == pytest.approx(
         L**3 / E * over(1e-5, 4e-6, 2) + shear / 0.6, rel=QUADRATURE
     )
-    assert tip(m, 0, 0, 0, 1.0)[3] == pytest.approx(L / G * over(1.5e-5, 6e-6), rel=QUADRATURE)
+    assert tip(m, 0, 0, 0, 1.0)[3] == pytest.approx(
+        L / G * over(1.5e-5, 6e-6), rel=QUADRATURE
+    )
     assert tip(m, 0, 0, 0, 0, 1.0)[2] == pytest.approx(
         -(L**2) / E * over(1e-5, 4e-6, 1), rel=QUADRATURE
     )
 
 
-@pytest.mark.parametrize(("card", "section"), [("CBAR", SECTION), ("CBEAM", SECTION | ALIKE)])
+@pytest.mark.parametrize(
+    ("card", "section"), [("CBAR", SECTION), ("CBEAM", SECTION | ALIKE)]
+)
 def test_uniform_cantilever(card: str, section: dict[str, float]) -> None:
     m = beam(section | {"K1": 0.8, "K2": 0.6}, line(card))
     for load, at, I, k in (((0, 1.0), 1, 2e-5, 0.8), ((0, 0, 1.0), 2, 1e-5, 0.6)):
@@ -102,7 +108,9 @@ def test_the_integral_is_the_closed_form_where_there_is_no_taper() -> None:
     iso, s = bar.section(mesh(m).rows("CBEAM"))
     one = bar.uniform(np.array([L]), iso, s)
     np.testing.assert_allclose(
-        bar.flexible(np.array([L]), iso.E, iso.G, s), one, atol=EXACT * np.abs(one).max()
+        bar.flexible(np.array([L]), iso.E, iso.G, s),
+        one,
+        atol=EXACT * np.abs(one).max(),
     )
 
 
@@ -112,7 +120,11 @@ def test_skew_bending_with_shear_is_that_of_the_turned_section() -> None:
     """
     a = 0.4
     c, s = np.cos(a), np.sin(a)
-    turned = {"I1": 2e-5 * c**2 + 1e-5 * s**2, "I2": 2e-5 * s**2 + 1e-5 * c**2, "I12": 1e-5 * s * c}
+    turned = {
+        "I1": 2e-5 * c**2 + 1e-5 * s**2,
+        "I2": 2e-5 * s**2 + 1e-5 * c**2,
+        "I12": 1e-5 * s * c,
+    }
     turned |= {f"{k}B": v for k, v in turned.items()} | {
         "A": 0.01,
         "J": 1.5e-5,
@@ -121,7 +133,9 @@ def test_skew_bending_with_shear_is_that_of_the_turned_section() -> None:
     }
     principal = beam(SECTION | ALIKE | {"K1": 0.7, "K2": 0.7}, line(X2=c, X3=s))
     got = tip(beam(turned | {"K1": 0.7, "K2": 0.7}), 0, 1.0, 2.0, 0, 0.3, 0.4)
-    np.testing.assert_allclose(got, tip(principal, 0, 1.0, 2.0, 0, 0.3, 0.4), rtol=1e-9, atol=1e-20)
+    np.testing.assert_allclose(
+        got, tip(principal, 0, 1.0, 2.0, 0, 0.3, 0.4), rtol=1e-9, atol=1e-20
+    )
 
 
 def test_a_bar_with_i12_has_no_shear_flexibility() -> None:
@@ -147,12 +161,19 @@ def test_offsets_in_the_frame_of_the_element(card: str, offt: str) -> None:
     axes = np.stack([x, np.cross(z, x), z])
     w = np.array([[0.1, 0.2, -0.3], [0.0, 0.4, 0.1]])
     given = np.stack(
-        [axes @ v if letter == "O" else v for v, letter in zip(w, offt[1:], strict=True)]
+        [
+            axes @ v if letter == "O" else v
+            for v, letter in zip(w, offt[1:], strict=True)
+        ]
     )
     names = ("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")
     K = [
         assemble(
-            beam(section, line(card, OFFT=o, **dict(zip(names, v.ravel(), strict=True))), nodes)
+            beam(
+                section,
+                line(card, OFFT=o, **dict(zip(names, v.ravel(), strict=True))),
+                nodes,
+            )
         ).stiffness.toarray()
         for o, v in (("GGG", w), (offt, given))
     ]
@@ -183,7 +204,9 @@ def free(section: dict[str, float], card: str = "CBEAM", coupled: int = -1) -> S
     name = "PBAR" if card == "CBAR" else "PBEAM"
     nodes = grid(np.array([[0, 0, 0], [1.0, 2.0, 2.0]]))
     p = cards(name, PID=[1], MID=1, **section)
-    return assemble(model(nodes, line(card), p, steel(E, NU, RHO), AUTOSPC="NO", COUPMASS=coupled))
+    return assemble(
+        model(nodes, line(card), p, steel(E, NU, RHO), AUTOSPC="NO", COUPMASS=coupled)
+    )
 
 
 def test_a_slanting_neutral_axis_leaves_rigid_motions_free() -> None:
@@ -198,7 +221,8 @@ def weight(s: System) -> tuple[float, Float]:
     x, m = np.array([1, 2, 2]) / 3, M[0, 0]
     z = np.cross(x, [0, 1.0, 0])
     z /= np.linalg.norm(z)
-    centre = np.array([M[5, 1], M[3, 2], M[4, 0]]) / m  # M[3:, :3] is the skew matrix of m c
+    # M[3:, :3] is the skew matrix of m c
+    centre = np.array([M[5, 1], M[3, 2], M[4, 0]]) / m
     return m, np.stack([x, np.cross(z, x), z]) @ centre
 
 
@@ -239,7 +263,9 @@ def test_inertia_about_the_axis(coupled: int) -> None:
 def test_a_bar_with_hinges_is_a_rod_and_a_propped_one_is_soft() -> None:
     """Both ends released: no bending stiffness. The far one alone: 3 EI/L³."""
     K = assemble(beam(SECTION, line("CBAR", PA="56", PB="56"))).stiffness.toarray()
-    np.testing.assert_allclose(np.diag(K)[:4], [E * 0.01 / L, 0, 0, G * 1.5e-5 / L], atol=1e-6)
+    np.testing.assert_allclose(
+        np.diag(K)[:4], [E * 0.01 / L, 0, 0, G * 1.5e-5 / L], atol=1e-6
+    )
     K = assemble(beam(SECTION, line("CBAR", PB="56"))).stiffness.toarray()
     assert K[1, 1] == pytest.approx(3 * E * 2e-5 / L**3)
 
@@ -258,12 +284,25 @@ def test_free_circular_ring() -> None:
     ring = cards("CBAR", EID=i, PID=1, GA=i, GB=i % n + 1, X3=1.0)
     nodes = grid(R * np.column_stack([np.cos(t), np.sin(t), 0 * t]))
     got = modes(
-        model(nodes, ring, cards("PBAR", PID=[1], MID=1, **section), steel(E, NU, RHO), COUPMASS=1),
+        model(
+            nodes,
+            ring,
+            cards("PBAR", PID=[1], MID=1, **section),
+            steel(E, NU, RHO),
+            COUPMASS=1,
+        ),
         14,
     )
     k = np.array([2, 3])
-    scale = np.sqrt(E * section["I1"] / (RHO * section["A"])) / (2 * np.pi * R**2) * k * (k**2 - 1)
-    love = np.sort(np.concatenate([scale / np.sqrt(k**2 + 1), scale / np.sqrt(k**2 + 1 + NU)]))
+    scale = (
+        np.sqrt(E * section["I1"] / (RHO * section["A"]))
+        / (2 * np.pi * R**2)
+        * k
+        * (k**2 - 1)
+    )
+    love = np.sort(
+        np.concatenate([scale / np.sqrt(k**2 + 1), scale / np.sqrt(k**2 + 1 + NU)])
+    )
     np.testing.assert_allclose(love, [51.85, 53.38, 148.8, 151.0], rtol=4e-4)
     np.testing.assert_allclose(got[6:], np.repeat(love, 2), rtol=4e-3)
     np.testing.assert_allclose(got[6::2], got[7::2], rtol=1e-6)  # of a regular polygon
@@ -278,7 +317,9 @@ def _fields(card: str) -> list[str]:
     )
 
 
-@pytest.mark.parametrize(("card", "field"), [(c, f) for c in ("CBAR", "CBEAM") for f in _fields(c)])
+@pytest.mark.parametrize(
+    ("card", "field"), [(c, f) for c in ("CBAR", "CBEAM") for f in _fields(c)]
+)
 def test_a_complex_step_passes_through_every_property(card: str, field: str) -> None:
     """∂K/∂p and ∂M/∂p against central differences of a skewed beam."""
     section = (
@@ -293,9 +334,15 @@ def test_a_complex_step_passes_through_every_property(card: str, field: str) -> 
     h = 1e-5 * (abs(p) or 0.01 if field[0] in "NM" else abs(p) or 1e-6)
 
     def matrices(value: complex) -> list[Any_]:
-        column = np.array([value]) if np.iscomplexobj(value) else np.array([float(value.real)])
+        column = (
+            np.array([value])
+            if np.iscomplexobj(value)
+            else np.array([float(value.real)])
+        )
         changed = Model(
-            base.tables | {name: base[name].with_column(field, column)}, {"COUPMASS": 1}, base.case
+            base.tables | {name: base[name].with_column(field, column)},
+            {"COUPMASS": 1},
+            base.case,
         )
         built = bar.build(mesh(changed).rows(card))
         return [built.stiffness, built.mass]
@@ -305,7 +352,10 @@ def test_a_complex_step_passes_through_every_property(card: str, field: str) -> 
     step = [A.imag / 1e-30 for A in matrices(p + 1e-30j)]
     for exact, up, down in zip(step, matrices(p + h), matrices(p - h), strict=True):
         np.testing.assert_allclose(
-            exact, (up - down) / (2 * h), rtol=1e-5, atol=2e-7 * np.abs(exact).max() + 1e-4
+            exact,
+            (up - down) / (2 * h),
+            rtol=1e-5,
+            atol=2e-7 * np.abs(exact).max() + 1e-4,
         )
 
 
@@ -325,7 +375,9 @@ def test_sections_that_are_one(kind: str) -> None:
     mine, other, its = EQUAL[kind]
     a, b = SECTIONS[kind][1](*mine), SECTIONS[other][1](*its)
     for name in a.keys() | b.keys():
-        assert a.get(name, 0.0) == pytest.approx(b.get(name, 0.0), rel=1e-12, abs=1e-12), name
+        assert a.get(name, 0.0) == pytest.approx(
+            b.get(name, 0.0), rel=1e-12, abs=1e-12
+        ), name
 
 
 TURNED = {  # a quarter turn: y to z
@@ -365,13 +417,36 @@ OUTLINES = {
     ),
     "T2": (
         (6.0, 5.0, 1.0, 0.5),
-        [(-3, 0), (3, 0), (3, 1), (0.25, 1), (0.25, 5), (-0.25, 5), (-0.25, 1), (-3, 1)],
+        [
+            (-3, 0),
+            (3, 0),
+            (3, 1),
+            (0.25, 1),
+            (0.25, 5),
+            (-0.25, 5),
+            (-0.25, 1),
+            (-3, 1),
+        ],
     ),
     "CROSS": (
         (4.0, 1.0, 6.0, 0.5),
         [
-            *((-0.5, -3), (0.5, -3), (0.5, -0.25), (2.5, -0.25), (2.5, 0.25), (0.5, 0.25)),
-            *((0.5, 3), (-0.5, 3), (-0.5, 0.25), (-2.5, 0.25), (-2.5, -0.25), (-0.5, -0.25)),
+            *(
+                (-0.5, -3),
+                (0.5, -3),
+                (0.5, -0.25),
+                (2.5, -0.25),
+                (2.5, 0.25),
+                (0.5, 0.25),
+            ),
+            *(
+                (0.5, 3),
+                (-0.5, 3),
+                (-0.5, 0.25),
+                (-2.5, 0.25),
+                (-2.5, -0.25),
+                (-0.5, -0.25),
+            ),
         ],
     ),
     "HEXA": ((1.0, 6.0, 4.0), [(-3, 0), (-2, -2), (2, -2), (3, 0), (2, 2), (-2, 2)]),
@@ -404,7 +479,9 @@ def test_shear_centres() -> None:
     b, h, t = 4.0, 6.0, 1e-3
     out = 3 * b**2 / (6 * b + h)
     centroid = b**2 / (2 * b + h)
-    assert SECTIONS["CHAN"][1](b, h, t, t)["N2"] == pytest.approx(centroid + out, rel=1e-3)
+    assert SECTIONS["CHAN"][1](b, h, t, t)["N2"] == pytest.approx(
+        centroid + out, rel=1e-3
+    )
     hat = SECTIONS["HAT"][1](b, t, h, 1e-9)  # legs down: the centre is above the top
     assert hat["N1"] == pytest.approx(-centroid - out, rel=2e-3)
     even = SECTIONS["I"][1](8.0, 5.0, 5.0, 1.0, 1.0, 1.0)
@@ -447,7 +524,9 @@ def test_a_pbeaml_has_its_neutral_axis_off_the_shear_centre_and_a_pbarl_has_not(
     want = SECTIONS["CHAN"][1](0.05, 0.08, 0.005, 0.01)
     p = m["PBEAM"]
     np.testing.assert_allclose(
-        [p["N2A"][0], p["N2B"][0], p["N1A"][0]], [want["N2"], want["N2"], 0.0], atol=1e-15
+        [p["N2A"][0], p["N2B"][0], p["N1A"][0]],
+        [want["N2"], want["N2"], 0.0],
+        atol=1e-15,
     )
     assert want["N2"] > 0.01
     assert m["PBAR"]["A"][0] == p["A"][0]

@@ -55,7 +55,9 @@ def rows(s: System, node: int) -> Int:
 
 
 def test_matrices_of_a_bar() -> None:
-    want = loadmat(path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat"))
+    want = loadmat(
+        path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat")
+    )
     s = system("system_verification/003_svanberg_bar/nastran_runs/barmat.dat")
     np.testing.assert_allclose(
         s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max()
@@ -78,9 +80,18 @@ def test_matrices_of_a_bar_as_direct_input(tmp_path: Path) -> None:
             else line.startswith("GRID") or line.split()[:2][-1] in ("K10", "M10")
         )
         bulk += [line] if use else []
-    head = ["SOL 103", "CEND", "K2GG = K10", "M2GG = M10", "BEGIN BULK", "PARAM,AUTOSPC,NO"]
+    head = [
+        "SOL 103",
+        "CEND",
+        "K2GG = K10",
+        "M2GG = M10",
+        "BEGIN BULK",
+        "PARAM,AUTOSPC,NO",
+    ]
     (tmp_path / "a.bdf").write_text("\n".join([*head, *bulk, "ENDDATA", ""]))
-    want = loadmat(path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat"))
+    want = loadmat(
+        path("system_verification/003_svanberg_bar/nastran_runs/barMatrices.mat")
+    )
     s = assemble(read_deck(tmp_path / "a.bdf"))
     np.testing.assert_allclose(
         s.stiffness.toarray(), want["k"], rtol=1e-9, atol=1e-9 * np.abs(want["k"]).max()
@@ -90,7 +101,12 @@ def test_matrices_of_a_bar_as_direct_input(tmp_path: Path) -> None:
 
 def test_three_element_types() -> None:
     """CBEAM, CBAR and CROD in one frame; shear factors of 0.85."""
-    got = solver("embedded").open(read_deck(path(TYPES))).modes(ModesRequest(10)).modes.frequencies
+    got = (
+        solver("embedded")
+        .open(read_deck(path(TYPES)))
+        .modes(ModesRequest(10))
+        .modes.frequencies
+    )
     want = [
         0.1987976,
         0.3974492,
@@ -113,14 +129,27 @@ def test_three_element_types() -> None:
         (
             TYPES,
             [11, 25],
-            [0.2233058, 0.4464976, 0.8407104, 2.300993, 4.566558, 5.168626, 26.57986, 26.57986],
+            [
+                0.2233058,
+                0.4464976,
+                0.8407104,
+                2.300993,
+                4.566558,
+                5.168626,
+                26.57986,
+                26.57986,
+            ],
         ),
     ],
 )
 def test_guyan(deck: str, nodes: list[int], want: list[float]) -> None:
     s = system(deck)
-    r = craig_bampton(s.stiffness, s.mass, np.concatenate([rows(s, n) for n in nodes]), 0)
-    np.testing.assert_allclose(hertz(r.stiffness, r.mass)[: len(want)], want, rtol=PRINTED)
+    r = craig_bampton(
+        s.stiffness, s.mass, np.concatenate([rows(s, n) for n in nodes]), 0
+    )
+    np.testing.assert_allclose(
+        hertz(r.stiffness, r.mass)[: len(want)], want, rtol=PRINTED
+    )
 
 
 FIXED = [1380.011, 8287.086, 8933.322]
@@ -150,18 +179,36 @@ TYPES_FIXED = [0.4013047, 0.8020365, 1.129524, 1.559040]
         ),
     ],
 )
-def test_craig_bampton(deck: str, nodes: list[int], fixed: list[float], want: list[float]) -> None:
+def test_craig_bampton(
+    deck: str, nodes: list[int], fixed: list[float], want: list[float]
+) -> None:
     s = system(deck)
-    r = craig_bampton(s.stiffness, s.mass, np.concatenate([rows(s, n) for n in nodes]), len(fixed))
+    r = craig_bampton(
+        s.stiffness, s.mass, np.concatenate([rows(s, n) for n in nodes]), len(fixed)
+    )
     np.testing.assert_allclose(r.frequencies, fixed, rtol=PRINTED)
-    np.testing.assert_allclose(hertz(r.stiffness, r.mass)[: len(want)], want, rtol=PRINTED)
+    np.testing.assert_allclose(
+        hertz(r.stiffness, r.mass)[: len(want)], want, rtol=PRINTED
+    )
 
 
 @pytest.mark.parametrize(
     ("count", "want"),
     [
         (1, [349.7555, 2182.490, 6733.634, 18222.00]),
-        (3, [349.7289, 2167.436, 6008.068, 11670.88, 19073.61, 28653.90, 43490.38, 104304.1]),
+        (
+            3,
+            [
+                349.7289,
+                2167.436,
+                6008.068,
+                11670.88,
+                19073.61,
+                28653.90,
+                43490.38,
+                104304.1,
+            ],
+        ),
     ],
 )
 def test_craig_bampton_of_two_parts(count: int, want: list[float]) -> None:
@@ -240,11 +287,15 @@ def test_static_displacements(case: str) -> None:
     np.testing.assert_allclose(got, want, rtol=1e-7, atol=1e-9 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("case", ["001_ten_bar_truss", "002_svanberg_beam", "003_svanberg_bar"])
+@pytest.mark.parametrize(
+    "case", ["001_ten_bar_truss", "002_svanberg_beam", "003_svanberg_bar"]
+)
 def test_mode_shapes(case: str) -> None:
     folder = path(f"system_verification/{case}/nastran_runs")
     want = recorded(folder / "modes.h5", "EIGENVECTOR")
     with solver("embedded").open(read_deck(folder / "modes.dat")) as analysis:
         modes, dofs = analysis.modes(ModesRequest(len(want))).modes, analysis.dofs
     got = modes.shapes[np.lexsort([dofs.direction, dofs.node])]
-    np.testing.assert_allclose(np.diag(mac(got, want.reshape(len(want), -1).T)), 1.0, atol=1e-9)
+    np.testing.assert_allclose(
+        np.diag(mac(got, want.reshape(len(want), -1).T)), 1.0, atol=1e-9
+    )

@@ -46,9 +46,13 @@ def section(first: int, last: int) -> dict[str, list[float]]:
 
 def single(**params: float) -> Model:
     between = {f"{name}X": ragged(v[1:3]) for name, v in FIELDS.items()}
-    p = cards("PBEAM", PID=[1], MID=1, **section(0, 3), X=ragged(PLACES[1:3]), **between)
+    p = cards(
+        "PBEAM", PID=[1], MID=1, **section(0, 3), X=ragged(PLACES[1:3]), **between
+    )
     element = cards("CBEAM", EID=[1], PID=1, GA=1, GB=2, X2=1.0)
-    return model(grid([[0, 0, 0], [L, 0, 0]]), element, p, steel(rho=RHO), AUTOSPC="NO", **params)
+    return model(
+        grid([[0, 0, 0], [L, 0, 0]]), element, p, steel(rho=RHO), AUTOSPC="NO", **params
+    )
 
 
 def chain() -> Model:
@@ -56,7 +60,10 @@ def chain() -> Model:
     x[:, 0] = L * PLACES
     parts = [section(k, k + 1) for k in range(3)]
     p = cards(
-        "PBEAM", PID=[1, 2, 3], MID=1, **{n: [part[n][0] for part in parts] for n in parts[0]}
+        "PBEAM",
+        PID=[1, 2, 3],
+        MID=1,
+        **{n: [part[n][0] for part in parts] for n in parts[0]},
     )
     ids = np.arange(1, 4)
     return model(
@@ -80,7 +87,9 @@ def test_a_beam_with_stations_is_a_chain_of_tapered_beams() -> None:
     want = condensed(assemble(chain()).stiffness.toarray())
     got = assemble(single()).stiffness.toarray()
     size = np.sqrt(np.diag(want))
-    np.testing.assert_allclose(got / np.outer(size, size), want / np.outer(size, size), atol=EXACT)
+    np.testing.assert_allclose(
+        got / np.outer(size, size), want / np.outer(size, size), atol=EXACT
+    )
 
 
 def test_a_stepped_bar_is_springs_in_series() -> None:
@@ -103,7 +112,9 @@ def test_a_stepped_bar_is_springs_in_series() -> None:
     }
     p = cards("PBEAM", **{**p.columns, **step})
     element = cards("CBEAM", EID=[1], PID=1, GA=1, GB=2, X2=1.0)
-    m = model(grid([[0, 0, 0], [L, 0, 0]]), element, p, steel(2e11), spc([1], "123456"), spc=1)
+    m = model(
+        grid([[0, 0, 0], [L, 0, 0]]), element, p, steel(2e11), spc([1], "123456"), spc=1
+    )
     assert assemble(m).stiffness.toarray()[0, 0] == pytest.approx(
         1 / (L * (0.25 / 0.01 + 0.75 / 0.02) / 2e11), rel=1e-12
     )
@@ -164,7 +175,9 @@ def test_beams_with_different_numbers_of_stations() -> None:
     rod = assemble(many).stiffness.toarray()[
         :12, 6:12
     ]  # the first of the chain, alone in these columns but for node 2
-    np.testing.assert_allclose(K[12:18, 18:], rod[:6], rtol=1e-6, atol=1e-6 * np.abs(rod).max())
+    np.testing.assert_allclose(
+        K[12:18, 18:], rod[:6], rtol=1e-6, atol=1e-6 * np.abs(rod).max()
+    )
 
 
 DECK = HEAD + (
@@ -172,7 +185,9 @@ DECK = HEAD + (
     "+       YES     .5      .02     3.-5                    2.-5    4.\n"
     "+       0.      0.      0.      0.      0.      0.      0.      0.\n"
     "+       NO      1.0                                             \n+       .9\n"
-).replace("3.\n\n", "3.\n+       1.      1.      0.      0.      0.      0.      0.      0.\n")
+).replace(
+    "3.\n\n", "3.\n+       1.      1.      0.      0.      0.      0.      0.      0.\n"
+)
 
 
 def test_reading_writing_and_editing(tmp_path: Path) -> None:
@@ -192,7 +207,8 @@ def test_reading_writing_and_editing(tmp_path: Path) -> None:
     again = read_deck(tmp_path / "b.bdf")["PBEAM"]
     for name in t.columns:
         left, right = (
-            (x.ragged(name).values if name.endswith("X") else x[name]) for x in (t, again)
+            (x.ragged(name).values if name.endswith("X") else x[name])
+            for x in (t, again)
         )
         np.testing.assert_array_equal(left, right)
     edit_fields(
@@ -201,9 +217,9 @@ def test_reading_writing_and_editing(tmp_path: Path) -> None:
         tmp_path / "new",
     )
     old, new = DECK.splitlines(), (tmp_path / "new/a.bdf").read_text().splitlines()
-    assert [i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1]] == [
-        6
-    ]  # the station's line
+    assert [
+        i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1]
+    ] == [6]  # the station's line
     edited = read_deck(tmp_path / "new/a.bdf")["PBEAM"]
     assert [edited.ragged(n).row(0)[0] for n in ("AX", "I1X", "I2X", "JX")] == [
         0.0123,
@@ -227,12 +243,17 @@ def test_sections_of_a_pbeaml(tmp_path: Path) -> None:
     """A rod of radius 0.1, 0.2 and 0.1: its torsion constant is half π r⁴ at each station, and
     linear between.
     """
-    (tmp_path / "a.bdf").write_text(HEAD + "PBEAML,1,1,,ROD\n,.1,0.,NO,.5,.2,0.,NO,1.\n,.1,0.\n")
+    (tmp_path / "a.bdf").write_text(
+        HEAD + "PBEAML,1,1,,ROD\n,.1,0.,NO,.5,.2,0.,NO,1.\n,.1,0.\n"
+    )
     read = read_deck(tmp_path / "a.bdf")
     np.testing.assert_allclose(read["PBEAM"].ragged("JX").row(0), np.pi / 2 * 0.2**4)
     K = assemble(read).stiffness.toarray()
     a, b = np.pi / 2 * 0.1**4, np.pi / 2 * 0.2**4
-    assert K[9, 9] == pytest.approx(2e11 / 2.6 / (L * np.log(b / a) / (b - a)), rel=1e-6)  # J 16:1
+    # J 16:1
+    assert K[9, 9] == pytest.approx(
+        2e11 / 2.6 / (L * np.log(b / a) / (b - a)), rel=1e-6
+    )
 
 
 def test_a_uniform_beam_with_stations_stays_uniform(tmp_path: Path) -> None:
@@ -244,7 +265,9 @@ def test_a_uniform_beam_with_stations_stays_uniform(tmp_path: Path) -> None:
     read = read_deck(tmp_path / "a.bdf")
     parameters = ParameterSet((Parameter("area", (CardField("PBEAM", 1, "A"),)),))
     changed = apply_factors(read, parameters, np.array([1.5]))
-    edit_fields(read, field_changes(read, parameters, np.array([1.5])), tmp_path / "new")
+    edit_fields(
+        read, field_changes(read, parameters, np.array([1.5])), tmp_path / "new"
+    )
     for m in (changed, read_deck(tmp_path / "new/a.bdf")):
         t = m["PBEAM"]
         np.testing.assert_allclose(
@@ -259,7 +282,8 @@ def test_derivatives(field: str) -> None:
     slopes = matrix_derivatives(m, p, assemble(m))
     h = 1e-5
     up, down = (
-        assemble(apply_factors(m, ParameterSet((p,)), np.array([1 + s * h]))) for s in (1, -1)
+        assemble(apply_factors(m, ParameterSet((p,)), np.array([1 + s * h])))
+        for s in (1, -1)
     )
     for slope, name in zip(slopes, ("stiffness", "mass"), strict=True):
         difference = (getattr(up, name) - getattr(down, name)).toarray() / (2 * h)

@@ -25,11 +25,16 @@ OUT = {"X1": 0.0, "X2": 1.0, "X3": 0.0}  # tangent at A
 
 
 def bend(
-    xyz: Float = QUARTER, p: dict[str, float] = SECTION, COUPMASS: int = -1, **more: object
+    xyz: Float = QUARTER,
+    p: dict[str, float] = SECTION,
+    COUPMASS: int = -1,
+    **more: object,
 ) -> Model:
     line = cards("CBEND", EID=[3], PID=5, GA=1, GB=2, **({"GEOM": 2, **OUT} | more))
     table = cards("PBEND", PID=[5], MID=1, **p)
-    return model(grid(xyz), line, table, steel(E, NU, GE=0.02), AUTOSPC="NO", COUPMASS=COUPMASS)
+    return model(
+        grid(xyz), line, table, steel(E, NU, GE=0.02), AUTOSPC="NO", COUPMASS=COUPMASS
+    )
 
 
 def tip(s: System) -> Float:
@@ -44,14 +49,18 @@ def test_quarter_ring_in_its_plane() -> None:
     F = tip(assemble(bend()))
     EA, EI = E * SECTION["A"], E * SECTION["I1"]
     bending, axial, both = 3 * np.pi / 4 - 2, np.pi / 4, 2 * (1 - np.pi / 4)
-    assert F[0, 0] == pytest.approx(R**3 / EI * bending + R / EA * (axial + both), rel=1e-12)
+    assert F[0, 0] == pytest.approx(
+        R**3 / EI * bending + R / EA * (axial + both), rel=1e-12
+    )
     assert F[5, 5] == pytest.approx(R * np.pi / 2 / EI, rel=1e-12)
 
 
 def test_quarter_ring_out_of_its_plane() -> None:
     """δ = P R³ [π/4 /EI2 + (3π/4 − 2)/GJ]."""
     F = tip(assemble(bend()))
-    want = R**3 * (np.pi / 4 / (E * SECTION["I2"]) + (3 * np.pi / 4 - 2) / (G * SECTION["J"]))
+    want = R**3 * (
+        np.pi / 4 / (E * SECTION["I2"]) + (3 * np.pi / 4 - 2) / (G * SECTION["J"])
+    )
     assert F[2, 2] == pytest.approx(want, rel=1e-12)
 
 
@@ -61,10 +70,23 @@ def chain(n: int) -> Float:
     xyz = R * np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=1)
     i = np.arange(1, n + 1)
     bars = cards(
-        "CBAR", EID=i, PID=1, GA=i, GB=i + 1, X1=np.cos(phi[:-1]), X2=np.sin(phi[:-1]), X3=0.0
+        "CBAR",
+        EID=i,
+        PID=1,
+        GA=i,
+        GB=i + 1,
+        X1=np.cos(phi[:-1]),
+        X2=np.sin(phi[:-1]),
+        X3=0.0,
     )
     K = assemble(
-        model(grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **SECTION), steel(E, NU), AUTOSPC="NO")
+        model(
+            grid(xyz),
+            bars,
+            cards("PBAR", PID=[1], MID=1, **SECTION),
+            steel(E, NU),
+            AUTOSPC="NO",
+        )
     )
     return np.linalg.inv(K.stiffness.toarray()[6:, 6:])[-6:, -6:]
 
@@ -99,7 +121,9 @@ def test_more_than_half_a_ring() -> None:
     """The tangent that leads away from B: three quarters of a ring, which weighs as much."""
     m = bend(p={**SECTION, "NSM": 4.0}, X2=-1.0)
     s = assemble(m)
-    assert s.mass.diagonal()[0] * 2 == pytest.approx((8000 * 0.01 + 4) * 1.5 * np.pi * R)
+    assert s.mass.diagonal()[0] * 2 == pytest.approx(
+        (8000 * 0.01 + 4) * 1.5 * np.pi * R
+    )
     assert tip(s)[5, 5] == pytest.approx(1.5 * np.pi * R / (E * SECTION["I1"]))
 
 
@@ -107,7 +131,9 @@ def test_offsets_move_the_line_of_centroids() -> None:
     """RC and ZC: the element stands where nodes on the centroids would be joined by rigid arms."""
     there = {**SECTION, "RC": 0.2, "ZC": 0.1, "NSM": 4.0}
     s = assemble(bend(p=there))
-    far = assemble(bend(np.array([[R + 0.2, 0, 0.1], [0, R + 0.2, 0.1]]), {**SECTION, "NSM": 4.0}))
+    far = assemble(
+        bend(np.array([[R + 0.2, 0, 0.1], [0, R + 0.2, 0.1]]), {**SECTION, "NSM": 4.0})
+    )
     arms = np.eye(12)
     for k, r in enumerate(([0.2, 0, 0.1], [0, 0.2, 0.1])):
         arms[6 * k : 6 * k + 3, 6 * k + 3 : 6 * k + 6] = np.cross(np.eye(3), r).T
@@ -122,8 +148,12 @@ def test_turning_the_whole() -> None:
     there, Q = turned(QUARTER)
     v = Q @ np.array([0.0, 1, 0])
     big = np.kron(np.eye(4), Q)
-    K = assemble(bend(p={**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6})).stiffness.toarray()
-    other = bend(there, {**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6}, X1=v[0], X2=v[1], X3=v[2])
+    K = assemble(
+        bend(p={**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6})
+    ).stiffness.toarray()
+    other = bend(
+        there, {**SECTION, "ZC": 0.1, "K1": 0.5, "K2": 0.6}, X1=v[0], X2=v[1], X3=v[2]
+    )
     np.testing.assert_allclose(
         assemble(other).stiffness.toarray(), big @ K @ big.T, atol=1e-9 * abs(K).max()
     )
@@ -131,7 +161,9 @@ def test_turning_the_whole() -> None:
 
 def test_pipe() -> None:
     """A thin pipe has A = 2π r t; a solid one e = R − (R + √(R² − c²))/2."""
-    area, second, e = pipe(np.array([0.1, 0.1]), np.array([0.002, 0.0]), np.array([1.0, 1.0]))
+    area, second, e = pipe(
+        np.array([0.1, 0.1]), np.array([0.002, 0.0]), np.array([1.0, 1.0])
+    )
     np.testing.assert_allclose(area, [2 * np.pi * 0.1 * 0.002, np.pi * 0.01])
     np.testing.assert_allclose(second[1], np.pi / 4 * 1e-4)
     assert e[1] == pytest.approx(1 - (1 + np.sqrt(1 - 0.01)) / 2)
@@ -171,12 +203,16 @@ def ring(n: int) -> Float:
     )
     thin = {"A": 1e-4, "I1": 1e-9, "I2": 1e-9, "J": 2e-9, "DELTAN": 0.0}
     m = model(
-        grid(xyz, PS="345"), line, cards("PBEND", PID=[5], MID=1, **thin), steel(E, NU), COUPMASS=1
+        grid(xyz, PS="345"),
+        line,
+        cards("PBEND", PID=[5], MID=1, **thin),
+        steel(E, NU),
+        COUPMASS=1,
     )
     k = np.array([2, 2, 3, 3])
-    exact = np.sqrt(E * 1e-9 / (8000 * 1e-4 * R**4) * (k * (k * k - 1)) ** 2 / (k * k + 1)) / (
-        2 * np.pi
-    )
+    exact = np.sqrt(
+        E * 1e-9 / (8000 * 1e-4 * R**4) * (k * (k * k - 1)) ** 2 / (k * k + 1)
+    ) / (2 * np.pi)
     return modes(m, 7)[3:] / exact
 
 
@@ -207,12 +243,18 @@ def test_derivatives(field: str) -> None:
 
 def test_derivatives_of_arc_pipe_material_and_nodes() -> None:
     check_slopes(bend(p={**FULL, "RB": 2.5}, GEOM=3), parameter(("PBEND", 5, "RB")))
-    check_slopes(bend(p={**FULL, "THETAB": 70.0}, GEOM=4), parameter(("PBEND", 5, "THETAB")))
+    check_slopes(
+        bend(p={**FULL, "THETAB": 70.0}, GEOM=4), parameter(("PBEND", 5, "THETAB"))
+    )
     for field in ("RM", "T"):
-        check_slopes(bend(p={"FSI": 1, "RM": 0.1, "T": 0.02}), parameter(("PBEND", 5, field)))
+        check_slopes(
+            bend(p={"FSI": 1, "RM": 0.1, "T": 0.02}), parameter(("PBEND", 5, field))
+        )
     for field in ("E", "NU", "RHO"):
         check_slopes(bend(p=FULL), parameter(("MAT1", 1, field)))
-    check_slopes(bend(p=FULL), Parameter("nodes", shapes=(Shape((2,), ((0.1, 0.2, 0.1),)),)))
+    check_slopes(
+        bend(p=FULL), Parameter("nodes", shapes=(Shape((2,), ((0.1, 0.2, 0.1),)),))
+    )
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,9 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.model.frames import frames
 from ringtrue.model.model import Model
 
-XYZ = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.5], [2, 2, 1.0]])
+XYZ = np.array(
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.5], [2, 2, 1.0]]
+)
 CD = np.array([0, 7, 0, 8, 7, 8])
 FRAMES = (
     cards("CORD2R", CID=[7], A1=0.3, B1=0.3, B2=0.5, B3=1.0, C1=1.0),
@@ -26,7 +28,11 @@ def rbe2(eid: int, gn: int, gm: list[int], cm: str = "123456") -> object:
 
 def rbe3(ref: int, nodes: list[int], refc: str = "123456", c: str = "123") -> object:
     n = len(nodes)
-    rows = {"G": ragged(nodes), "C": ragged([c] * n), "WT": ragged(np.arange(1.0, n + 1))}
+    rows = {
+        "G": ragged(nodes),
+        "C": ragged([c] * n),
+        "WT": ragged(np.arange(1.0, n + 1)),
+    }
     return cards("RBE3", EID=[50], REFGRID=ref, REFC=refc, **rows)
 
 
@@ -69,8 +75,14 @@ def test_rotations_of_an_rbe3_are_weighted_by_the_square_of_the_mean_arm() -> No
     2 v + 4 θ = 0 and 4 v + (10 + L²) θ = L², L = (1 + 3) / 2 although node 1 is listed twice.
     """
     at = grid(np.array([[1.0, 0, 0], [3.0, 0, 0], [0.0, 0, 0]]))
-    terms = {"G": ragged([1, 2, 1]), "C": ragged(["2", "2", "6"]), "WT": ragged([1.0, 1.0, 1.0])}
-    s = assemble(model(at, cards("RBE3", EID=[50], REFGRID=3, REFC="26", **terms), AUTOSPC="NO"))
+    terms = {
+        "G": ragged([1, 2, 1]),
+        "C": ragged(["2", "2", "6"]),
+        "WT": ragged([1.0, 1.0, 1.0]),
+    }
+    s = assemble(
+        model(at, cards("RBE3", EID=[50], REFGRID=3, REFC="26", **terms), AUTOSPC="NO")
+    )
     turn = np.array([float(label == "1+RZ") for label in s.free.labels()])
     np.testing.assert_allclose(s.expand(turn)[[13, 17]], [-4 / 3, 2 / 3], rtol=1e-12)
 
@@ -82,8 +94,13 @@ def test_rbe3_that_is_not_determined_is_refused() -> None:
 
 def test_mpc_and_sets() -> None:
     """2 u2 - 3 u1 = 0 in an MPCADD; SPCADD unites; an SPC that is not chosen does nothing."""
-    mpc = cards("MPC", SID=[5], G=ragged([2, 1]), C=ragged([1, 1]), A=ragged([2.0, -3.0]))
-    add = (cards("MPCADD", SID=[1], S=ragged([5])), cards("SPCADD", SID=[1], S=ragged([6, 7])))
+    mpc = cards(
+        "MPC", SID=[5], G=ragged([2, 1]), C=ragged([1, 1]), A=ragged([2.0, -3.0])
+    )
+    add = (
+        cards("MPCADD", SID=[1], S=ragged([5])),
+        cards("SPCADD", SID=[1], S=ragged([6, 7])),
+    )
     held = cards("SPC1", SID=[6, 7, 8], C=["3", "2", "1"], G=ragged([1], [1], [1]))
     s = assemble(model(grid(XYZ[:2]), mpc, *add, held, spc=1, mpc=1, AUTOSPC="NO"))
     labels = s.free.labels()
@@ -113,7 +130,11 @@ def test_contradictions_are_named(tables: tuple[object, ...], message: str) -> N
 
 def test_an_equation_that_names_its_dependent_dof_twice_is_named() -> None:
     twice = cards(
-        "MPC", SID=[5], G=ragged([3, 3, 4]), C=ragged([1, 1, 1]), A=ragged([1.0, 1.0, -1.0])
+        "MPC",
+        SID=[5],
+        G=ragged([3, 3, 4]),
+        C=ragged([1, 1, 1]),
+        A=ragged([1.0, 1.0, -1.0]),
     )
     with pytest.raises(DeckError, match="circle: MPC 5;"):
         assemble(model(*NODES, rbe2(1, 1, [2]), twice, mpc=5))
@@ -123,13 +144,21 @@ def test_autospc_holds_what_has_no_stiffness() -> None:
     """A rod along x leaves y, z and the bending rotations; drilling is held in a plate without
     K6ROT.
     """
-    rod = (cards("CROD", EID=[1], PID=1, G1=1, G2=2), cards("PROD", PID=[1], MID=1, A=1.0, J=1.0))
+    rod = (
+        cards("CROD", EID=[1], PID=1, G1=1, G2=2),
+        cards("PROD", PID=[1], MID=1, A=1.0, J=1.0),
+    )
     s = assemble(model(grid(XYZ[:2]), *rod, steel()))
     assert s.free.labels() == ("1+X", "1+RX", "2+X", "2+RX")
     xyz, quads = square(1, 1.0, 1.0)
     plate = (grid(xyz), shells(quads), pshell(0.1), steel())
     assert len(assemble(model(*plate)).autospc) == 0
-    assert assemble(model(*plate, K6ROT=0.0)).autospc.labels() == ("1+RZ", "2+RZ", "3+RZ", "4+RZ")
+    assert assemble(model(*plate, K6ROT=0.0)).autospc.labels() == (
+        "1+RZ",
+        "2+RZ",
+        "3+RZ",
+        "4+RZ",
+    )
 
 
 def test_a_support_in_a_displacement_frame() -> None:
@@ -150,7 +179,9 @@ def test_structural_damping_is_the_imaginary_part() -> None:
         G=0.01,
     )
     s = assemble(m)
-    np.testing.assert_allclose(s.structural.toarray(), 0.03 * s.stiffness.toarray(), rtol=1e-12)
+    np.testing.assert_allclose(
+        s.structural.toarray(), 0.03 * s.stiffness.toarray(), rtol=1e-12
+    )
 
 
 def test_a_card_that_is_not_assembled_is_refused() -> None:

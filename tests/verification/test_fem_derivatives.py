@@ -20,7 +20,16 @@ from ringtrue.fem.parametrisation.polynomials import AffineTerm, Product
 from ringtrue.model.model import Model
 
 X = np.array(
-    [[0, 0, 0], [1, 0, 0.1], [1.1, 1, 0], [0, 1, 0.1], [0, 0, 1], [1, 0, 1.2], [1, 1, 1], [0, 1, 1]]
+    [
+        [0, 0, 0],
+        [1, 0, 0.1],
+        [1.1, 1, 0],
+        [0, 1, 0.1],
+        [0, 0, 1],
+        [1, 0, 1.2],
+        [1, 1, 1],
+        [0, 1, 1],
+    ]
 )
 EXACT = 1e-12  # relative to the largest entry
 
@@ -42,7 +51,17 @@ def mixed(*, residual: str = "YES", **mat: float) -> Model:
         cards("CBAR", EID=[5], PID=5, GA=1, GB=7, X1=1.0, W1A=0.1),
         cards("PBAR", PID=[5], MID=1, **section),
         cards("CBEAM", EID=[6], PID=6, GA=2, GB=8, X1=1.0),
-        cards("PBEAM", PID=[6], MID=1, **section, AB=0.01, I1B=2e-5, I2B=1e-5, JB=3e-5, NSMB=5.0),
+        cards(
+            "PBEAM",
+            PID=[6],
+            MID=1,
+            **section,
+            AB=0.01,
+            I1B=2e-5,
+            I2B=1e-5,
+            JB=3e-5,
+            NSMB=5.0,
+        ),
         cards("CROD", EID=[7], PID=7, G1=3, G2=5),
         cards("PROD", PID=[7], MID=1, A=0.02),
         cards("CBUSH", EID=[8], PID=8, GA=4, GB=6, CID=0),
@@ -83,7 +102,9 @@ POLYNOMIAL = [
 
 
 @pytest.mark.parametrize("targets", POLYNOMIAL, ids=str)
-def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], ...]) -> None:
+def test_parts_add_up_to_the_changed_model(
+    targets: tuple[tuple[str, int, str], ...],
+) -> None:
     """K(1.7) - K(1) = Σ (1.7^p - 1) K_p, and the derivative at 1 is Σ p K_p: powers, exactly."""
     m, p, a = mixed(residual="NO"), parameter(*targets), np.array([1.7])
     s, changed = assemble(m), assemble(scaled(m, p, 1.7))
@@ -95,9 +116,15 @@ def test_parts_add_up_to_the_changed_model(targets: tuple[tuple[str, int, str], 
         changed.stiffness,
         EXACT,
     )
-    close(s.mass + sum(t.function.value(a) * t.mass for t in parts), changed.mass, EXACT)
+    close(
+        s.mass + sum(t.function.value(a) * t.mass for t in parts), changed.mass, EXACT
+    )
     dK, dM = matrix_derivatives(m, p, s)
-    close(sum(t.function.derivative(np.ones(1), 0) * t.stiffness for t in parts), dK, 1e-10)
+    close(
+        sum(t.function.derivative(np.ones(1), 0) * t.stiffness for t in parts),
+        dK,
+        1e-10,
+    )
     close(sum(t.function.derivative(np.ones(1), 0) * t.mass for t in parts), dM, 1e-10)
 
 
@@ -157,7 +184,8 @@ TOGETHER = [
     [(("PSHELL", 1, "TST"),), (("PBAR", 5, "I1"),)],
     [(("PBEAM", 6, "I1"),), (("PBEAM", 6, "A"),), (("MAT1", 1, "E"),)],
     [(("CONM2", 11, "X1"),), (("CONM2", 11, "M"),)],
-    [(("MAT1", 1, "E"),), (("PROD", 7, "A"),), (("PBAR", 5, "A"),)],  # one field in two sets
+    # one field in two sets
+    [(("MAT1", 1, "E"),), (("PROD", 7, "A"),), (("PBAR", 5, "A"),)],
 ]
 
 
@@ -169,25 +197,35 @@ def test_parameters_on_the_same_elements_multiply(
     that model.
     """
     m, rng = mixed(), np.random.default_rng(3)
-    names = [Parameter(f"p{i}", parameter(*t).targets, 0.7, 1.4) for i, t in enumerate(together)]
+    names = [
+        Parameter(f"p{i}", parameter(*t).targets, 0.7, 1.4)
+        for i, t in enumerate(together)
+    ]
     s = assemble(m)
     parts = affine_terms(m, ParameterSet(tuple(names)), s)
     for a in rng.uniform(0.7, 1.4, (1, len(names))):
         there = m
         for p, factor in zip(names, a.tolist(), strict=True):
             there = scaled(there, p, factor)
-        K, M = (sum(t.function.value(a) * A for t, A in parts_of(parts, n)) for n in range(2))
+        K, M = (
+            sum(t.function.value(a) * A for t, A in parts_of(parts, n))
+            for n in range(2)
+        )
         at = assemble(there)
         close(s.stiffness + K, at.stiffness, 1e-9)
         close(s.mass + M, at.mass, 1e-9)
         for i, p in enumerate(names):
             dK, dM = matrix_derivatives(there, p, at)
-            own = [(t.function.derivative(a, i), t) for t in parts if i in t.function.which]
-            rounding = 1e-15 * abs(at.stiffness).max()  # of parameters interpolated together
+            own = [
+                (t.function.derivative(a, i), t) for t in parts if i in t.function.which
+            ]
+            # of parameters interpolated together
+            rounding = 1e-15 * abs(at.stiffness).max()
             off = abs(a[i] * sum(c * t.stiffness for c, t in own) - dK).max()
             assert off <= max(1e-7 * abs(dK).max(), rounding)
             assert (
-                abs(a[i] * sum(c * t.mass for c, t in own) - dM).max() <= 1e-6 * abs(at.mass).max()
+                abs(a[i] * sum(c * t.mass for c, t in own) - dM).max()
+                <= 1e-6 * abs(at.mass).max()
             )
 
 
@@ -202,7 +240,8 @@ def test_sections_that_share_nothing() -> None:
         for card, f in (("MAT1", "E"), ("PBEAM", "I1"), ("PBEAM", "I2"))
     ]
     names = [
-        Parameter(f"{n} {f}", parameter((card, n, f)).targets, 0.7, 1.4) for card, n, f in fields
+        Parameter(f"{n} {f}", parameter((card, n, f)).targets, 0.7, 1.4)
+        for card, n, f in fields
     ]
     s, there = assemble(m), m
     for p, factor in zip(names, a.tolist(), strict=True):
@@ -224,13 +263,18 @@ def parts_of(
 def test_a_factor_on_element_matrices_and_their_modulus() -> None:
     m = mixed()
     sub = Parameter(
-        "shell", substructures=(Substructure("stiffness", (1,)), Substructure("mass", (2,)))
+        "shell",
+        substructures=(Substructure("stiffness", (1,)), Substructure("mass", (2,))),
     )
     s, a = assemble(m), np.array([0.7, 1.3])
     parts = affine_terms(m, ParameterSet((sub, parameter(("MAT1", 1, "E")))), s)
     (both,) = (t for t in parts if t.function.which == (0, 1))
     (one,) = affine_terms(
-        m, ParameterSet((Parameter("k", substructures=(Substructure("stiffness", (1,)),)),)), s
+        m,
+        ParameterSet(
+            (Parameter("k", substructures=(Substructure("stiffness", (1,)),)),)
+        ),
+        s,
     )
     close(both.stiffness, one.stiffness, EXACT)
     assert both.function.value(a) == pytest.approx(-0.3 * 0.3)

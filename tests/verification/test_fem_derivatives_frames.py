@@ -73,7 +73,9 @@ def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
     thickness.
     """
     at = [(np.cos(a), np.sin(a), z) for a in (0.0, 0.2, 0.4) for z in (0.0, 0.3)]
-    grids = "".join(f"GRID,{i},,{x:.6f},{y:.6f},{z:.6f}\n" for i, (x, y, z) in enumerate(at, 1))
+    grids = "".join(
+        f"GRID,{i},,{x:.6f},{y:.6f},{z:.6f}\n" for i, (x, y, z) in enumerate(at, 1)
+    )
     quads = "CQUAD4,1,1,1,3,4,2\n,,,.004,.005,.006,.007\nCQUAD4,2,1,3,5,6,4\n"
     rest = "PSHELL,1,1,.005,1,,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\nPARAM,SNORM,30.\n"
     m = _read(tmp_path, "SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n" + grids + quads + rest)
@@ -83,9 +85,13 @@ def test_corner_thickness_of_a_curved_shell(tmp_path: Path, field: str) -> None:
 def test_a_node_that_turns_the_normals_of_triangles_beyond_it(tmp_path: Path) -> None:
     """The triangle 3-4-2 does not have node 6, but its normal at 4 depends on where 6 is."""
     at = [(np.cos(a), np.sin(a), z) for a in (0.0, 0.2, 0.4) for z in (0.0, 0.3)]
-    grids = "".join(f"GRID,{i},,{x:.6f},{y:.6f},{z:.6f}\n" for i, (x, y, z) in enumerate(at, 1))
+    grids = "".join(
+        f"GRID,{i},,{x:.6f},{y:.6f},{z:.6f}\n" for i, (x, y, z) in enumerate(at, 1)
+    )
     corners = ((1, 3, 2), (3, 4, 2), (3, 5, 4), (5, 6, 4))
-    shells = "".join(f"CTRIA3,{e},1,{a},{b},{c}\n" for e, (a, b, c) in enumerate(corners, 1))
+    shells = "".join(
+        f"CTRIA3,{e},1,{a},{b},{c}\n" for e, (a, b, c) in enumerate(corners, 1)
+    )
     rest = "PSHELL,1,1,.005,1,,1\nMAT1,1,7.+10,,.3,2700.\nSPC1,1,123456,1,2\n"
     m = _read(tmp_path, "SOL 103\nCEND\nSPC = 1\nBEGIN BULK\n" + grids + shells + rest)
     vectors = np.array([[0.02, -0.01, 0.03]])

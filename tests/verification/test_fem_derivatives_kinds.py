@@ -18,7 +18,8 @@ from ringtrue.fem.parametrisation.derivatives import quadratic_forms, system_der
 from ringtrue.model.model import Model
 
 NAMES = ("stiffness", "mass")
-SECOND = 3.7  # at least, by halving the step: a first-order error gives 2, a second-order one 4
+# at least, by halving the step: a first-order error gives 2, a second-order one 4
+SECOND = 3.7
 
 
 def rich(I12: float = 4e-6) -> Model:
@@ -26,7 +27,9 @@ def rich(I12: float = 4e-6) -> Model:
     an offset.
     """
     m = mixed(GE=0.02)
-    bush = {f"K{i}": 1e7 * i for i in range(1, 7)} | {f"B{i}": 1e3 * i for i in range(1, 7)}
+    bush = {f"K{i}": 1e7 * i for i in range(1, 7)} | {
+        f"B{i}": 1e3 * i for i in range(1, 7)
+    }
     bar = {
         "A": 0.01,
         "I1": 2e-5,
@@ -68,7 +71,10 @@ KINDS = {
         f"PBAR {f}": parameter(("PBAR", 5, f))
         for f in ("A", "I1", "I2", "I12", "J", "NSM", "K1", "K2")
     },
-    **{f"PBEAM {f}": parameter(("PBEAM", 6, f)) for f in ("A", "I1", "I2", "J", "NSM", "K1", "K2")},
+    **{
+        f"PBEAM {f}": parameter(("PBEAM", 6, f))
+        for f in ("A", "I1", "I2", "J", "NSM", "K1", "K2")
+    },
     **{f"PBUSH {f}": parameter(("PBUSH", 8, f)) for f in ("K2", "K5")},
     **{
         f"{c} {f}": parameter((c, i, f))
@@ -97,7 +103,9 @@ def test_second_order_remainder(name: str) -> None:
     size = [float(abs(a).max()) for a in _matrices(m)]
     coarse, fine = (_remainder(m, p, slope, h) for h in (0.02, 0.01))
     assert any(
-        abs(getattr(slope, n)).max() > 1e-9 * s for n, s in zip(NAMES, size, strict=True) if s
+        abs(getattr(slope, n)).max() > 1e-9 * s
+        for n, s in zip(NAMES, size, strict=True)
+        if s
     )
     for a, b, s in zip(coarse, fine, size, strict=True):
         assert b <= max(a / SECOND, 3e-13 * s)
@@ -117,7 +125,9 @@ def test_a_rod_that_grows() -> None:
         spc=1,
     )
     s = assemble(m)
-    (slope,) = system_derivatives(m, [Parameter("L", shapes=(Shape((2,), ((v, 0.0, 0.0),)),))], s)
+    (slope,) = system_derivatives(
+        m, [Parameter("L", shapes=(Shape((2,), ((v, 0.0, 0.0),)),))], s
+    )
     k, dk = s.stiffness.max(), slope.stiffness.min()
     assert np.isclose(dk, -k * v / L, rtol=1e-11)
     assert np.isclose(slope.mass.max(), s.mass.max() * v / L, rtol=1e-11)
@@ -129,7 +139,10 @@ def test_plies_of_a_laminate() -> None:
     """
     from fem_cases import grid, model, ragged, spc, steel
 
-    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.1], [2, 1, 0]], dtype=float)
+    x = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.1], [2, 1, 0]],
+        dtype=float,
+    )
     m = model(
         grid(x),
         steel(),
@@ -167,8 +180,16 @@ def test_factor_on_element_matrices() -> None:
     m = rich()
     s = assemble(m)
     pairs = [
-        (Substructure("stiffness", (7,)), CardField("MAT1", 1, "E", elements=(7,)), "stiffness"),
-        (Substructure("mass", (3,)), CardField("MAT1", 1, "RHO", elements=(3,)), "mass"),
+        (
+            Substructure("stiffness", (7,)),
+            CardField("MAT1", 1, "E", elements=(7,)),
+            "stiffness",
+        ),
+        (
+            Substructure("mass", (3,)),
+            CardField("MAT1", 1, "RHO", elements=(3,)),
+            "mass",
+        ),
     ]
     for factor, field, which in pairs:
         a, b = system_derivatives(
@@ -177,7 +198,9 @@ def test_factor_on_element_matrices() -> None:
         one, two = getattr(a, which), getattr(b, which)
         assert abs(one - two).max() <= 1e-12 * abs(two).max()
     with pytest.raises(InputError, match="not all of its 2 elements"):
-        system_derivatives(m, [Parameter("s", substructures=(Substructure("mass", (3, 999)),))], s)
+        system_derivatives(
+            m, [Parameter("s", substructures=(Substructure("mass", (3, 999)),))], s
+        )
 
 
 def test_many_at_once_is_one_by_one_and_the_products() -> None:
@@ -196,7 +219,9 @@ def test_many_at_once_is_one_by_one_and_the_products() -> None:
             assert abs(a - b).max() <= 1e-12 * max(abs(b).max(), 1e-300)
         for A, told in zip((alone.stiffness, alone.mass), products, strict=True):
             want = np.einsum("fm,fm->m", v, A @ v)
-            assert np.allclose(told[:, i], want, rtol=1e-8, atol=1e-9 * max(abs(A).max(), 1e-300))
+            assert np.allclose(
+                told[:, i], want, rtol=1e-8, atol=1e-9 * max(abs(A).max(), 1e-300)
+            )
 
 
 def test_targets_that_cannot_be_met() -> None:
@@ -205,6 +230,8 @@ def test_targets_that_cannot_be_met() -> None:
     with pytest.raises(InputError, match="none of its elements"):
         scaled(m, Parameter("p", (CardField("PSHELL", 1, "T", elements=(5,)),)), 2.0)
     with pytest.raises(InputError, match="GRID 99"):
-        system_derivatives(m, [Parameter("p", shapes=(Shape((99,), ((1.0, 0.0, 0.0),)),))], s)
+        system_derivatives(
+            m, [Parameter("p", shapes=(Shape((99,), ((1.0, 0.0, 0.0),)),))], s
+        )
     with pytest.raises(InputError, match="2 vectors for 1"):
         Shape((1,), ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0)))

@@ -28,10 +28,20 @@ def _strip(**section: object) -> Model:
         grid(np.c_[i, 1.1 * j + 0.1 * i, 0.05 * i * j]),
         steel(),
         cards(
-            "CQUAD4", EID=[1, 2, 3, 4], PID=[1, 1, 1, 2], G1=at + 1, G2=at + 3, G3=at + 4, G4=at + 2
+            "CQUAD4",
+            EID=[1, 2, 3, 4],
+            PID=[1, 1, 1, 2],
+            G1=at + 1,
+            G2=at + 3,
+            G3=at + 4,
+            G4=at + 2,
         ),
         cards(
-            "PSHELL", PID=[1, 2], T=0.1, NSM=3.0, **({"MID1": 1, "MID2": 1, "MID3": 1} | section)
+            "PSHELL",
+            PID=[1, 2],
+            T=0.1,
+            NSM=3.0,
+            **({"MID1": 1, "MID2": 1, "MID3": 1} | section),
         ),
     )
 
@@ -59,9 +69,14 @@ def test_the_modulus_of_the_only_material_scales_the_stiffness() -> None:
 
 def test_one_of_two_materials_does_not() -> None:
     """Membrane of MAT1 1, bending of MAT1 2."""
-    m = _with(_strip(MID2=2), cards("MAT1", MID=[1, 2], E=[2e11, 7e10], NU=0.3, RHO=8000.0))
+    m = _with(
+        _strip(MID2=2), cards("MAT1", MID=[1, 2], E=[2e11, 7e10], NU=0.3, RHO=8000.0)
+    )
     assert (sole_material(m, "CQUAD4") == -1).all()
-    s, one, two = assemble(m), *(Parameter(f"{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2))
+    s, one, two = (
+        assemble(m),
+        *(Parameter(f"{i}", (CardField("MAT1", i, "E"),)) for i in (1, 2)),
+    )
     dK = matrix_derivatives(m, one, s)[0]
     assert not _near(dK, s.stiffness, 1e-4)
     assert _near(_difference(m, one), dK, 1e-7)
@@ -76,7 +91,9 @@ def test_young_and_shear_modulus_that_are_both_given(both: bool) -> None:
     dK = matrix_derivatives(m, Parameter("E", (e, g) if both else (e,)), s)[0]
     assert _near(dK, s.stiffness) == both
     assert _near(
-        dK + 0 * s.stiffness if both else dK + matrix_derivatives(m, Parameter("G", (g,)), s)[0],
+        dK + 0 * s.stiffness
+        if both
+        else dK + matrix_derivatives(m, Parameter("G", (g,)), s)[0],
         s.stiffness,
     )
 
@@ -92,7 +109,9 @@ def test_moduli_share_the_sweep_of_other_fields() -> None:
         Parameter("E4", (CardField(*E, elements=(4,)),)),
         Parameter("T1", (CardField(*T, elements=(1,)),)),
         Parameter("T", (CardField(*T),)),
-        Parameter("ET", (CardField(*E, elements=(1, 3)), CardField(*T, elements=(1, 3)))),
+        Parameter(
+            "ET", (CardField(*E, elements=(1, 3)), CardField(*T, elements=(1, 3)))
+        ),
         Parameter("none", (CardField(*T, elements=(4,)),)),
     ]
     s = assemble(m)
@@ -101,7 +120,10 @@ def test_moduli_share_the_sweep_of_other_fields() -> None:
     products = quadratic_forms(m, every, s, v)
     for i, (p, one) in enumerate(zip(every, together, strict=True)):
         for A, got, of in zip(
-            matrix_derivatives(m, p, s), products, (one.stiffness, one.mass), strict=True
+            matrix_derivatives(m, p, s),
+            products,
+            (one.stiffness, one.mass),
+            strict=True,
         ):
             assert abs(A - of).max() <= EXACT * abs(s.stiffness).max()
             want = np.einsum("fm,fm->m", v, A @ v)

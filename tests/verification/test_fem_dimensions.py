@@ -79,9 +79,11 @@ def test_a_complex_step_passes_through_each_section(kind: str) -> None:
             h = 1e-4 * dims[k]
             near = {j: section(kind, dims + j * h * step) for j in (-2, -1, 1, 2)}
             for name in near[1]:
-                want = (8 * (near[1][name] - near[-1][name]) - near[2][name] + near[-2][name]) / (
-                    12 * h
-                )
+                want = (
+                    8 * (near[1][name] - near[-1][name])
+                    - near[2][name]
+                    + near[-2][name]
+                ) / (12 * h)
                 assert slope.get(name, 0.0) == pytest.approx(want, rel=1e-7, abs=1e-9)
 
 
@@ -89,15 +91,22 @@ def test_a_complex_step_passes_through_each_section(kind: str) -> None:
 def test_slopes_of_the_matrices(model: Model, target: tuple[str, int, str]) -> None:
     p, h = Parameter("p", (CardField(*target),)), 1e-3
     for which, slope in zip(
-        ("stiffness", "mass"), matrix_derivatives(model, p, assemble(model)), strict=True
+        ("stiffness", "mass"),
+        matrix_derivatives(model, p, assemble(model)),
+        strict=True,
     ):
-        near = {j: getattr(assemble(scaled(model, p, 1 + j * h)), which) for j in (-2, -1, 1, 2)}
-        want = sparse.csr_array((8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * h))
+        near = {
+            j: getattr(assemble(scaled(model, p, 1 + j * h)), which)
+            for j in (-2, -1, 1, 2)
+        }
+        want = sparse.csr_array(
+            (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * h)
+        )
         size = abs(getattr(assemble(model), which)).max()
         assert abs(slope - want).max() < 1e-9 * size
-        assert abs(slope).max() > 1e-3 * size or (which == "stiffness") == target[2].startswith(
-            "NSM"
-        )
+        assert abs(slope).max() > 1e-3 * size or (which == "stiffness") == target[
+            2
+        ].startswith("NSM")
 
 
 def test_a_dimension_of_one_element(model: Model) -> None:
@@ -115,7 +124,9 @@ def test_a_dimension_of_one_element(model: Model) -> None:
         assemble(scaled(model, first, 1.001)).stiffness
         - assemble(scaled(model, first, 0.999)).stiffness
     )
-    np.testing.assert_allclose(moved.toarray() / 0.002, own, atol=1e-5 * np.abs(own).max())
+    np.testing.assert_allclose(
+        moved.toarray() / 0.002, own, atol=1e-5 * np.abs(own).max()
+    )
 
 
 def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None:
@@ -127,7 +138,9 @@ def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None
     )
     factors = np.linspace(1.02, 1.14, len(TARGETS))
     want = apply_factors(model, parameters, factors)
-    (written,) = edit_fields(model, field_changes(model, parameters, factors), tmp_path / "new")
+    (written,) = edit_fields(
+        model, field_changes(model, parameters, factors), tmp_path / "new"
+    )
     (tmp_path / "b.bdf").write_text(write_bulk(want))
     for found in (read_deck(written), read_deck(tmp_path / "b.bdf")):
         for card in ("PBAR", "PBEAM"):
@@ -137,7 +150,9 @@ def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None
                 np.testing.assert_allclose(b[name][order], a[name], rtol=1e-4)
     changed = [
         a != b
-        for a, b in zip(DECK.splitlines(), written.read_bytes().decode().splitlines(), strict=True)
+        for a, b in zip(
+            DECK.splitlines(), written.read_bytes().decode().splitlines(), strict=True
+        )
     ]
     assert [i for i, c in enumerate(changed) if c] == [10, 11, 13, 15, 16]
     assert written.read_bytes().count(b"\r\n") == 2
@@ -146,7 +161,11 @@ def test_the_deck_holds_what_the_model_has(model: Model, tmp_path: Path) -> None
 def test_what_dimensions_cannot_do(model: Model) -> None:
     with pytest.raises(InputError, match="PBARL 3 has no DIM5: it has 4 dimensions"):
         apply_factors(
-            model, ParameterSet((Parameter("p", (CardField("PBARL", 3, "DIM5"),)),)), np.ones(1)
+            model,
+            ParameterSet((Parameter("p", (CardField("PBARL", 3, "DIM5"),)),)),
+            np.ones(1),
         )
-    with pytest.raises(DeckError, match="PBARL 3: the dimensions do not make a section"):
+    with pytest.raises(
+        DeckError, match="PBARL 3: the dimensions do not make a section"
+    ):
         scaled(model, Parameter("p", (CardField("PBARL", 3, "DIM4"),)), 20.0)

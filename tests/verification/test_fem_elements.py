@@ -9,7 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, modes, pshell, ragged, shells, square, steel, triangles
+from fem_cases import (
+    cards,
+    grid,
+    model,
+    modes,
+    pshell,
+    ragged,
+    shells,
+    square,
+    steel,
+    triangles,
+)
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import DeckError
@@ -19,7 +30,16 @@ from ringtrue.model.model import Model, Table
 
 ROUNDING = 1e-9  # relative to the largest stiffness, after some thousand operations
 CUBE = np.array(
-    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+    [
+        [0, 0, 0],
+        [1, 0, 0],
+        [1, 1, 0],
+        [0, 1, 0],
+        [0, 0, 1],
+        [1, 0, 1],
+        [1, 1, 1],
+        [0, 1, 1],
+    ],
     dtype=float,
 )
 
@@ -39,7 +59,10 @@ def solid(card: str, xyz: Float, *nodes: list[int]) -> tuple[Table, ...]:
 
 def tetra10() -> tuple[Table, ...]:
     corner = skewed(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]))
-    mid = [(corner[i] + corner[j]) / 2 for i, j in ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))]
+    mid = [
+        (corner[i] + corner[j]) / 2
+        for i, j in ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
+    ]
     return solid("CTETRA", np.vstack([corner, mid]), list(range(1, 11)))
 
 
@@ -59,7 +82,9 @@ def beam(card: str, **more: object) -> tuple[Table, ...]:
         }
         p = cards("PBEAM", PID=[1], MID=1, **section, **ends)
     offset = {"W1A": 0.1, "W2A": 0.2, "W3B": -0.3}
-    line = cards(card, EID=[1], PID=1, GA=1, GB=2, X1=0.1, X2=1.0, X3=0.2, **offset, **more)
+    line = cards(
+        card, EID=[1], PID=1, GA=1, GB=2, X1=0.1, X2=1.0, X3=0.2, **offset, **more
+    )
     return grid(np.array([[0, 0, 0], [1, 0.5, 0.3]])), line, p
 
 
@@ -104,7 +129,9 @@ FREE = {
 
 @pytest.mark.parametrize("coupled", [-1, 1])
 @pytest.mark.parametrize("name", FREE)
-def test_rigid_motions_have_no_energy_and_the_whole_mass(name: str, coupled: int) -> None:
+def test_rigid_motions_have_no_energy_and_the_whole_mass(
+    name: str, coupled: int
+) -> None:
     s = assemble(model(*FREE[name], steel(), AUTOSPC="NO", COUPMASS=coupled))
     R = s.rigid_body()
     assert np.abs(s.stiffness @ R).max() < ROUNDING * np.abs(s.stiffness).max()
@@ -122,7 +149,8 @@ def _rigid(s: System) -> Float:
 
 
 @pytest.mark.parametrize(
-    ("name", "zero"), [("shell4", 6), ("hexa", 6), ("penta", 6), ("tetra10", 6), ("beam", 6)]
+    ("name", "zero"),
+    [("shell4", 6), ("hexa", 6), ("penta", 6), ("tetra10", 6), ("beam", 6)],
 )
 def test_no_mechanisms_but_rigid_motions(name: str, zero: int) -> None:
     s = assemble(model(*FREE[name], steel()))
@@ -145,7 +173,9 @@ def imposed(m: Model, outside: Float, u: Float) -> Float:
 def plate_patch() -> tuple[Float, Float, Float]:
     xyz, quads = square(3, 1.0, 1.0)
     inner = (np.abs(xyz[:, :2] - 0.5) < 0.4).all(axis=1)
-    xyz[inner, :2] += np.array([[0.09, -0.05], [-0.1, 0.04], [0.03, 0.11], [0.05, -0.08]])
+    xyz[inner, :2] += np.array(
+        [[0.09, -0.05], [-0.1, 0.04], [0.03, 0.11], [0.05, -0.08]]
+    )
     return xyz, quads, ~inner
 
 
@@ -155,7 +185,10 @@ def test_patch_membrane(make: object) -> None:
     u = np.zeros((len(xyz), 6))
     u[:, :2] = xyz[:, :2] @ np.array([[1.0, 0.3], [0.7, -0.4]])
     u[:, 5] = (0.3 - 0.7) / 2
-    assert imposed(model(grid(xyz), make(quads), pshell(0.1), steel()), outside, u) < ROUNDING
+    assert (
+        imposed(model(grid(xyz), make(quads), pshell(0.1), steel()), outside, u)
+        < ROUNDING
+    )
 
 
 @pytest.mark.parametrize("make", [shells, triangles])
@@ -179,10 +212,21 @@ def linear(xyz: Float) -> Float:
 def test_patch_hexa() -> None:
     """Seven distorted hexahedra (MacNeal and Harder 1985)."""
     xyz = np.vstack([CUBE, skewed(0.33 + 0.34 * CUBE, 3, 0.06)])
-    faces = [[0, 1, 2, 3], [4, 7, 6, 5], [0, 4, 5, 1], [1, 5, 6, 2], [2, 6, 7, 3], [3, 7, 4, 0]]
-    hexas = [[*(i + 1 for i in f), *(i + 9 for i in f)] for f in faces] + [[*range(9, 17)]]
+    faces = [
+        [0, 1, 2, 3],
+        [4, 7, 6, 5],
+        [0, 4, 5, 1],
+        [1, 5, 6, 2],
+        [2, 6, 7, 3],
+        [3, 7, 4, 0],
+    ]
+    hexas = [[*(i + 1 for i in f), *(i + 9 for i in f)] for f in faces] + [
+        [*range(9, 17)]
+    ]
     assert (
-        imposed(model(*solid("CHEXA", xyz, *hexas), steel()), np.arange(16) < 8, linear(xyz))
+        imposed(
+            model(*solid("CHEXA", xyz, *hexas), steel()), np.arange(16) < 8, linear(xyz)
+        )
         < ROUNDING
     )
 
@@ -208,7 +252,11 @@ def test_in_plane_bending_of_one_row_of_quads() -> None:
     xyz, quads = square(5, 10.0, 1.0, 1)
     left = np.flatnonzero(xyz[:, 0] == 0) + 1
     held = cards("SPC1", SID=[1, 1], C=["1", "2"], G=ragged(left, left[:1]))
-    s = assemble(model(grid(xyz, PS="345"), shells(quads), pshell(0.1), steel(nu=0.0), held, spc=1))
+    s = assemble(
+        model(
+            grid(xyz, PS="345"), shells(quads), pshell(0.1), steel(nu=0.0), held, spc=1
+        )
+    )
     end = s.free.find(np.flatnonzero(xyz[:, 0] == 10) + 1, np.array([1, 1]))
     f = np.zeros(len(s.free))
     f[end] = [1.0, -1.0]
@@ -225,7 +273,9 @@ def test_a_rod_without_length_is_refused() -> None:
 
 
 @pytest.mark.parametrize("corner", [(0.5, 0.5, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-def test_a_quad_that_is_a_triangle_is_refused(corner: tuple[float, float, float]) -> None:
+def test_a_quad_that_is_a_triangle_is_refused(
+    corner: tuple[float, float, float],
+) -> None:
     xyz = np.array([[0, 0, 0], [1, 0, 0], corner, [0, 1, 0]])
     with pytest.raises(DeckError, match=r"CQUAD4 1.*180 degrees"):
         assemble(
@@ -248,13 +298,21 @@ def test_coincident_bush_and_celas_frequency() -> None:
     xyz = grid(np.zeros((2, 3)), PS=np.array(["123456", "23456"]))
     tip = cards("CONM2", EID=[9], G=2, M=2.0)
     by = [
-        (cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, CID=0), cards("PBUSH", PID=[1], K1=8.0)),
+        (
+            cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, CID=0),
+            cards("PBUSH", PID=[1], K1=8.0),
+        ),
         (cards("CBUSH", EID=[1], PID=1, GA=2, CID=0), cards("PBUSH", PID=[1], K1=8.0)),
-        (cards("CELAS1", EID=[1], PID=1, G1=1, C1=1, G2=2, C2=1), cards("PELAS", PID=[1], K=8.0)),
+        (
+            cards("CELAS1", EID=[1], PID=1, G1=1, C1=1, G2=2, C2=1),
+            cards("PELAS", PID=[1], K=8.0),
+        ),
         (cards("CELAS2", EID=[1], K=8.0, G1=2, C1=1),),
     ]
     for tables in by:
-        assert modes(model(xyz, tip, *tables), 1)[0] == pytest.approx(1 / np.pi, rel=1e-12)
+        assert modes(model(xyz, tip, *tables), 1)[0] == pytest.approx(
+            1 / np.pi, rel=1e-12
+        )
 
 
 def test_scalar_points() -> None:
@@ -276,12 +334,15 @@ def test_scalar_points() -> None:
         ({"E": 2.0, "NU": 0.0}, (2.0, 1.0, 0.0)),
         ({"E": 2.0, "G": 0.8}, (2.0, 0.8, 0.25)),
         ({"G": 0.8, "NU": 0.25}, (2.0, 0.8, 0.25)),
-        ({"E": 2.0, "G": 0.9, "NU": 0.0}, (2.0, 0.9, 0.0)),  # as given, though they do not agree
+        # as given, though they do not agree
+        ({"E": 2.0, "G": 0.9, "NU": 0.0}, (2.0, 0.9, 0.0)),
         ({"E": 2.0}, (2.0, 0.0, 0.0)),
         ({"G": 2.0}, (0.0, 2.0, 0.0)),
     ],
 )
-def test_blanks_of_mat1(given: dict[str, float], full: tuple[float, float, float]) -> None:
+def test_blanks_of_mat1(
+    given: dict[str, float], full: tuple[float, float, float]
+) -> None:
     """Quick Reference Guide, MAT1: NU and one of E and G that are both blank are both 0."""
     mat = cards("MAT1", MID=[1], **given)
     found = isotropic(nodes_of(model(grid([[0, 0, 0]]), mat)).rows("MAT1"))

@@ -26,12 +26,14 @@ def sheets() -> tuple[Float, Float]:
     """Two skewed sheets of 3 x 3 quadrilaterals, H apart, and a node between; quads 1-based."""
     flat, quads = square(3, 1.0, 1.0)
     flat = flat + np.random.default_rng(0).uniform(-0.04, 0.04, flat.shape) * [1, 1, 0]
-    return np.vstack([flat, flat + np.array([0.02, 0.03, H]), [[0.48, 0.52, 0.04]]]), np.vstack(
-        [quads, quads + len(flat)]
-    )
+    return np.vstack(
+        [flat, flat + np.array([0.02, 0.03, H]), [[0.48, 0.52, 0.04]]]
+    ), np.vstack([quads, quads + len(flat)])
 
 
-def fast(xyz: Float | None = None, p: dict[str, float] | None = None, **more: object) -> Model:
+def fast(
+    xyz: Float | None = None, p: dict[str, float] | None = None, **more: object
+) -> Model:
     x, quads = sheets()
     x = x if xyz is None else xyz
     n = len(quads)
@@ -47,12 +49,22 @@ def fast(xyz: Float | None = None, p: dict[str, float] | None = None, **more: ob
         PID=5,
         **({"TYPE": "PROP", "IDA": 1, "IDB": 2, "GS": len(sheets()[0])} | more),
     )
-    k = {f"KT{i + 1}": v for i, v in enumerate(KT)} | {f"KR{i + 1}": v for i, v in enumerate(KR)}
-    table = cards("PFAST", PID=[5], **(k | {"D": 0.6, "MASS": 2.0, "GE": 0.05} | (p or {})))
+    k = {f"KT{i + 1}": v for i, v in enumerate(KT)} | {
+        f"KR{i + 1}": v for i, v in enumerate(KR)
+    }
+    table = cards(
+        "PFAST", PID=[5], **(k | {"D": 0.6, "MASS": 2.0, "GE": 0.05} | (p or {}))
+    )
     # the sheets themselves carry nothing: their material is soft
     skin = cards("PSHELL", PID=[1, 2], MID1=9, T=1e-9)
     return model(
-        grid(x), shells, skin, cards("MAT1", MID=[9], E=1e-3, NU=0.3), line, table, AUTOSPC="NO"
+        grid(x),
+        shells,
+        skin,
+        cards("MAT1", MID=[9], E=1e-3, NU=0.3),
+        line,
+        table,
+        AUTOSPC="NO",
     )
 
 
@@ -108,7 +120,9 @@ def test_rigid_motions_mass_and_turns(more: dict[str, object]) -> None:
     np.testing.assert_allclose(R.T @ (s.mass @ R), 2.0 * np.eye(3), atol=1e-9)
     there, Q = turned(s.xyz)
     big = np.kron(np.eye(2 * len(there)), Q)
-    other = assemble(fast(there, {"KT3": KT[1], "KR3": KR[1]}, **more)).stiffness.toarray()
+    other = assemble(
+        fast(there, {"KT3": KT[1], "KR3": KR[1]}, **more)
+    ).stiffness.toarray()
     u, v = (np.random.default_rng(1).normal(size=K.shape[0]) for _ in range(2))
     assert (big @ u) @ other @ (big @ v) == pytest.approx(
         u @ K @ v, rel=0.2
@@ -146,13 +160,19 @@ def test_derivatives(p: Parameter) -> None:
         ({"MCID": 0}, {}, "PFAST 5.*MFLAG"),
     ],
 )
-def test_wrong_cards_are_named(p: dict[str, float], more: dict[str, object], message: str) -> None:
+def test_wrong_cards_are_named(
+    p: dict[str, float], more: dict[str, object], message: str
+) -> None:
     with pytest.raises(DeckError, match=message):
         assemble(fast(p=p, **more))
 
 
 @pytest.mark.parametrize(
-    "way", [{"TYPE": "PARTPAT", "PIDA": 1, "PIDB": 2}, {"TYPE": "ELPAT", "SHIDA": 4, "SHIDB": 14}]
+    "way",
+    [
+        {"TYPE": "PARTPAT", "PIDA": 1, "PIDB": 2},
+        {"TYPE": "ELPAT", "SHIDA": 4, "SHIDB": 14},
+    ],
 )
 def test_welds_over_several_shells(way: dict[str, object]) -> None:
     """The same squares with the beam of a weld between, beside one that joins two nodes."""
@@ -169,7 +189,12 @@ def test_welds_over_several_shells(way: dict[str, object]) -> None:
     tables = {c: t for c, t in m.tables.items() if c not in ("CFAST", "PFAST", "MAT1")}
     mats = cards("MAT1", MID=[9, 1], E=[1e-3, 2e11], NU=0.3, RHO=[0, 8000.0])
     welds = Model(
-        {**tables, "CWELD": line, "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6), "MAT1": mats},
+        {
+            **tables,
+            "CWELD": line,
+            "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6),
+            "MAT1": mats,
+        },
         m.params,
     )
     s = assemble(welds)
@@ -177,7 +202,9 @@ def test_welds_over_several_shells(way: dict[str, object]) -> None:
     lift = np.zeros((len(s.xyz), 6))
     lift[16:32, 2] = 1.0
     area = np.pi / 4 * 0.6**2
-    assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(2e11 * area / (0.2 * 0.6))
+    assert lift.ravel() @ s.stiffness @ lift.ravel() == pytest.approx(
+        2e11 * area / (0.2 * 0.6)
+    )
     check_slopes(welds, parameter(("PWELD", 7, "D")))
 
 
@@ -188,7 +215,8 @@ def test_two_sheets_of_one_property_are_joined_by_their_shells(card: str) -> Non
     """
     m = fast(TYPE="ELEM", IDA=5, IDB=14)
     one = cards(
-        "CQUAD4", **{**{c: m["CQUAD4"][c] for c in ("EID", "G1", "G2", "G3", "G4")}, "PID": 1}
+        "CQUAD4",
+        **{**{c: m["CQUAD4"][c] for c in ("EID", "G1", "G2", "G3", "G4")}, "PID": 1},
     )
     tables = {**m.tables, "CQUAD4": one}
     stiff = KT[0]
@@ -196,7 +224,11 @@ def test_two_sheets_of_one_property_are_joined_by_their_shells(card: str) -> Non
         stiff = 2e11 * np.pi / 4 * 0.6**2 / (0.2 * 0.6)
         mats = cards("MAT1", MID=[9, 1], E=[1e-3, 2e11], NU=0.3)
         weld = cards("CWELD", EID=[90], PID=7, TYPE="ELPAT", SHIDA=5, SHIDB=14, GS=33)
-        tables |= {"CWELD": weld, "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6), "MAT1": mats}
+        tables |= {
+            "CWELD": weld,
+            "PWELD": cards("PWELD", PID=[7], MID=1, D=0.6),
+            "MAT1": mats,
+        }
         del tables["CFAST"], tables["PFAST"]
     s = assemble(Model(tables, m.params))
     lift = np.zeros((len(s.xyz), 6))

@@ -92,25 +92,35 @@ def test_shear_flexibility_of_a_beam_is_exact_at_its_end() -> None:
         spc=1,
     )
     flexibility = 0.5**3 / (3 * E * 1e-5) + 0.5 / (k * G * 0.01)
-    assert modes(m, 1)[0] == pytest.approx(1 / np.sqrt(1000 * flexibility) / (2 * np.pi), rel=1e-10)
+    assert modes(m, 1)[0] == pytest.approx(
+        1 / np.sqrt(1000 * flexibility) / (2 * np.pi), rel=1e-10
+    )
 
 
 def double_cross(n: int) -> Model:
     angle = np.arange(8) * np.pi / 4
     r = np.linspace(0, 5, n + 1)[1:]
     arms = np.stack(
-        [np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.zeros((8, n))], axis=-1
+        [np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), np.zeros((8, n))],
+        axis=-1,
     )
     number = np.arange(8 * n).reshape(8, n) + 2
     ga = np.concatenate([np.ones((8, 1), dtype=int), number[:, :-1]], axis=1)
     elements = cards(
-        "CBAR", EID=np.arange(1, 8 * n + 1), PID=1, GA=ga.ravel(), GB=number.ravel(), X3=1.0
+        "CBAR",
+        EID=np.arange(1, 8 * n + 1),
+        PID=1,
+        GA=ga.ravel(),
+        GB=number.ravel(),
+        X3=1.0,
     )
     side = 0.125
     area, second = side**2, side**4 / 12
     bar = cards("PBAR", PID=[1], MID=1, A=area, I1=second, I2=second, J=2 * second)
     nodes = grid(np.vstack([np.zeros((1, 3)), arms.reshape(-1, 3)]), PS="345")
-    return model(nodes, elements, bar, steel(), spc(number[:, -1], "12"), spc=1, COUPMASS=1)
+    return model(
+        nodes, elements, bar, steel(), spc(number[:, -1], "12"), spc=1, COUPMASS=1
+    )
 
 
 def test_fv2_pin_ended_double_cross() -> None:
@@ -137,13 +147,17 @@ def test_fv12_free_thin_square_plate(make: object) -> None:
     f = []
     for n in (12, 24):
         xyz, quads = square(n, 10.0, 10.0)
-        f.append(modes(model(grid(xyz, PS="126"), make(quads), pshell(0.05), steel()), 10))
+        f.append(
+            modes(model(grid(xyz, PS="126"), make(quads), pshell(0.05), steel()), 10)
+        )
     assert (np.abs(f[1][:3]) < 1e-3).all()
     limit = (f[1] + (f[1] - f[0]) / 3)[3:]
     bending = E * 0.05**3 / 12 / (1 - NU**2)
     exact = FREE_PLATE / (2 * np.pi * 100) * np.sqrt(bending / (RHO * 0.05))
     np.testing.assert_allclose(limit[:5], exact[:5], rtol=3e-3)
-    np.testing.assert_allclose(limit[5:], exact[5:], rtol=2e-2 if make is triangles else 3e-3)
+    np.testing.assert_allclose(
+        limit[5:], exact[5:], rtol=2e-2 if make is triangles else 3e-3
+    )
     np.testing.assert_allclose(limit[:3], FV12, rtol=3e-3)
 
 
@@ -164,7 +178,13 @@ def test_fv32_tapered_membrane() -> None:
     by_mass = [
         modes(
             model(
-                grid(plane, PS="345"), shells(quads), pshell(0.05), steel(), root, spc=1, COUPMASS=c
+                grid(plane, PS="345"),
+                shells(quads),
+                pshell(0.05),
+                steel(),
+                root,
+                spc=1,
+                COUPMASS=c,
             ),
             6,
         )
@@ -193,7 +213,11 @@ def test_fv52_simply_supported_solid_plate() -> None:
     xyz = np.stack([g.ravel() for g in grid_of], axis=1)
     i = np.arange(len(xyz)).reshape(n + 1, n + 1, layers + 1)
     base = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    corner = [i[a : n + a, b : n + b, c : layers + c].ravel() + 1 for c in (0, 1) for a, b in base]
+    corner = [
+        i[a : n + a, b : n + b, c : layers + c].ravel() + 1
+        for c in (0, 1)
+        for a, b in base
+    ]
     edge = (xyz[:, 2] == 0) & ((xyz[:, :2] == 0) | (xyz[:, :2] == 10)).any(axis=1)
     m = model(
         grid(xyz),

@@ -40,8 +40,12 @@ def test_bush_along_its_nodes() -> None:
     m = bush({"K": 3e5, "C": 20.0, "M": 4.0})
     s = assemble(m)
     np.testing.assert_allclose(block(m), 3e5 * np.outer(AXIS, AXIS), atol=1e-6)
-    np.testing.assert_allclose(s.viscous.toarray()[:3, :3], 20 * np.outer(AXIS, AXIS), atol=1e-12)
-    np.testing.assert_allclose(s.mass.diagonal().reshape(2, 6), [[2, 2, 2, 0, 0, 0]] * 2)
+    np.testing.assert_allclose(
+        s.viscous.toarray()[:3, :3], 20 * np.outer(AXIS, AXIS), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        s.mass.diagonal().reshape(2, 6), [[2, 2, 2, 0, 0, 0]] * 2
+    )
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-9
 
 
@@ -53,7 +57,9 @@ def test_bush_in_a_frame_and_to_ground() -> None:
     c = np.array([0.7, 0, 0])
     T1 = c - (c @ z) * z
     T1 /= np.linalg.norm(T1)
-    np.testing.assert_allclose(block(bush({"K": 2.0}, CID=7)), 2 * np.outer(T1, T1), atol=1e-12)
+    np.testing.assert_allclose(
+        block(bush({"K": 2.0}, CID=7)), 2 * np.outer(T1, T1), atol=1e-12
+    )
     s = assemble(bush({"K": 2.0, "M": 4.0}, CID=7, GB=0))
     K = s.stiffness.toarray()
     np.testing.assert_allclose(K[:3, :3], 2 * np.outer(T1, T1), atol=1e-12)
@@ -98,7 +104,12 @@ def test_derivatives(m: Model, field: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "m", [bush({"K": 1.0}, np.zeros((2, 3))), bush({"K": 1.0}, GB=0), gap({}, np.zeros((2, 3)))]
+    "m",
+    [
+        bush({"K": 1.0}, np.zeros((2, 3))),
+        bush({"K": 1.0}, GB=0),
+        gap({}, np.zeros((2, 3))),
+    ],
 )
 def test_an_element_without_an_axis_is_named(m: Model) -> None:
     with pytest.raises(DeckError, match=r"C(BUSH1D|GAP) 1.*give CID"):

@@ -27,7 +27,11 @@ def beam() -> Float:
     """Stiffness (12, 12) of a bar from node 2 to 3, in their displacement frames."""
     section = cards("PBAR", PID=[1], MID=1, A=0.01, I1=2e-5, I2=1e-5, J=3e-5)
     m = model(
-        *NODES, cards("CBAR", EID=[1], PID=1, GA=2, GB=3, X1=1.0), section, steel(), AUTOSPC="NO"
+        *NODES,
+        cards("CBAR", EID=[1], PID=1, GA=2, GB=3, X1=1.0),
+        section,
+        steel(),
+        AUTOSPC="NO",
     )
     return assemble(m).stiffness.toarray()[6:, 6:]
 
@@ -63,7 +67,9 @@ def test_it_is_the_beam(form: str, given: bool) -> None:
     tip = K[6:, 6:] if form == "K" else np.linalg.inv(K[6:, 6:])
     S = -np.linalg.solve(K[6:, 6:], K[6:, :6]) if given else None
     s = assemble(genel((tip + tip.T) / 2, form, S))
-    np.testing.assert_allclose(s.stiffness.toarray()[6:, 6:], K, atol=1e-7 * abs(K).max())
+    np.testing.assert_allclose(
+        s.stiffness.toarray()[6:, 6:], K, atol=1e-7 * abs(K).max()
+    )
     assert abs(s.stiffness @ s.rigid_body()).max() < 1e-7 * abs(K).max()
 
 
@@ -87,7 +93,9 @@ def test_scalar_points_and_several_sizes() -> None:
         KZ=ragged([2.0, -1.0, 3.0], [7.0]),
         S=ragged([], []),
     )
-    s = assemble(model(grid(XYZ[:1]), cards("SPOINT", ID=ragged([11, 12])), t, AUTOSPC="NO"))
+    s = assemble(
+        model(grid(XYZ[:1]), cards("SPOINT", ID=ragged([11, 12])), t, AUTOSPC="NO")
+    )
     np.testing.assert_allclose(s.stiffness.toarray()[6:, 6:], [[2, -1], [-1, 3]])
     assert s.stiffness.toarray()[2, 2] == 7
 

@@ -33,9 +33,29 @@ LOW, HIGH = 0.5, 2.0
 def plate(second: int = 2) -> Model:
     x, quads = square(SIDE, 1.0, 1.0)
     inner = (x[:, :2] > 0).all(axis=1) & (x[:, :2] < 1).all(axis=1)
-    x[:, :2] += np.random.default_rng(5).uniform(-0.25, 0.25, (len(x), 2)) / SIDE * inner[:, None]
-    skin = {"E1": 1.3e11, "E2": 9e9, "NU12": 0.3, "G12": 5e9, "G1Z": 5e9, "G2Z": 3e9, "RHO": 1600.0}
-    core = {"E1": 1e6, "E2": 1e6, "NU12": 0.1, "G12": 1e6, "G1Z": 3e8, "G2Z": 2e8, "RHO": 50.0}
+    x[:, :2] += (
+        np.random.default_rng(5).uniform(-0.25, 0.25, (len(x), 2))
+        / SIDE
+        * inner[:, None]
+    )
+    skin = {
+        "E1": 1.3e11,
+        "E2": 9e9,
+        "NU12": 0.3,
+        "G12": 5e9,
+        "G1Z": 5e9,
+        "G2Z": 3e9,
+        "RHO": 1600.0,
+    }
+    core = {
+        "E1": 1e6,
+        "E2": 1e6,
+        "NU12": 0.1,
+        "G12": 1e6,
+        "G1Z": 3e8,
+        "G2Z": 2e8,
+        "RHO": 50.0,
+    }
     thin, thick, angles = 0.0002, 0.01, [0.0, 45.0, 0.0, -45.0]
     half = np.where(np.arange(len(quads)) < len(quads) // 2, 1, second)
     return model(
@@ -54,20 +74,29 @@ def plate(second: int = 2) -> Model:
     )
 
 
-def parameter(name: str, *targets: CardField, lower: float = LOW, upper: float = HIGH) -> Parameter:
+def parameter(
+    name: str, *targets: CardField, lower: float = LOW, upper: float = HIGH
+) -> Parameter:
     return Parameter(name, targets, lower, upper)
 
 
 def constants(*fields: str, lower: float = LOW, upper: float = HIGH) -> list[Parameter]:
-    return [parameter(f, CardField("MAT8", 1, f), lower=lower, upper=upper) for f in fields]
+    return [
+        parameter(f, CardField("MAT8", 1, f), lower=lower, upper=upper) for f in fields
+    ]
 
 
 def plies(*elements: int) -> Parameter:
-    return parameter("T", *(CardField("PCOMP", 1, f"T{i}", elements) for i in (1, 2, 4, 5)))
+    return parameter(
+        "T", *(CardField("PCOMP", 1, f"T{i}", elements) for i in (1, 2, 4, 5))
+    )
 
 
 def close(
-    found: sparse.csr_array, true: sparse.csr_array, size: sparse.csr_array, tolerance: float
+    found: sparse.csr_array,
+    true: sparse.csr_array,
+    size: sparse.csr_array,
+    tolerance: float,
 ) -> None:
     d = size.diagonal()
     s = sparse.diags_array(np.where(d > 0, 1 / np.sqrt(np.where(d > 0, d, 1.0)), 0.0))
@@ -75,9 +104,14 @@ def close(
 
 
 def total(
-    terms: Sequence[AffineTerm], weights: Sequence[float], name: str, start: sparse.csr_array
+    terms: Sequence[AffineTerm],
+    weights: Sequence[float],
+    name: str,
+    start: sparse.csr_array,
 ) -> sparse.csr_array:
-    return sum((w * getattr(t, name) for w, t in zip(weights, terms, strict=True)), start)
+    return sum(
+        (w * getattr(t, name) for w, t in zip(weights, terms, strict=True)), start
+    )
 
 
 def changed(m: Model, parameters: Sequence[Parameter], a: Float) -> Model:
@@ -93,7 +127,9 @@ def as_assembled_anew(
     terms = affine_terms(m, ParameterSet(tuple(parameters)), s)
     true = assemble(changed(m, parameters, a))
     for name in ("stiffness", "mass"):
-        found = total(terms, [t.function.value(a) for t in terms], name, getattr(s, name))
+        found = total(
+            terms, [t.function.value(a) for t in terms], name, getattr(s, name)
+        )
         close(found, getattr(true, name), getattr(true, name), HOLDS)
     return terms
 
@@ -105,7 +141,9 @@ def slopes_are_derivatives(
     s = assemble(m)
     for i, p in enumerate(parameters):
         slopes = [a[i] * t.function.derivative(a, i) for t in terms]
-        for name, true in zip(("stiffness", "mass"), matrix_derivatives(m, p, s), strict=True):
+        for name, true in zip(
+            ("stiffness", "mass"), matrix_derivatives(m, p, s), strict=True
+        ):
             close(total(terms, slopes, name, 0 * true), true, getattr(s, name), SLOPES)
 
 
@@ -174,17 +212,22 @@ def test_entries_that_two_parameters_change_together_alone() -> None:
         cards("PCOMP", PID=[1], **{f: ragged(v) for f, v in plies.items()}),
     )
     densities = [
-        parameter(f"RHO {i}", CardField("MAT8", i, "RHO"), lower=2 / 3, upper=1.5) for i in (1, 2)
+        parameter(f"RHO {i}", CardField("MAT8", i, "RHO"), lower=2 / 3, upper=1.5)
+        for i in (1, 2)
     ]
     thickness = parameter("T", *(CardField("PCOMP", 1, f"T{i}") for i in range(1, 6)))
     every = [*constants("E1", "E2", "G12", lower=0.4, upper=2.5), thickness, *densities]
-    terms = as_assembled_anew(m, assemble(m), every, np.array([0.5, 1.4, 2.2, 1.7, 0.8, 1.3]))
+    terms = as_assembled_anew(
+        m, assemble(m), every, np.array([0.5, 1.4, 2.2, 1.7, 0.8, 1.3])
+    )
     assert len(terms) <= 16
 
 
 def test_nominal_is_exact() -> None:
     m = plate()
-    terms = affine_terms(m, ParameterSet(tuple(constants("E1", "E2", "NU12"))), assemble(m))
+    terms = affine_terms(
+        m, ParameterSet(tuple(constants("E1", "E2", "NU12"))), assemble(m)
+    )
     assert all(t.function.value(np.ones(3)) == 0.0 for t in terms)
 
 
@@ -194,7 +237,9 @@ def test_a_factor_on_element_matrices_and_a_modulus() -> None:
     """
     m, some = (
         plate(),
-        Parameter("k", substructures=(Substructure("stiffness", tuple(range(10, 30))),)),
+        Parameter(
+            "k", substructures=(Substructure("stiffness", tuple(range(10, 30))),)
+        ),
     )
     (e1,) = constants("E1")
     a = np.array([1.6, 0.7])

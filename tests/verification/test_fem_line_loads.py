@@ -28,9 +28,17 @@ ALONG_X = ((0.0, 0, 0), (L, 0, 0))
 
 
 def written(
-    path: Path, load: str, section: str = SLENDER, held: str = "1,2", more: str = "", ends=ALONG_X
+    path: Path,
+    load: str,
+    section: str = SLENDER,
+    held: str = "1,2",
+    more: str = "",
+    ends=ALONG_X,
 ) -> Path:
-    nodes = [f"GRID,{i + 1},,{','.join(str(float(c)) for c in x)}" for i, x in enumerate(ends)]
+    nodes = [
+        f"GRID,{i + 1},,{','.join(str(float(c)) for c in x)}"
+        for i, x in enumerate(ends)
+    ]
     beam = f"{'CBEAM' if 'PBEAM' in section else 'CBAR'},1,1,1,2,0.,1.,0.{more}"
     rest = [
         beam,
@@ -42,7 +50,9 @@ def written(
         "GRID,9",
     ]
     file = path / "d.bdf"
-    file.write_text("\n".join(["CEND", "SPC=1", "LOAD=9", "BEGIN BULK", *nodes, *rest]) + "\n")
+    file.write_text(
+        "\n".join(["CEND", "SPC=1", "LOAD=9", "BEGIN BULK", *nodes, *rest]) + "\n"
+    )
     return file
 
 
@@ -62,7 +72,14 @@ def tip(path: Path) -> Float:
 def point(a: float, size: float = 1.0, shear: float = 0.0) -> Float:
     """Forces and moments at both ends, (2, 2), of `size` across at a; `shear` is 12 EI/(kGA L²)."""
     b = L - a
-    moments = size * a * b / L**2 * np.array([b + shear * L / 2, -a - shear * L / 2]) / (1 + shear)
+    moments = (
+        size
+        * a
+        * b
+        / L**2
+        * np.array([b + shear * L / 2, -a - shear * L / 2])
+        / (1 + shear)
+    )
     first = size * b / L + moments.sum() / L
     return np.array([[first, moments[0]], [size - first, moments[1]]])
 
@@ -70,8 +87,14 @@ def point(a: float, size: float = 1.0, shear: float = 0.0) -> Float:
 @pytest.mark.parametrize(
     ("load", "want"),
     [
-        ("FY,FR,0.,1000.,1.,1000.", [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]]),
-        ("FYE,LE,0.,1000.,2.,1000.", [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]]),
+        (
+            "FY,FR,0.,1000.,1.,1000.",
+            [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]],
+        ),
+        (
+            "FYE,LE,0.,1000.,2.,1000.",
+            [[Q * L / 2, Q * L**2 / 12], [Q * L / 2, -Q * L**2 / 12]],
+        ),
         (
             "FYE,LE,0.,0.,2.,1000.",
             [[3 * Q * L / 20, Q * L**2 / 30], [7 * Q * L / 20, -Q * L**2 / 20]],
@@ -106,30 +129,44 @@ def test_a_released_end_carries_no_moment(tmp_path: Path) -> None:
 @pytest.mark.parametrize("reach", [0.3, 1.0])
 def test_a_tapered_cantilever(tmp_path: Path, reach: float) -> None:
     """The tip moves by ∫ M (L - x)/EI dx under a load from the root to a share of the length."""
-    path = written(tmp_path, f"PLOAD1,9,1,FY,FR,0.,1000.,{reach},1000.", TAPERED, held="1")
+    path = written(
+        tmp_path, f"PLOAD1,9,1,FY,FR,0.,1000.,{reach},1000.", TAPERED, held="1"
+    )
     loaded = reach * L
     want, _ = quad(
-        lambda x: Q * (loaded - x) ** 2 / 2 * (L - x) / (E * 4e-6 * (1 - x / (2 * L))), 0, loaded
+        lambda x: Q * (loaded - x) ** 2 / 2 * (L - x) / (E * 4e-6 * (1 - x / (2 * L))),
+        0,
+        loaded,
     )
     assert tip(path)[1] == pytest.approx(want, rel=1e-7)
 
 
 def test_along_and_about_the_axis(tmp_path: Path) -> None:
-    got = forces(written(tmp_path, "PLOAD1,9,1,FXE,FR,.25,700.\nPLOAD1,9,1,MXE,FR,.75,80."))
+    got = forces(
+        written(tmp_path, "PLOAD1,9,1,FXE,FR,.25,700.\nPLOAD1,9,1,MXE,FR,.75,80.")
+    )
     np.testing.assert_allclose(got[:, [0, 3]], [[525, 20], [175, 60]], rtol=1e-9)
 
 
 def test_offsets_of_the_ends_and_a_load_in_basic(tmp_path: Path) -> None:
     """The beam lies 0.1 below its nodes: the force has an arm about them."""
-    got = forces(written(tmp_path, "PLOAD1,9,1,FX,FR,.5,700.", more="\n,,,0.,0.,-.1,0.,0.,-.1"))
+    got = forces(
+        written(tmp_path, "PLOAD1,9,1,FX,FR,.5,700.", more="\n,,,0.,0.,-.1,0.,0.,-.1")
+    )
     np.testing.assert_allclose(got.sum(axis=0), [700, 0, 0, 0, -70, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize(("scale", "total"), [("FR", 500.0), ("FRPR", 400.0)])
-def test_a_load_on_the_projected_length(tmp_path: Path, scale: str, total: float) -> None:
+def test_a_load_on_the_projected_length(
+    tmp_path: Path, scale: str, total: float
+) -> None:
     """A beam that rises 3 on 4 under snow."""
     got = forces(
-        written(tmp_path, f"PLOAD1,9,1,FZ,{scale},0.,-100.,1.,-100.", ends=((0, 0, 0), (4, 0, 3)))
+        written(
+            tmp_path,
+            f"PLOAD1,9,1,FZ,{scale},0.,-100.,1.,-100.",
+            ends=((0, 0, 0), (4, 0, 3)),
+        )
     )
     np.testing.assert_allclose(got[:, :3].sum(axis=0), [0, 0, -total], atol=1e-9)
 
@@ -159,15 +196,21 @@ def test_what_is_refused(tmp_path: Path, load: str, told: str) -> None:
         ("MX", SLENDER, "4,4"),
     ],
 )
-def test_what_no_beam_can_carry(tmp_path: Path, kind: str, section: str, released: str) -> None:
+def test_what_no_beam_can_carry(
+    tmp_path: Path, kind: str, section: str, released: str
+) -> None:
     """Without stiffness along the load, or free along it at both ends; a load across is carried
     then.
     """
-    path = written(tmp_path, f"PLOAD1,9,1,{kind},FR,.5,7.", section, more=f"\n,{released}")
+    path = written(
+        tmp_path, f"PLOAD1,9,1,{kind},FR,.5,7.", section, more=f"\n,{released}"
+    )
     with pytest.raises(DeckError, match="CBAR 1: cannot carry its PLOAD1"):
         forces(path)
     if released:
-        across = forces(written(tmp_path, "PLOAD1,9,1,FZ,FR,.5,7.", section, more=f"\n,{released}"))
+        across = forces(
+            written(tmp_path, "PLOAD1,9,1,FZ,FR,.5,7.", section, more=f"\n,{released}")
+        )
         np.testing.assert_allclose(
             across[:, [2, 4]], [[3.5, -7 * L / 8], [3.5, 7 * L / 8]], rtol=1e-9
         )

@@ -31,7 +31,9 @@ def _plate(make: object, G: float = np.nan, **section: int) -> Float:
 @pytest.mark.parametrize("make", [shells, triangles])
 def test_membranes_and_bending_use_young_and_poisson(make: object) -> None:
     want = _plate(make)
-    np.testing.assert_allclose(_plate(make, AGREES / 2), want, atol=EXACT * np.abs(want).max())
+    np.testing.assert_allclose(
+        _plate(make, AGREES / 2), want, atol=EXACT * np.abs(want).max()
+    )
 
 
 def test_transverse_shear_uses_the_shear_modulus() -> None:
@@ -39,7 +41,10 @@ def test_transverse_shear_uses_the_shear_modulus() -> None:
     np.testing.assert_allclose(
         _plate(shells, AGREES, MID3=1), want, atol=EXACT * np.abs(want).max()
     )
-    assert np.abs(_plate(shells, AGREES / 2, MID3=1) - want).max() > 0.03 * np.abs(want).max()
+    assert (
+        np.abs(_plate(shells, AGREES / 2, MID3=1) - want).max()
+        > 0.03 * np.abs(want).max()
+    )
 
 
 @pytest.mark.parametrize("name", ELEMENTS)

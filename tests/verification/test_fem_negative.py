@@ -10,7 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem_cases import cards, frequencies, grid, model, pshell, ragged, shells, spc, square, steel
+from fem_cases import (
+    cards,
+    frequencies,
+    grid,
+    model,
+    pshell,
+    ragged,
+    shells,
+    spc,
+    square,
+    steel,
+)
 
 from ringtrue.errors import DeckError, SingularModel
 from ringtrue.fem.assembly import assemble
@@ -40,7 +51,11 @@ def test_springs_below_zero_are_taken(kind: str, c: float) -> None:
     firm = cards("CELAS2", EID=[1], K=[k], G1=[1], C1=[1])
     ways = {
         "CELAS2": (cards("CELAS2", EID=[1, 2], K=[k, -c], G1=[1, 1], C1=[1, 1]),),
-        "PELAS": (firm, cards("CELAS1", EID=[2], PID=9, G1=1, C1=1), cards("PELAS", PID=[9], K=-c)),
+        "PELAS": (
+            firm,
+            cards("CELAS1", EID=[2], PID=9, G1=1, C1=1),
+            cards("PELAS", PID=[9], K=-c),
+        ),
         "PBUSH": (
             firm,
             cards("CBUSH", EID=[2], PID=9, GA=1, CID=0),
@@ -54,7 +69,9 @@ def test_springs_below_zero_are_taken(kind: str, c: float) -> None:
     if c > k:
         with (
             EmbeddedSolver().open(m) as analysis,
-            pytest.raises(SingularModel, match="not positive definite: a stiffness below 0"),
+            pytest.raises(
+                SingularModel, match="not positive definite: a stiffness below 0"
+            ),
         ):
             analysis.modes(ModesRequest(1))
         return
@@ -73,11 +90,14 @@ def test_a_negative_spring_alone_is_stiffness() -> None:
     assert not len(assemble(m).autospc)
 
 
-@pytest.mark.parametrize("section", [{"I1": -8e-6}, {"J": -1e-5}, {"A": -1e-2}, {"I12": 7e-6}])
+@pytest.mark.parametrize(
+    "section", [{"I1": -8e-6}, {"J": -1e-5}, {"A": -1e-2}, {"I12": 7e-6}]
+)
 def test_sections_below_zero_are_refused(section: dict[str, float]) -> None:
     field = next(iter(section))
     with pytest.raises(
-        DeckError, match=f"PBAR 1 field {field}: .*negative stiffness.*PARAM,NEGSTIFF,YES"
+        DeckError,
+        match=f"PBAR 1 field {field}: .*negative stiffness.*PARAM,NEGSTIFF,YES",
     ) as e:
         assemble(cantilever(2e11, **section))
     assert e.value.field == field
@@ -97,14 +117,20 @@ XYZ, QUADS = square(1, 1.0, 1.0)
 MATERIALS = {
     "E1": cards("MAT8", MID=[1], E1=-1e10, E2=1e10, NU12=0.3, G12=4e9),
     "G12": cards("MAT8", MID=[1], E1=1e10, E2=1e10, NU12=0.3, G12=-4e9),
-    "G11": cards("MAT2", MID=[1], G11=1e10, G12=2e10, G13=0.0, G22=1e10, G23=0.0, G33=4e9),
+    "G11": cards(
+        "MAT2", MID=[1], G11=1e10, G12=2e10, G13=0.0, G22=1e10, G23=0.0, G33=4e9
+    ),
 }
 
 
 @pytest.mark.parametrize("field", MATERIALS)
 def test_plies_that_take_energy_out_are_refused(field: str) -> None:
     laminate = cards(
-        "PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.01]), THETA=ragged([0.0, 90.0])
+        "PCOMP",
+        PID=[1],
+        MID=ragged([1, 1]),
+        T=ragged([0.01, 0.01]),
+        THETA=ragged([0.0, 90.0]),
     )
     laminate = (
         laminate.with_column("SOUT", ragged(["NO", "NO"]))

@@ -27,7 +27,10 @@ Capture = pytest.CaptureFixture[str]
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 CORNERS = {  # and the volume
     "CHEXA": ([*SQUARE, (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], 1.0),
-    "CPENTA": ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)], 1 / 2),
+    "CPENTA": (
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
+        1 / 2,
+    ),
     "CPYRAM": ([*SQUARE, (0.5, 0.5, 1)], 1 / 3),
     "CTETRA": ([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], 1 / 6),
 }
@@ -51,9 +54,13 @@ def test_over_all_faces_of_a_solid(card: str, quadratic: bool) -> None:
     )
     force, moment, first = np.zeros(3), np.zeros(3), np.zeros(3)
     for f in FACES[card]:
-        nodes = np.array(face(card, range(1, len(places) + 1), f[0] + 1, named_by(card, f)))
+        nodes = np.array(
+            face(card, range(1, len(places) + 1), f[0] + 1, named_by(card, f))
+        )
         at = np.where(nodes[:, None] > 0, places[nodes - 1], np.nan)[None]
-        even, rising = (face_forces(at, p)[0] for p in (np.ones((1, len(f))), at[:, : len(f), 2]))
+        even, rising = (
+            face_forces(at, p)[0] for p in (np.ones((1, len(f))), at[:, : len(f), 2])
+        )
         force, first = force + even.sum(axis=0), first + rising.sum(axis=0)
         moment = moment + np.cross(np.nan_to_num(at[0]), even).sum(axis=0)
     np.testing.assert_allclose(np.hstack([force, moment]), 0, atol=1e-14)
@@ -98,7 +105,9 @@ def loaded(tmp_path: Path, *cards: str) -> tuple[Model, Float]:
     """The model and the forces (node, 3) of its case."""
     (tmp_path / "d.bdf").write_text(CUBE + "\n".join(cards) + "\n")
     model, cases = read_loaded_deck(tmp_path / "d.bdf")
-    return model, load_vectors(model, mesh(model).dofs, cases)[:, 0].reshape(-1, 6)[:, :3]
+    return model, load_vectors(model, mesh(model).dofs, cases)[:, 0].reshape(-1, 6)[
+        :, :3
+    ]
 
 
 @pytest.mark.parametrize(
@@ -107,7 +116,8 @@ def loaded(tmp_path: Path, *cards: str) -> tuple[Model, Float]:
         (("PLOAD4,1,1,10.,,,,5,7",), (0, 0, -60)),  # top of the solid: down
         (("PLOAD4,1,1,10.,,,,6,3",), (-120, 0, 0)),
         (("PLOAD4,1,1,1.,2.,3.,4.,6,3",), (-30, 0, 0)),
-        (("PLOAD4,1,1,10.,,,,5,7", ",,0.,-7."), (0, -60, 0)),  # along a vector, whatever its length
+        # along a vector, whatever its length
+        (("PLOAD4,1,1,10.,,,,5,7", ",,0.,-7."), (0, -60, 0)),
         (("PLOAD4,1,2,10.",), (0, 0, 60)),  # along the normal of the shell
         (("PLOAD4,1,2,10.,,,,THRU,4",), (0, 0, 120)),
         (("PLOAD2,1,10.,2,3",), (0, 0, 90)),
@@ -118,7 +128,9 @@ def loaded(tmp_path: Path, *cards: str) -> tuple[Model, Float]:
         (("PLOAD4,1,4,10.", ",5,0.,0.,1."), (0, 0, 30)),
     ],
 )
-def test_cards(tmp_path: Path, cards: tuple[str, ...], total: tuple[float, ...]) -> None:
+def test_cards(
+    tmp_path: Path, cards: tuple[str, ...], total: tuple[float, ...]
+) -> None:
     _, force = loaded(tmp_path, *cards)
     np.testing.assert_allclose(force.sum(axis=0), total, atol=1e-9)
 
@@ -132,7 +144,9 @@ def test_sizes_go_round_from_g1_as_seen_from_outside(tmp_path: Path) -> None:
     np.testing.assert_allclose(-force[[5, 1, 2, 6], 0], a @ [1, 2, 3, 4], atol=1e-12)
 
 
-def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path) -> None:
+def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(
+    tmp_path: Path,
+) -> None:
     """∫ e_r dA over 0 < x < 2, 0 < y < 3."""
     _, force = loaded(tmp_path, "PLOAD4,1,2,1.", ",5,1.,0.,0.")
     p, w = np.polynomial.legendre.leggauss(60)
@@ -147,11 +161,20 @@ def test_a_direction_of_a_cylindrical_frame_turns_with_the_place(tmp_path: Path)
     ("cards", "told"),
     [
         (("PLOAD4,1,99,1.",), "PLOAD4: names element 99, which is no shell or solid"),
-        (("PLOAD4,1,1,1.",), "element 1: G1 = 0 and G3/G4 = blank mean no face of the CHEXA"),
+        (
+            ("PLOAD4,1,1,1.",),
+            "element 1: G1 = 0 and G3/G4 = blank mean no face of the CHEXA",
+        ),
         (("PLOAD,1,1.,5,6,77",), "a node of the face is not in the deck"),
         (("PLOAD4,1,2,1.", ",,,,,LINE"), "loads along edges"),
-        (("ACCEL1,1,,3.,0.,0.,1.", ",1"), "ACCEL1 is not supported: of a static load, FORCE"),
-        (("RFORCE,1,1,,3.,0.,0.,1.",), "RFORCE is not supported: of a static load, FORCE"),
+        (
+            ("ACCEL1,1,,3.,0.,0.,1.", ",1"),
+            "ACCEL1 is not supported: of a static load, FORCE",
+        ),
+        (
+            ("RFORCE,1,1,,3.,0.,0.,1.",),
+            "RFORCE is not supported: of a static load, FORCE",
+        ),
         (("FORCE1,1,6,5.,5,55",), "FORCE names node 55"),
         (("PLOAD,1,1.,5,6",), "PLOAD field G1: three or four nodes span a face"),
         (("FORCE,1,6,,1.+200,0.,0.,1.+200",), "SUBCASE 1: the loads are too large"),
@@ -178,7 +201,9 @@ def test_what_cannot_be_taken(
         ("DEFORM = 3", "DEFORM = 3: of static loads those of LOAD are read"),
     ],
 )
-def test_other_loads_of_case_control(tmp_path: Path, line: str, told: str, capsys: Capture) -> None:
+def test_other_loads_of_case_control(
+    tmp_path: Path, line: str, told: str, capsys: Capture
+) -> None:
     (tmp_path / "d.bdf").write_text(
         CUBE.replace("LOAD = 1", f"LOAD = 1\n{line}") + "PLOAD2,1,10.,2\n"
     )
@@ -192,7 +217,8 @@ def test_a_pressed_bar_shortens(tmp_path: Path, capsys: Capture) -> None:
     for k in range(n + 1):
         corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
         lines += [
-            f"GRID,{4 * k + i + 1},,{x}.,{y}.,{10 * k / n}" for i, (x, y) in enumerate(corners)
+            f"GRID,{4 * k + i + 1},,{x}.,{y}.,{10 * k / n}"
+            for i, (x, y) in enumerate(corners)
         ]
     for k in range(n):
         g = [str(4 * k + i) for i in range(1, 9)]

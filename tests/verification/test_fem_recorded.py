@@ -46,7 +46,12 @@ RUNS = {
             2381.164,
         ),
     ],
-    f"{SYSTEM}/004_72_bar_truss/nastran_runs/modes.dat": [25.4557, 25.4557, 38.9409, 68.5554],
+    f"{SYSTEM}/004_72_bar_truss/nastran_runs/modes.dat": [
+        25.4557,
+        25.4557,
+        38.9409,
+        68.5554,
+    ],
     "msc2019/superelements/cantilever_bar/no_super/noReduction.dat": [
         349.729,
         2167.32,

@@ -53,7 +53,9 @@ COUNT = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_so_many_are_dependent(name: str) -> None:
-    assert 36 - len(assemble(model(*NODES, CASES[name], AUTOSPC="NO")).free) == COUNT[name]
+    assert (
+        36 - len(assemble(model(*NODES, CASES[name], AUTOSPC="NO")).free) == COUNT[name]
+    )
 
 
 def transform(*tables: Table) -> Float:
@@ -73,7 +75,9 @@ def test_triangles_are_what_rbe1_is() -> None:
     dependent = {"GM": ragged([1, 2, 3]), "CM": ragged(["456", "1456", "12456"])}
     same = Table("RBE1", {**same.columns, **dependent}, same.file, same.line)
     np.testing.assert_allclose(transform(CASES["RTRPLT"]), transform(same), atol=1e-12)
-    both = cards("RBAR", EID=[1, 2], GA=1, GB=[2, 3], CNA="123456", CMB=["123", "123456"])
+    both = cards(
+        "RBAR", EID=[1, 2], GA=1, GB=[2, 3], CNA="123456", CMB=["123", "123456"]
+    )
     np.testing.assert_allclose(transform(CASES["RTRPLT1"]), transform(both), atol=1e-12)
 
 
@@ -117,13 +121,17 @@ def chain(xyz: Float, ratio: float) -> Model:
         X3=9.0,
     )
     mat = cards("MAT1", MID=[1], E=1.0, G=1.0)
-    return model(grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **section), mat, AUTOSPC="NO")
+    return model(
+        grid(xyz), bars, cards("PBAR", PID=[1], MID=1, **section), mat, AUTOSPC="NO"
+    )
 
 
 @pytest.mark.parametrize("ratio", [0.02, 0.1, 0.7])
 def test_a_spline_bends_as_the_tube(ratio: float) -> None:
     """Nodes between two independent ends move as those of the tube, of any shape in space."""
-    xyz = np.array([[0, 0, 0], [1, 0.2, 0], [1.5, 1, 0.3], [1.2, 2, 0.1], [2.5, 2.2, 1.0]])
+    xyz = np.array(
+        [[0, 0, 0], [1, 0.2, 0], [1.5, 1, 0.3], [1.2, 2, 0.1], [2.5, 2.2, 1.0]]
+    )
     K = assemble(chain(xyz, ratio)).stiffness.toarray()
     m, n = np.arange(6, 24), np.r_[np.arange(6), np.arange(24, 30)]
     X = -np.linalg.solve(K[np.ix_(m, m)], K[np.ix_(m, n)])

@@ -8,7 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fem_cases import cards, grid, model, modes, pshell, ragged, shells, spc, square, steel
+from fem_cases import (
+    cards,
+    grid,
+    model,
+    modes,
+    pshell,
+    ragged,
+    shells,
+    spc,
+    square,
+    steel,
+)
 
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
@@ -19,7 +30,9 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 
 EXACT = 1e-12  # some hundred operations
-XYZ = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.5], [2, 2, 1.0]])
+XYZ = np.array(
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.5], [2, 2, 1.0]]
+)
 CD = np.array([0, 7, 0, 8, 7, 8])
 NODES = (
     grid(XYZ, CD=CD),
@@ -66,7 +79,10 @@ def test_dashpots_between_components_and_points() -> None:
         want[np.ix_([1, 7], [1, 7])] = 7.0 * np.array([[1, -1], [-1, 1]])
         np.testing.assert_allclose(s.viscous.toarray(), want, atol=EXACT)
     for tables in (
-        (cards("CDAMP3", EID=[1], PID=3, S1=[10], S2=[11]), cards("PDAMP", PID=[3], B=7.0)),
+        (
+            cards("CDAMP3", EID=[1], PID=3, S1=[10], S2=[11]),
+            cards("PDAMP", PID=[3], B=7.0),
+        ),
         (cards("CDAMP4", EID=[1], B=7.0, S1=[10], S2=[11]),),
     ):
         s = assemble(model(grid(XYZ[:1]), *tables, AUTOSPC="NO"))
@@ -76,7 +92,9 @@ def test_dashpots_between_components_and_points() -> None:
 def test_cvisc_acts_along_and_about_its_line() -> None:
     x = np.array([[0, 0, 0], [3.0, 4.0, 0]])
     line = cards("CVISC", EID=[1], PID=2, G1=1, G2=2)
-    s = assemble(model(grid(x), line, cards("PVISC", PID=[2], CE=5.0, CR=2.0), AUTOSPC="NO"))
+    s = assemble(
+        model(grid(x), line, cards("PVISC", PID=[2], CE=5.0, CR=2.0), AUTOSPC="NO")
+    )
     e = np.array([0.6, 0.8, 0.0])
     B = s.viscous.toarray()
     np.testing.assert_allclose(B[:3, :3], 5 * np.outer(e, e), atol=EXACT)
@@ -102,7 +120,11 @@ def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
     million times as fast.
     """
     points = np.arange(1, 31)
-    at, below, one = np.append(points, 99), np.append(points - 1, 0), np.ones(points.size)
+    at, below, one = (
+        np.append(points, 99),
+        np.append(points - 1, 0),
+        np.ones(points.size),
+    )
     m = model(
         grid(XYZ[:1]),
         cards("CELAS4", EID=at, K=np.append(1e4 * one, 1e6), S1=at, S2=below),
@@ -111,7 +133,8 @@ def test_a_dashpot_on_hardly_any_mass_hides_no_low_mode() -> None:
     )
     with EmbeddedSolver().open(m) as analysis:
         got = analysis.complex_modes(ModesRequest(3)).modes
-    lowest = 100 * np.sin(np.pi / 122) / np.pi  # without the dashpot, which moves it by 0.2 %
+    # without the dashpot, which moves it by 0.2 %
+    lowest = 100 * np.sin(np.pi / 122) / np.pi
     assert got.frequencies[0] == pytest.approx(lowest, rel=0.01)
 
 
@@ -132,7 +155,9 @@ def test_rayleigh_damping(dashpot: float) -> None:
         np.testing.assert_allclose(got.damping, 0.15 / w + 0.01 * w, rtol=1e-10)
     pair = np.array([[1, -1], [-1, 1]])
     np.testing.assert_allclose(
-        D, 0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair, atol=EXACT
+        D,
+        0.3 * np.eye(2) + 0.02 * (pair + np.diag([1, 0])) + dashpot * pair,
+        atol=EXACT,
     )
 
 
@@ -180,7 +205,9 @@ def bush(**more: object) -> Float:
         AUTOSPC="NO",
     )
     s = assemble(m)
-    np.testing.assert_allclose(s.structural.toarray(), 0.1 * s.stiffness.toarray(), atol=EXACT)
+    np.testing.assert_allclose(
+        s.structural.toarray(), 0.1 * s.stiffness.toarray(), atol=EXACT
+    )
     assert s.viscous.toarray().trace() > 7.9
     return s.stiffness.toarray()
 
@@ -192,7 +219,9 @@ def test_a_bush_with_loss_factors_by_direction() -> None:
     k = {f"K{i}": float(i) for i in range(1, 7)} | {"GE": 0.1, "GE2": 0.2, "GE6": 0.3}
     bush = cards("CBUSH", EID=[1], PID=1, GA=2, CID=7)
     s = assemble(model(*NODES, bush, cards("PBUSH", PID=[1], **k), AUTOSPC="YES"))
-    np.testing.assert_allclose(s.stiffness.toarray(), np.diag(np.arange(1.0, 7)), atol=EXACT)
+    np.testing.assert_allclose(
+        s.stiffness.toarray(), np.diag(np.arange(1.0, 7)), atol=EXACT
+    )
     np.testing.assert_allclose(
         s.structural.toarray(), np.diag([0.1, 0.4, 0, 0, 0, 1.8]), atol=EXACT
     )
@@ -227,7 +256,9 @@ def rigid(m: Model) -> float:
 def rbe1(independent: list[tuple[int, str]], dependent: list[tuple[int, str]]) -> Table:
     n, m = zip(*independent, strict=True), zip(*dependent, strict=True)
     (gn, cn), (gm, cm) = (tuple(list(v) for v in pairs) for pairs in (n, m))
-    return cards("RBE1", EID=[4], GN=ragged(gn), CN=ragged(cn), GM=ragged(gm), CM=ragged(cm))
+    return cards(
+        "RBE1", EID=[4], GN=ragged(gn), CN=ragged(cn), GM=ragged(gm), CM=ragged(cm)
+    )
 
 
 @pytest.mark.parametrize(
@@ -236,7 +267,9 @@ def rbe1(independent: list[tuple[int, str]], dependent: list[tuple[int, str]]) -
         cards("RBAR", EID=[1], GA=2, GB=5),
         cards("RBAR", EID=[1], GA=4, GB=6, CNA="123456", CMB="123"),
         cards("RBAR", EID=[1], GA=1, GB=4, CNA="1236", CNB="12"),
-        rbe1([(1, "123"), (4, "23"), (6, "2")], [(2, "123456"), (5, "135"), (1, "456")]),
+        rbe1(
+            [(1, "123"), (4, "23"), (6, "2")], [(2, "123456"), (5, "135"), (1, "456")]
+        ),
         rbe1([(5, "123456")], [(1, "123456"), (4, "123456")]),
     ],
     ids=["bar", "bar part", "bar mixed", "rbe1 mixed", "rbe1 like rbe2"],
@@ -276,7 +309,9 @@ def test_rbe3_solved_for_other_degrees_of_freedom() -> None:
         rbe3("1235", [(5, "35"), (3, "3"), (4, "1")]),
     ]
     T = [assemble(model(*NODES, way, AUTOSPC="NO")).transform.toarray() for way in ways]
-    free = [set(assemble(model(*NODES, way, AUTOSPC="NO")).free.labels()) for way in ways]
+    free = [
+        set(assemble(model(*NODES, way, AUTOSPC="NO")).free.labels()) for way in ways
+    ]
     assert {"5+X", "5+Y", "5+RY"} <= free[1]
     assert not {"1+X", "2+Y", "3+Z", "5+Z"} & free[1]
     for other in T[1:]:
@@ -287,10 +322,13 @@ def test_rbe3_solved_for_other_degrees_of_freedom() -> None:
 
 def test_rbe3_um_that_does_not_fit_is_refused() -> None:
     with pytest.raises(
-        DeckError, match="RBE3 8: UM names 3 components; allowed are as many as REFC has, 4"
+        DeckError,
+        match="RBE3 8: UM names 3 components; allowed are as many as REFC has, 4",
     ):
         assemble(model(*NODES, rbe3("1235", [(5, "123")])))
-    with pytest.raises(DeckError, match="RBE3 8: the components in UM are not determined"):
+    with pytest.raises(
+        DeckError, match="RBE3 8: the components in UM are not determined"
+    ):
         assemble(model(*NODES, rbe3("12", [(1, "45")])))
 
 
@@ -313,8 +351,14 @@ def test_rigid_elements_that_are_one_make_one_elimination() -> None:
             (cards("RBAR", EID=[1], GA=1, GB=2, CNA="12345"),),
             "RBAR 1: it has 5 independent components",
         ),
-        ((cards("RBAR", EID=[1], GA=1, GB=2, CNA="1235", CNB="12"),), "leave a rigid motion free"),
-        ((rbe1([(1, "123456")], [(1, "1"), (2, "123")]),), "RBE1 4: a component is both"),
+        (
+            (cards("RBAR", EID=[1], GA=1, GB=2, CNA="1235", CNB="12"),),
+            "leave a rigid motion free",
+        ),
+        (
+            (rbe1([(1, "123456")], [(1, "1"), (2, "123")]),),
+            "RBE1 4: a component is both",
+        ),
         (
             (
                 cards("RBAR", EID=[1], GA=1, GB=2),
@@ -348,9 +392,20 @@ def dmig(
 ) -> Table:
     """A matrix over component 1 of nodes."""
     one = [1] * len(rows)
-    terms = {"GJ": ragged(columns), "CJ": ragged(one), "GI": ragged(rows), "CI": ragged(one)}
+    terms = {
+        "GJ": ragged(columns),
+        "CJ": ragged(one),
+        "GI": ragged(rows),
+        "CI": ragged(one),
+    }
     return cards(
-        "DMIG", ID=[1], NAME=name, IFO=form, A=ragged(values), B=ragged([0.0] * len(rows)), **terms
+        "DMIG",
+        ID=[1],
+        NAME=name,
+        IFO=form,
+        A=ragged(values),
+        B=ragged([0.0] * len(rows)),
+        **terms,
     )
 
 
@@ -373,14 +428,18 @@ def test_dmig_stiffness(table: Table) -> None:
     """The chain of two springs of 1, given as a matrix in a displacement frame; CK2 scales it."""
     lam = (2 * np.pi * modes(direct(table, CaseControl(k2gg=((1.0, "kx"),))), 2)) ** 2
     np.testing.assert_allclose(lam, CHAIN, rtol=EXACT)
-    lam = (2 * np.pi * modes(direct(table, CaseControl(k2gg=((2.0, "KX"),)), CK2=3.0), 2)) ** 2
+    lam = (
+        2 * np.pi * modes(direct(table, CaseControl(k2gg=((2.0, "KX"),)), CK2=3.0), 2)
+    ) ** 2
     np.testing.assert_allclose(lam, 6 * CHAIN, rtol=EXACT)
 
 
 def test_dmig_mass_is_not_weight() -> None:
     """PARAM,WTMASS does not apply to M2GG; a matrix that is not chosen does nothing."""
     table = dmig("MX", [1, 2], [1, 2], [5.0, 5.0])
-    s = assemble(direct(table, CaseControl(m2gg=((1.0, "MX"),)), WTMASS=0.1, AUTOSPC="NO"))
+    s = assemble(
+        direct(table, CaseControl(m2gg=((1.0, "MX"),)), WTMASS=0.1, AUTOSPC="NO")
+    )
     np.testing.assert_allclose(s.mass.diagonal(), 5.1)
     assert assemble(
         direct(table, CaseControl(), AUTOSPC="NO")
@@ -389,13 +448,25 @@ def test_dmig_mass_is_not_weight() -> None:
 
 def test_dmig_that_cannot_be_used() -> None:
     with pytest.raises(DeckError, match="PARAM,CK1 scales all elements"):
-        assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KX"),)), CK1=2.0))
+        assemble(
+            direct(
+                dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KX"),)), CK1=2.0
+            )
+        )
     with pytest.raises(DeckError, match="asks for DMIG KY"):
         assemble(direct(dmig("KX", [1], [1], [1.0]), CaseControl(k2gg=((1.0, "KY"),))))
     with pytest.raises(UnsupportedCard, match="KX is of form 2"):
-        assemble(direct(dmig("KX", [1], [1], [1.0], form=2), CaseControl(k2gg=((1.0, "KX"),))))
+        assemble(
+            direct(
+                dmig("KX", [1], [1], [1.0], form=2), CaseControl(k2gg=((1.0, "KX"),))
+            )
+        )
     with pytest.raises(DeckError, match="KX is not symmetric"):
-        assemble(direct(dmig("KX", [1], [2], [1.0], form=1), CaseControl(k2gg=((1.0, "KX"),))))
+        assemble(
+            direct(
+                dmig("KX", [1], [2], [1.0], form=1), CaseControl(k2gg=((1.0, "KX"),))
+            )
+        )
 
 
 def test_autospc_takes_epzero() -> None:

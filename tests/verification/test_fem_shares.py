@@ -52,7 +52,9 @@ def together(size: int, work: Callable[[Share], Result]) -> list[Result]:
 
 @pytest.mark.parametrize("size", [2, 5])
 @pytest.mark.parametrize("autospc", ["YES", "NO"])
-def test_the_sum_of_shares_is_the_whole(tmp_path: Path, size: int, autospc: str) -> None:
+def test_the_sum_of_shares_is_the_whole(
+    tmp_path: Path, size: int, autospc: str
+) -> None:
     model = constrained_plate.deck(tmp_path)
     model = replace(model, params={**model.params, "AUTOSPC": autospc})
     whole, spins = without_massless_rotations(model, assemble(model))
@@ -60,7 +62,8 @@ def test_the_sum_of_shares_is_the_whole(tmp_path: Path, size: int, autospc: str)
     rows = np.diff(assemble(model).transform.indptr)
     np.testing.assert_array_equal(moving(model, whole.autospc), rows > 0)
     parts = together(
-        size, lambda share: without_massless_rotations(model, assemble(model, share), share)
+        size,
+        lambda share: without_massless_rotations(model, assemble(model, share), share),
     )
     for system, held in parts:
         assert system.free.labels() == whole.free.labels()
@@ -113,7 +116,9 @@ def test_terms_of_shares(tmp_path: Path) -> None:
         for name in ("stiffness", "mass"):
             total = np.zeros(system.stiffness.shape)
             for cols, terms in parts:
-                assert terms[k].function.value(a) == pytest.approx(want.function.value(a), rel=1e-9)
+                assert terms[k].function.value(a) == pytest.approx(
+                    want.function.value(a), rel=1e-9
+                )
                 total[np.ix_(cols, cols)] += getattr(terms[k], name).toarray()
             there = getattr(want, name).toarray()
             np.testing.assert_allclose(total, there, atol=1e-12 * np.abs(there).max())

@@ -113,20 +113,24 @@ def test_rigid_motions_rank_and_turns(xyz: Float) -> None:
     there, Q = turned(xyz)
     R = np.kron(np.eye(8), Q)
     np.testing.assert_allclose(
-        dense(assemble(panel(there))), R @ dense(s) @ R.T, atol=1e-9 * abs(s.stiffness).max()
+        dense(assemble(panel(there))),
+        R @ dense(s) @ R.T,
+        atol=1e-9 * abs(s.stiffness).max(),
     )
 
 
 def test_numbering_does_not_matter() -> None:
     """The panel is the same from which corner and in which sense its nodes are listed."""
-    K = shear.kernel(WARPED[None], np.array([G]), np.array([NU]), np.array([T]))[0].reshape(
-        4, 3, 4, 3
-    )
+    K = shear.kernel(WARPED[None], np.array([G]), np.array([NU]), np.array([T]))[
+        0
+    ].reshape(4, 3, 4, 3)
     for order in ([1, 2, 3, 0], [3, 2, 1, 0]):
-        other = shear.kernel(WARPED[None, order], np.array([G]), np.array([NU]), np.array([T]))[
-            0
-        ].reshape(4, 3, 4, 3)
-        np.testing.assert_allclose(other, K[order][:, :, order], atol=1e-7 * abs(K).max())
+        other = shear.kernel(
+            WARPED[None, order], np.array([G]), np.array([NU]), np.array([T])
+        )[0].reshape(4, 3, 4, 3)
+        np.testing.assert_allclose(
+            other, K[order][:, :, order], atol=1e-7 * abs(K).max()
+        )
 
 
 def test_rods_on_the_edges() -> None:
@@ -143,7 +147,9 @@ def test_rods_on_the_edges() -> None:
 
 def test_mass_at_the_corners() -> None:
     s = assemble(panel(RECTANGLE, NSM=2.0))
-    np.testing.assert_allclose(s.mass.diagonal().reshape(4, 6)[:, :3], (RHO * T + 2.0) * 2 / 4)
+    np.testing.assert_allclose(
+        s.mass.diagonal().reshape(4, 6)[:, :3], (RHO * T + 2.0) * 2 / 4
+    )
     assert abs(s.mass.diagonal().reshape(4, 6)[:, 3:]).max() == 0
 
 
@@ -155,7 +161,9 @@ def test_box_of_panels_and_stringers() -> None:
     m = panel(RECTANGLE)
     tip = cards("CONM2", EID=[9], G=2, M=1000.0)
     both = cards("SPC1", SID=[1, 1], C=["123456", "3456"], G=ragged([1, 4], [2, 3]))
-    whole = Model({**m.tables, "CONROD": rods, "CONM2": tip, "SPC1": both}, {}, model(spc=1).case)
+    whole = Model(
+        {**m.tables, "CONROD": rods, "CONM2": tip, "SPC1": both}, {}, model(spc=1).case
+    )
     weight = 1000.0 + RHO * (T * 2 / 2 + 1.0 * (2 / 2 + 1.0 + 2 / 2))
     assert modes(whole, 1)[0] == pytest.approx(
         np.sqrt(G * T * 1.0 / 2 / weight) / (2 * np.pi), rel=1e-3

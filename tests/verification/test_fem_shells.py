@@ -11,7 +11,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fem_cases import cards, grid, model, modes, pshell, ragged, square, steel
-from shell_cases import SECOND, SHELLS, displacement, held, nearest, net, rectangle, shell
+from shell_cases import (
+    SECOND,
+    SHELLS,
+    displacement,
+    held,
+    nearest,
+    net,
+    rectangle,
+    shell,
+)
 
 from ringtrue.core.arrays import Float, Int
 from ringtrue.errors import DeckError, UnsupportedCard
@@ -38,10 +47,26 @@ def layup(
         SOUT=ragged(["NO"] * 3),
     )
     mat8 = cards(
-        "MAT8", MID=[2], E1=1.4e11, E2=1e10, NU12=0.3, G12=5e9, G1Z=5e9, G2Z=3e9, RHO=1600.0
+        "MAT8",
+        MID=[2],
+        E1=1.4e11,
+        E2=1e10,
+        NU12=0.3,
+        G12=5e9,
+        G1Z=5e9,
+        G2Z=3e9,
+        RHO=1600.0,
     )
     mat2 = cards(
-        "MAT2", MID=[3], G11=9e10, G12=2e10, G13=1e10, G22=5e10, G23=3e9, G33=2e10, RHO=1500.0
+        "MAT2",
+        MID=[3],
+        G11=9e10,
+        G12=2e10,
+        G13=1e10,
+        G22=5e10,
+        G23=3e9,
+        G33=2e10,
+        RHO=1500.0,
     )
     return one, mat8, mat2
 
@@ -54,7 +79,10 @@ SECTIONS = {
         cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, I12T3=30.0, MID3=9, TST=5.0),
         steel(),
     ),
-    "coupled": (cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, MID3=1, MID4=4), steel()),
+    "coupled": (
+        cards("PSHELL", PID=[1], MID1=1, T=0.02, MID2=1, MID3=1, MID4=4),
+        steel(),
+    ),
 }
 CORE = cards("MAT8", MID=[9], E1=1e6, E2=1e6, G12=1e6, G1Z=4e7, G2Z=2e7)
 COUPLE = cards("MAT2", MID=[4], G11=2e10, G12=4e9, G22=1e10, G33=3e9)
@@ -69,15 +97,22 @@ def patch(card: str) -> tuple[Float, Int, Float]:
     """A unit square of 3 x 3 cells, its inner corners moved, sides straight."""
     base, _ = square(3, 1.0, 1.0)
     inner = (np.abs(base[:, :2] - 0.5) < 0.4).all(axis=1)
-    base[inner, :2] += np.array([[0.09, -0.05], [-0.1, 0.04], [0.03, 0.11], [0.05, -0.08]])
+    base[inner, :2] += np.array(
+        [[0.09, -0.05], [-0.1, 0.04], [0.03, 0.11], [0.05, -0.08]]
+    )
     xyz, elements, uv = net(card, 3, 3, rectangle())
     corner = np.round(3 * uv)
     on = np.abs(3 * uv - corner).max(axis=1) < 1e-9
     xyz[on] = base[(4 * corner[on, 0] + corner[on, 1]).astype(int)]
-    sides = {4: ((4, 0, 1), (5, 1, 2), (6, 2, 3), (7, 3, 0)), 3: ((3, 0, 1), (4, 1, 2), (5, 2, 0))}
+    sides = {
+        4: ((4, 0, 1), (5, 1, 2), (6, 2, 3), (7, 3, 0)),
+        3: ((3, 0, 1), (4, 1, 2), (5, 2, 0)),
+    }
     if card in SECOND:
         for mid, a, b in sides[elements.shape[1] // 2]:
-            xyz[elements[:, mid] - 1] = (xyz[elements[:, a] - 1] + xyz[elements[:, b] - 1]) / 2
+            xyz[elements[:, mid] - 1] = (
+                xyz[elements[:, a] - 1] + xyz[elements[:, b] - 1]
+            ) / 2
     outside = (np.abs(uv - 0.5) > 0.499).any(axis=1)
     return xyz, elements, outside
 
@@ -104,7 +139,9 @@ def test_patch_of_constant_strain_and_curvature(card: str, name: str) -> None:
     for membrane, residual in ((0.0, "NO"), (1.0, "NO"), (1.0, "YES")):
         u[:, :2] = membrane * xyz[:, :2] @ np.array([[1.0, 0.3], [0.7, -0.4]])
         u[:, 5] = membrane * (0.3 - 0.7) / 2
-        m = model(grid(xyz), shell(card, elements, MCID=0), *section(name), RESBEND=residual)
+        m = model(
+            grid(xyz), shell(card, elements, MCID=0), *section(name), RESBEND=residual
+        )
         assert imposed(m, outside, u) < ROUNDING
 
 
@@ -118,10 +155,20 @@ def curved_patch(card: str) -> tuple[Float, Int]:
 @pytest.mark.parametrize("coupled", [-1, 1])
 @pytest.mark.parametrize("card", [*SHELLS, "CQUADR", "CTRIAR"])
 def test_rigid_motions_no_mechanism_and_the_whole_mass(card: str, coupled: int) -> None:
-    kind = card.replace("R", "4") if card == "CQUADR" else "CTRIA3" if card == "CTRIAR" else card
+    kind = (
+        card.replace("R", "4")
+        if card == "CQUADR"
+        else "CTRIA3"
+        if card == "CTRIAR"
+        else card
+    )
     xyz, elements = curved_patch(kind)
     m = model(
-        grid(xyz), shell(card, elements, ZOFFS=0.04), *layup(), AUTOSPC="NO", COUPMASS=coupled
+        grid(xyz),
+        shell(card, elements, ZOFFS=0.04),
+        *layup(),
+        AUTOSPC="NO",
+        COUPMASS=coupled,
     )
     s = assemble(m)
     R = s.rigid_body()
@@ -152,14 +199,22 @@ def test_mass_and_bending_of_a_taper(card: str) -> None:
     own = {f"T{i + 1}": t[:, i] for i in range(t.shape[1])}
     root = (xyz[:, 0] == 0, "123456")
     m = model(
-        grid(xyz), shell(card, elements, **own), pshell(7.0), steel(nu=0.0), held(root), spc=1
+        grid(xyz),
+        shell(card, elements, **own),
+        pshell(7.0),
+        steel(nu=0.0),
+        held(root),
+        spc=1,
     )
     free = model(grid(xyz), shell(card, elements, **own), pshell(7.0), steel(nu=0.0))
     assert mass_of(free) == pytest.approx(8000 * 0.015 * 0.05, rel=1e-10)
     tip = np.flatnonzero(xyz[:, 0] == 1) + 1
     share = np.array([1, 4, 1]) / 6 if card in SECOND else np.array([1, 1]) / 2
     w = displacement(
-        m, [(int(k), 5, float(f)) for k, f in zip(tip, share, strict=True)], int(tip[0]), 3
+        m,
+        [(int(k), 5, float(f)) for k, f in zip(tip, share, strict=True)],
+        int(tip[0]),
+        3,
     )
     x = np.linspace(0, 1, 20001)
     kappa = 12 / (2e11 * 0.05 * (0.01 * (2 - x)) ** 3)
@@ -219,7 +274,8 @@ def twisted(card: str, n: int, m: int, t: float, component: int) -> float:
 
 
 @pytest.mark.parametrize(
-    ("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.01), ("CTRIA3", 0.18)]
+    ("card", "within"),
+    [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.01), ("CTRIA3", 0.18)],
 )
 def test_twisted_beam(card: str, within: float) -> None:
     """12 x 2 cells, 7.5 degrees of warp each; CTRIA3 is stiff in its plane."""
@@ -227,7 +283,9 @@ def test_twisted_beam(card: str, within: float) -> None:
     assert twisted(card, 12, 2, 0.32, 2) == pytest.approx(0.001754, rel=within)
 
 
-@pytest.mark.parametrize(("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.02), ("CTRIA3", 0.03)])
+@pytest.mark.parametrize(
+    ("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.02), ("CTRIA3", 0.03)]
+)
 def test_thin_twisted_beam(card: str, within: float) -> None:
     """t = 0.0032, length/t = 3750."""
     assert twisted(card, 12, 2, 0.0032, 3) == pytest.approx(0.005256e6, rel=within)
@@ -244,19 +302,30 @@ def roof(card: str, n: int) -> float:
         return np.stack([25 * np.sin(a), 25 * u, 25 * np.cos(a)], axis=1)
 
     xyz, elements, uv = net(card, n, n, place)
-    what = (grid(xyz), shell(card, elements), pshell(0.25), steel(E=4.32e8, nu=0.0, rho=4.0))
+    what = (
+        grid(xyz),
+        shell(card, elements),
+        pshell(0.25),
+        steel(E=4.32e8, nu=0.0, rho=4.0),
+    )
     s = assemble(model(*what, COUPMASS=1))
     weight = s.mass @ (s.local @ np.tile([0, 0, -90.0, 0, 0, 0], len(xyz)))
     down = s.free.direction == 3
     loads = list(
-        zip(s.free.node[down].tolist(), [3] * int(down.sum()), weight[down].tolist(), strict=True)
+        zip(
+            s.free.node[down].tolist(),
+            [3] * int(down.sum()),
+            weight[down].tolist(),
+            strict=True,
+        )
     )
     ends = held((uv[:, 0] == 0, "246"), (uv[:, 0] == 1, "13"), (uv[:, 1] == 0, "156"))
     return -displacement(model(*what, ends, spc=1), loads, nearest(uv, 0, 1), 3)
 
 
 @pytest.mark.parametrize(
-    ("card", "within"), [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.02), ("CTRIA3", 0.06)]
+    ("card", "within"),
+    [("CQUAD4", 0.01), ("CQUAD8", 0.01), ("CTRIA6", 0.02), ("CTRIA3", 0.06)],
 )
 def test_scordelis_lo_roof(card: str, within: float) -> None:
     """0.3024 at the middle of the free edge."""
@@ -296,13 +365,17 @@ def hemisphere(card: str, n: int) -> float:
 
     def place(u: Float, v: Float) -> Float:
         a, p = np.radians(18 + 72 * v), u * np.pi / 2
-        return 10 * np.stack([np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)], axis=1)
+        return 10 * np.stack(
+            [np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)], axis=1
+        )
 
     xyz, elements, uv = net(card, n, n, place)
     top = np.zeros(len(xyz), dtype=bool)
     top[nearest(uv, 0.5, 0) - 1] = True
     edges = held((uv[:, 0] == 0, "246"), (uv[:, 0] == 1, "156"), (top, "3"))
-    m = model(grid(xyz), shell(card, elements), pshell(0.04), steel(E=6.825e7), edges, spc=1)
+    m = model(
+        grid(xyz), shell(card, elements), pshell(0.04), steel(E=6.825e7), edges, spc=1
+    )
     a, b = nearest(uv, 0, 1), nearest(uv, 1, 1)
     return displacement(m, [(a, 1, 1.0), (b, 2, -1.0)], a, 1)
 
@@ -323,10 +396,14 @@ def hook(card: str, n: int, m: int, **params: float) -> float:
 
     def place(u: Float, v: Float) -> Float:
         a = np.radians(60) * np.minimum(u * n / first, 1)
-        b = np.radians(60) - np.radians(150) * np.maximum((u * n - first) / (n - first), 0)
+        b = np.radians(60) - np.radians(150) * np.maximum(
+            (u * n - first) / (n - first), 0
+        )
         bent = u * n <= first
         x = np.where(bent, 14 * np.sin(a), 60 * np.sin(np.radians(60)) - 46 * np.sin(b))
-        y = np.where(bent, 14 - 14 * np.cos(a), 14 - 60 * np.cos(np.radians(60)) + 46 * np.cos(b))
+        y = np.where(
+            bent, 14 - 14 * np.cos(a), 14 - 60 * np.cos(np.radians(60)) + 46 * np.cos(b)
+        )
         return np.stack([x, y, 20 * v], axis=1)
 
     xyz, elements, uv = net(card, n, m, place)
@@ -343,7 +420,9 @@ def hook(card: str, n: int, m: int, **params: float) -> float:
     tip = np.flatnonzero(uv[:, 0] == 1)
     tip = tip[np.argsort(uv[tip, 1])] + 1
     w = np.zeros(tip.size)
-    share, step = (np.array([1, 4, 1]) / 6, 2) if card in SECOND else (np.array([1, 1]) / 2, 1)
+    share, step = (
+        (np.array([1, 4, 1]) / 6, 2) if card in SECOND else (np.array([1, 1]) / 2, 1)
+    )
     for i in range(0, tip.size - step, step):
         w[i : i + step + 1] += share / m
     loads = [(int(k), 3, float(f)) for k, f in zip(tip, w, strict=True)]
@@ -351,7 +430,8 @@ def hook(card: str, n: int, m: int, **params: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("card", "within"), [("CQUAD4", 0.025), ("CQUAD8", 0.02), ("CTRIA6", 0.035), ("CTRIA3", 0.025)]
+    ("card", "within"),
+    [("CQUAD4", 0.025), ("CQUAD8", 0.02), ("CTRIA6", 0.035), ("CTRIA3", 0.025)],
 )
 def test_raasch_hook(card: str, within: float) -> None:
     """5.012."""
@@ -373,7 +453,9 @@ FREE_PLATE = np.array(
 @pytest.mark.parametrize("card", SECOND)
 def test_fv12_free_thin_square_plate(card: str) -> None:
     xyz, elements, _ = net(card, 8, 8, rectangle(10.0, 10.0))
-    m = model(grid(xyz, PS="126"), shell(card, elements), pshell(0.05), steel(), COUPMASS=1)
+    m = model(
+        grid(xyz, PS="126"), shell(card, elements), pshell(0.05), steel(), COUPMASS=1
+    )
     f = modes(m, 8)
     assert (np.abs(f[:3]) < 1e-3).all()
     exact = FREE_PLATE / (2 * np.pi * 100) * np.sqrt(2e11 * 0.05**2 / 12 / 0.91 / 8000)
@@ -381,7 +463,8 @@ def test_fv12_free_thin_square_plate(card: str) -> None:
 
 
 FV16 = np.array([0.421, 1.029, 2.582, 3.306, 3.753, 6.555])
-FV16_PLATE = np.array([3.471, 8.508, 21.285, 27.199, 30.957])  # Leissa 1973, C-F-F-F, ν = 0.3
+# Leissa 1973, C-F-F-F, ν = 0.3
+FV16_PLATE = np.array([3.471, 8.508, 21.285, 27.199, 30.957])
 
 
 @pytest.mark.parametrize("card", SECOND)
@@ -392,7 +475,13 @@ def test_fv16_cantilevered_thin_square_plate(card: str) -> None:
     xyz, elements, uv = net(card, 8, 8, rectangle(10.0, 10.0))
     root = held((uv[:, 0] == 0, "12345"))
     m = model(
-        grid(xyz, PS="126"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1
+        grid(xyz, PS="126"),
+        shell(card, elements),
+        pshell(0.05),
+        steel(),
+        root,
+        spc=1,
+        COUPMASS=1,
     )
     f = modes(m, 6)
     np.testing.assert_allclose(f, FV16, rtol=2e-2)
@@ -403,11 +492,20 @@ def test_fv16_cantilevered_thin_square_plate(card: str) -> None:
 @pytest.mark.parametrize("card", SECOND)
 def test_fv32_tapered_membrane(card: str) -> None:
     xyz, elements, uv = net(
-        card, 8, 4, lambda u, v: np.stack([10 * u, (v - 0.5) * (5 - 4 * u), 0 * u], axis=1)
+        card,
+        8,
+        4,
+        lambda u, v: np.stack([10 * u, (v - 0.5) * (5 - 4 * u), 0 * u], axis=1),
     )
     root = held((uv[:, 0] == 0, "12"))
     m = model(
-        grid(xyz, PS="345"), shell(card, elements), pshell(0.05), steel(), root, spc=1, COUPMASS=1
+        grid(xyz, PS="345"),
+        shell(card, elements),
+        pshell(0.05),
+        steel(),
+        root,
+        spc=1,
+        COUPMASS=1,
     )
     np.testing.assert_allclose(
         modes(m, 6), [44.623, 130.03, 162.70, 246.05, 379.90, 391.44], rtol=1e-2
@@ -443,7 +541,9 @@ def test_what_is_wrong_is_told() -> None:
     with pytest.raises(UnsupportedCard, match="LAM WOVEN"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), *layup(lam="WOVEN")))
     with pytest.raises(DeckError, match=r"MAT1 1.*ratio 1 must be between -1 and 1"):
-        assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.1), steel(nu=1.0)))
+        assemble(
+            model(grid(xyz), shell("CQUAD8", elements), pshell(0.1), steel(nu=1.0))
+        )
     with pytest.raises(DeckError, match=r"PSHELL 1.*CQUAD8 1 has no thickness"):
         assemble(model(grid(xyz), shell("CQUAD8", elements), pshell(0.0), steel()))
     with pytest.raises(DeckError, match=r"MAT8 1.*E1 and E2 must not be 0"):
@@ -460,7 +560,9 @@ def test_what_is_wrong_is_told() -> None:
 
 
 @pytest.mark.parametrize("card", ["CQUAD4", "CQUAD8"])
-def test_frames_along_the_normal_count_where_the_material_has_a_direction(card: str) -> None:
+def test_frames_along_the_normal_count_where_the_material_has_a_direction(
+    card: str,
+) -> None:
     """Preprocessors name one frame on all shells: those of isotropic material do not turn with it,
     as in any frame.
     """
@@ -469,7 +571,9 @@ def test_frames_along_the_normal_count_where_the_material_has_a_direction(card: 
     alone = model(grid(xyz), shell(card, elements), pshell(0.1), steel())
     named = model(grid(xyz), shell(card, elements, MCID=5), pshell(0.1), steel(), frame)
     assert abs(assemble(named).stiffness - assemble(alone).stiffness).max() == 0
-    mixed = shell(card, elements, MCID=np.array([5, -1])).with_column("PID", np.array([1, 2]))
+    mixed = shell(card, elements, MCID=np.array([5, -1])).with_column(
+        "PID", np.array([1, 2])
+    )
     plies, *materials = layup()  # the laminate beside them names none
     assemble(
         model(
@@ -491,9 +595,13 @@ def test_plane_strain() -> None:
     for mid2 in (0, -1):
         p = cards("PSHELL", PID=[1], MID1=1, T=0.1, MID2=mid2)
         root = held((uv[:, 0] == 0, "1"), ((uv == 0).all(axis=1), "2"))
-        m = model(grid(xyz, PS="3456"), shell("CQUAD4", elements), p, steel(), root, spc=1)
+        m = model(
+            grid(xyz, PS="3456"), shell("CQUAD4", elements), p, steel(), root, spc=1
+        )
         found.append(
-            displacement(m, [(nearest(uv, 1, v), 1, 0.5) for v in (0, 1)], nearest(uv, 1, 0), 1)
+            displacement(
+                m, [(nearest(uv, 1, v), 1, 0.5) for v in (0, 1)], nearest(uv, 1, 0), 1
+            )
         )
     assert found[0] == pytest.approx(1 / (2e11 * 0.1), rel=1e-9)
     assert found[1] / found[0] == pytest.approx(1 - 0.09, rel=1e-9)
@@ -502,7 +610,13 @@ def test_plane_strain() -> None:
 def test_normals_are_common_only_within_snorm() -> None:
     """Two plates at 30 degrees each keep their own: the same stiffness as with PARAM,SNORM,0."""
     xyz = np.array(
-        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.0 + np.cos(0.8), 0, np.sin(0.8)]],
+        [
+            [0, 0, 0],
+            [1, 0, 0],
+            [1, 1, 0],
+            [0, 1, 0],
+            [1.0 + np.cos(0.8), 0, np.sin(0.8)],
+        ],
         dtype=float,
     )
     xyz = np.vstack([xyz, xyz[4] + [0, 1, 0]])

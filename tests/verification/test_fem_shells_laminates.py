@@ -22,7 +22,9 @@ from ringtrue.fem.mesh import nodes_of
 from ringtrue.model.model import Model, Table
 
 E1, E2, NU, G12, G1Z, G2Z, RHO = 1.4e11, 1e10, 0.3, 5e9, 5e9, 3e9, 1600.0
-CARBON = cards("MAT8", MID=[2], E1=E1, E2=E2, NU12=NU, G12=G12, G1Z=G1Z, G2Z=G2Z, RHO=RHO)
+CARBON = cards(
+    "MAT8", MID=[2], E1=E1, E2=E2, NU12=NU, G12=G12, G1Z=G1Z, G2Z=G2Z, RHO=RHO
+)
 FOAM = cards("MAT8", MID=[3], E1=1e3, E2=1e3, G12=1e3, G1Z=4e7, G2Z=2e7, RHO=60.0)
 BOTH = cards(
     "MAT8", MID=[2, 3], E1=[E1, 1e3], E2=[E2, 1e3], NU12=[NU, 0.0], G12=[G12, 1e3], G1Z=[G1Z, 4e7], G2Z=[G2Z, 2e7],
@@ -31,7 +33,10 @@ BOTH = cards(
 
 
 def pcomp(
-    t: list[Any_] | list[float], theta: list[float], mid: list[int] | None = None, **more: object
+    t: list[Any_] | list[float],
+    theta: list[float],
+    mid: list[int] | None = None,
+    **more: object,
 ) -> Table:
     made = {
         "MID": ragged(mid or [2] * len(t)),
@@ -60,7 +65,11 @@ def turned(angle: float) -> Float:
     """
     Q = reduced()
     a, b, c, d = Q[0, 0], Q[1, 1], Q[0, 1], Q[2, 2]
-    u1, u2, u3 = (3 * a + 3 * b + 2 * c + 4 * d) / 8, (a - b) / 2, (a + b - 2 * c - 4 * d) / 8
+    u1, u2, u3 = (
+        (3 * a + 3 * b + 2 * c + 4 * d) / 8,
+        (a - b) / 2,
+        (a + b - 2 * c - 4 * d) / 8,
+    )
     u4, u5 = (a + b + 6 * c - 4 * d) / 8, (a + b - 2 * c + 4 * d) / 8
     t = np.radians(angle)
     c2, c4, s2, s4 = np.cos(2 * t), np.cos(4 * t), np.sin(2 * t), np.sin(4 * t)
@@ -82,9 +91,12 @@ def test_membrane_coupling_and_bending(z0: float) -> None:
     z = (-t.sum() / 2 if np.isnan(z0) else z0) + np.concatenate([[0], np.cumsum(t)])
     for power, got in ((1, L.membrane), (2, L.coupling), (3, L.bending)):
         want = sum(
-            turned(a) * (z[k + 1] ** power - z[k] ** power) / power for k, a in enumerate(theta)
+            turned(a) * (z[k + 1] ** power - z[k] ** power) / power
+            for k, a in enumerate(theta)
         )
-        np.testing.assert_allclose(got[0], want, rtol=1e-12, atol=1e-12 * np.abs(want).max())
+        np.testing.assert_allclose(
+            got[0], want, rtol=1e-12, atol=1e-12 * np.abs(want).max()
+        )
     assert L.density[0] == pytest.approx(RHO * t.sum())
 
 
@@ -96,7 +108,9 @@ def test_symmetric_and_numbered_plies_are_the_same_laminate() -> None:
         "T": ragged([1e-3, 2e-3, 2e-3, 1e-3]),
         "THETA": ragged([0.0, 40.0, 40.0, 0.0]),
     }
-    numbered = one(cards("PCOMPG", PID=[1], GPLYID=ragged([7, 8, 9, 11]), **plies), CARBON)
+    numbered = one(
+        cards("PCOMPG", PID=[1], GPLYID=ragged([7, 8, 9, 11]), **plies), CARBON
+    )
     for other in (half, numbered):
         for name in ("membrane", "bending", "shear", "density"):
             want = getattr(full, name)
@@ -109,7 +123,9 @@ def test_transverse_shear_of_a_homogeneous_plate_is_five_sixths() -> None:
     """One ply or ten of the same; and MAT1 the same as PSHELL."""
     for n in (1, 10):
         S = one(pcomp([0.01 / n] * n, [0.0] * n), CARBON).shear[0]
-        np.testing.assert_allclose(S, 5 / 6 * 0.01 * np.diag([G1Z, G2Z]), rtol=1e-10, atol=1e-3)
+        np.testing.assert_allclose(
+            S, 5 / 6 * 0.01 * np.diag([G1Z, G2Z]), rtol=1e-10, atol=1e-3
+        )
 
 
 def test_transverse_shear_of_a_sandwich() -> None:
@@ -124,7 +140,9 @@ def test_transverse_shear_of_a_sandwich() -> None:
 def test_simplified_laminates() -> None:
     t, theta = [1e-3, 2e-3], [0.0, 50.0]
     full = one(pcomp(t, theta), CARBON)
-    by = {lam: one(pcomp(t, theta, LAM=lam), CARBON) for lam in ("MEM", "BEND", "SMEAR")}
+    by = {
+        lam: one(pcomp(t, theta, LAM=lam), CARBON) for lam in ("MEM", "BEND", "SMEAR")
+    }
     for L in by.values():
         assert not L.coupling.any()
         assert L.density[0] == full.density[0]
@@ -132,8 +150,12 @@ def test_simplified_laminates() -> None:
     assert not by["BEND"].membrane.any()
     np.testing.assert_array_equal(by["MEM"].membrane, full.membrane)
     np.testing.assert_array_equal(by["BEND"].bending, full.bending)
-    np.testing.assert_allclose(by["SMEAR"].bending, full.membrane * 9e-6 / 12, rtol=1e-12)
-    core = one(pcomp([1e-3, 1e-3, 0.01], [0.0, 90.0, 0.0], [2, 2, 3], LAM="SMCORE"), BOTH)
+    np.testing.assert_allclose(
+        by["SMEAR"].bending, full.membrane * 9e-6 / 12, rtol=1e-12
+    )
+    core = one(
+        pcomp([1e-3, 1e-3, 0.01], [0.0, 90.0, 0.0], [2, 2, 3], LAM="SMCORE"), BOTH
+    )
     faces = (turned(0) + turned(90)) * 1e-3
     np.testing.assert_allclose(core.membrane[0], faces, rtol=1e-12, atol=1e-3)
     np.testing.assert_allclose(
@@ -143,13 +165,18 @@ def test_simplified_laminates() -> None:
 
 
 @pytest.mark.parametrize(
-    ("half", "whole"), [("SYM", ""), ("SYMEM", "MEM"), ("SYBEND", "BEND"), ("SYSMEAR", "SMEAR")]
+    ("half", "whole"),
+    [("SYM", ""), ("SYMEM", "MEM"), ("SYBEND", "BEND"), ("SYSMEAR", "SMEAR")],
 )
 def test_half_of_the_plies_stands_for_all(half: str, whole: str) -> None:
     lower = one(pcomp([1e-3, 2e-3], [0.0, 40.0], LAM=half), CARBON)
-    full = one(pcomp([1e-3, 2e-3, 2e-3, 1e-3], [0.0, 40.0, 40.0, 0.0], LAM=whole), CARBON)
+    full = one(
+        pcomp([1e-3, 2e-3, 2e-3, 1e-3], [0.0, 40.0, 40.0, 0.0], LAM=whole), CARBON
+    )
     for name in ("membrane", "bending", "shear", "density"):
-        np.testing.assert_allclose(getattr(lower, name), getattr(full, name), rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(lower, name), getattr(full, name), rtol=1e-12, atol=1e-9
+        )
 
 
 def mindlin(m: int, n: int, a: float, b: float, L: Laminate) -> float:
@@ -164,22 +191,26 @@ def mindlin(m: int, n: int, a: float, b: float, L: Laminate) -> float:
     k23 = (D[0, 1] + D[2, 2]) * p * q
     inner = np.array([[k22, k23], [k23, k33]])
     r = np.array([k12, k13])
-    return float(np.sqrt((k11 - r @ np.linalg.solve(inner, r)) / L.density[0]) / (2 * np.pi))
+    return float(
+        np.sqrt((k11 - r @ np.linalg.solve(inner, r)) / L.density[0]) / (2 * np.pi)
+    )
 
 
 @pytest.mark.parametrize(
     ("card", "order"), [("CQUAD4", 2), ("CTRIA3", 2), ("CQUAD8", 3), ("CTRIA6", 1.8)]
 )
 @pytest.mark.parametrize("thickness", [0.1, 0.005])
-def test_simply_supported_cross_ply_plate(card: str, order: float, thickness: float) -> None:
+def test_simply_supported_cross_ply_plate(
+    card: str, order: float, thickness: float
+) -> None:
     """Converges to the closed form at the order, thick (shear takes a third of the frequency) and
     thin.
     """
     a, b = 1.0, 0.8
     layup = pcomp([thickness / 4] * 4, [0.0, 90.0, 90.0, 0.0])
-    want = np.sort([mindlin(m, n, a, b, one(layup, CARBON)) for m in (1, 2, 3) for n in (1, 2, 3)])[
-        :3
-    ]
+    want = np.sort(
+        [mindlin(m, n, a, b, one(layup, CARBON)) for m in (1, 2, 3) for n in (1, 2, 3)]
+    )[:3]
     error = []
     for n in (4, 8) if order > 2 or card == "CTRIA6" else (8, 16):
         xyz, elements, uv = net(card, n, n, rectangle(a, b))
@@ -216,7 +247,10 @@ def test_axes_by_angle_by_frame_and_by_ply_are_the_same(card: str, lam: str) -> 
     ]
     if card in ("CTRIA3", "CTRIA6"):
         made[0] = made[1]  # G1-G2 of the upper triangles is a diagonal
-    K = [assemble(model(grid(xyz), frame, *parts, CARBON)).stiffness.toarray() for parts in made]
+    K = [
+        assemble(model(grid(xyz), frame, *parts, CARBON)).stiffness.toarray()
+        for parts in made
+    ]
     for other in K[1:] if lam else K[1:2]:
         np.testing.assert_allclose(other, K[0], atol=1e-9 * np.abs(K[0]).max())
 
@@ -226,19 +260,32 @@ def test_laminate_of_one_isotropic_ply_is_the_plate(card: str) -> None:
     """Also coupled about another plane: Z0 = 0 equals an offset of half the thickness."""
     xyz, elements, _ = net(card, 2, 2, rectangle())
     ply = pcomp([0.02], [25.0], [1])
-    plate = assemble(model(grid(xyz), shell(card, elements), pshell(0.02, TST=5 / 6), steel()))
+    plate = assemble(
+        model(grid(xyz), shell(card, elements), pshell(0.02, TST=5 / 6), steel())
+    )
     K = assemble(model(grid(xyz), shell(card, elements), ply, steel())).stiffness
     if card != "CTRIA3":  # a laminate has its shear there, a homogeneous plate not
         assert abs(K - plate.stiffness).max() < 1e-9 * abs(K).max()
-    up = assemble(model(grid(xyz), shell(card, elements, ZOFFS=0.01), ply, steel())).stiffness
+    up = assemble(
+        model(grid(xyz), shell(card, elements, ZOFFS=0.01), ply, steel())
+    ).stiffness
     low = assemble(
-        model(grid(xyz), shell(card, elements), pcomp([0.02], [25.0], [1], Z0=0.0), steel())
+        model(
+            grid(xyz),
+            shell(card, elements),
+            pcomp([0.02], [25.0], [1], Z0=0.0),
+            steel(),
+        )
     ).stiffness
     R = np.zeros((len(xyz), 6))
     R[:, 2] = xyz[:, 0] ** 2 + xyz[:, 0] * xyz[:, 1]
     R[:, 3], R[:, 4] = xyz[:, 0], -2 * xyz[:, 0] - xyz[:, 1]
-    x = assemble(model(grid(xyz), shell(card, elements), ply, steel())).local @ R.ravel()
-    assert x @ low @ x == pytest.approx(x @ up @ x, rel=1e-4)  # but for the drilling of the arms
+    x = (
+        assemble(model(grid(xyz), shell(card, elements), ply, steel())).local
+        @ R.ravel()
+    )
+    # but for the drilling of the arms
+    assert x @ low @ x == pytest.approx(x @ up @ x, rel=1e-4)
 
 
 def test_coupling_bends_under_tension() -> None:
@@ -250,7 +297,14 @@ def test_coupling_bends_under_tension() -> None:
     kappa = np.linalg.solve(abd, [1, 0, 0, 0, 0, 0])[3]
     root = (uv[:, 0] == 0, "15")
     pin = ((uv[:, 0] == 0) & (np.abs(uv[:, 1] - 0.5) < 1e-9), "2346")
-    m = model(grid(xyz), shell("CQUAD8", elements, MCID=0), layup, CARBON, held(root, pin), spc=1)
+    m = model(
+        grid(xyz),
+        shell("CQUAD8", elements, MCID=0),
+        layup,
+        CARBON,
+        held(root, pin),
+        spc=1,
+    )
     tip = [nearest(uv, 1, v) for v in (0, 0.5, 1)]
     loads = [(k, 1, f * 0.1) for k, f in zip(tip, (1 / 6, 4 / 6, 1 / 6), strict=True)]
     w = displacement(m, loads, tip[1], 3)
@@ -263,7 +317,9 @@ def element_sums(m: Model) -> tuple[Any_, Any_]:
     K = np.zeros((made.size, made.size), dtype=complex)
     M = K.copy()
     for _, _, p in pieces(made):
-        block = p.mass if p.mass.ndim == 3 else p.mass[..., None] * np.eye(p.mass.shape[1])
+        block = (
+            p.mass if p.mass.ndim == 3 else p.mass[..., None] * np.eye(p.mass.shape[1])
+        )
         i, j = np.broadcast_arrays(p.dofs[:, :, None], p.dofs[:, None, :])
         np.add.at(K, (i, j), p.stiffness)
         np.add.at(M, (i, j), block)
@@ -280,7 +336,15 @@ def bent(card: str) -> tuple[Float, Any_]:
 def with_value(what: str, x: Float, elements: Any_, card: str, h: complex) -> Model:
     """A curved shell with one number changed by h, relative, of its value."""
     mat1 = {"E": 2e11, "NU": 0.3, "RHO": 8000.0}
-    mat8 = {"E1": E1, "E2": E2, "NU12": NU, "G12": G12, "G1Z": G1Z, "G2Z": G2Z, "RHO": RHO}
+    mat8 = {
+        "E1": E1,
+        "E2": E2,
+        "NU12": NU,
+        "G12": G12,
+        "G1Z": G1Z,
+        "G2Z": G2Z,
+        "RHO": RHO,
+    }
     t, theta, T, offset = [0.02, 0.01], [10.0, 70.0], 0.05, 0.02
     for values in (mat1, mat8):
         if what in values:
@@ -290,7 +354,10 @@ def with_value(what: str, x: Float, elements: Any_, card: str, h: complex) -> Mo
     if what == "ply angle":
         theta = [10.0, 70.0 * (1 + h)]
     if what in mat8 or what.startswith("ply"):
-        section = (pcomp(t, theta), cards("MAT8", MID=[2], **{k: [v] for k, v in mat8.items()}))
+        section = (
+            pcomp(t, theta),
+            cards("MAT8", MID=[2], **{k: [v] for k, v in mat8.items()}),
+        )
     else:
         thick = [T * (1 + h) if what == "T" else T]
         section = (
@@ -307,22 +374,30 @@ def place(x: Float, e: Any_, card: str, h: complex) -> Model:
     for name in ("X1", "X2", "X3"):
         column = m["GRID"][name].astype(type(h))
         column[2] = column[2] + h
-        m = Model({**m.tables, "GRID": m["GRID"].with_column(name, column)}, m.params, m.case)
+        m = Model(
+            {**m.tables, "GRID": m["GRID"].with_column(name, column)}, m.params, m.case
+        )
     return m
 
 
-@pytest.mark.parametrize("what", ["E", "NU", "T", "ply T", "ply angle", "G2Z", "offset", "place"])
+@pytest.mark.parametrize(
+    "what", ["E", "NU", "T", "ply T", "ply angle", "G2Z", "offset", "place"]
+)
 @pytest.mark.parametrize("card", SHELLS)
 def test_complex_step_agrees_with_differences(card: str, what: str) -> None:
     x, e = bent(card)
     change = place if what == "place" else partial(with_value, what)
     step, h = 1e-30, 1e-4
-    parts = [element_sums(change(x, e, card, s)) for s in (1j * step, h, -h, 2 * h, -2 * h)]
+    parts = [
+        element_sums(change(x, e, card, s)) for s in (1j * step, h, -h, 2 * h, -2 * h)
+    ]
     for which in range(2):
         c, a, b, p, q = (v[which] for v in parts)
         want = (8 * (a - b) - (p - q)).real / (12 * h)
         np.testing.assert_allclose(
-            c.imag / step, want, atol=1e-7 * max(np.abs(want).max(), 1e-6 * np.abs(c).max())
+            c.imag / step,
+            want,
+            atol=1e-7 * max(np.abs(want).max(), 1e-6 * np.abs(c).max()),
         )
 
 
@@ -339,7 +414,9 @@ def test_mixed_properties() -> None:
         SOUT=ragged(["NO"]),
     )
     g = {f"G{i + 1}": elements[:, i] for i in range(4)}
-    both = cards("CQUAD4", EID=np.arange(1, 17), PID=np.where(np.arange(16) % 3, 1, 2), **g)
+    both = cards(
+        "CQUAD4", EID=np.arange(1, 17), PID=np.where(np.arange(16) % 3, 1, 2), **g
+    )
     a, b = (
         assemble(model(grid(xyz), *parts, steel()))
         for parts in ((both, p, ply), (shell("CQUAD4", elements), p))

@@ -27,7 +27,11 @@ CORPUS = Path(__file__).parents[2].parent / "shared/data/fe/corpus"
 def matrix(xyz: Float) -> Float:
     quads = np.array([[1, 2, 3, 4]])
     m = model(
-        grid(xyz), shells(quads), pshell(0.1, TST=5 / 6), steel(E=2e5, rho=7.8e-9), RESBEND="YES"
+        grid(xyz),
+        shells(quads),
+        pshell(0.1, TST=5 / 6),
+        steel(E=2e5, rho=7.8e-9),
+        RESBEND="YES",
     )
     return np.asarray(build(mesh(m).rows("CQUAD4")).stiffness[0])
 
@@ -98,19 +102,63 @@ def test_bending_and_shear_of_the_square() -> None:
     out = np.flatnonzero(np.tile([0, 0, 1, 1, 1, 0], 4))
     rows = [
         [
-            *(300.0159184, 150.0079592, -150.0079592, -272.7768685, -122.7689093, -150.0079592),
-            *(245.5378186, -122.7689093, 122.7689093, -272.7768685, 150.0079592, 122.7689093),
+            *(
+                300.0159184,
+                150.0079592,
+                -150.0079592,
+                -272.7768685,
+                -122.7689093,
+                -150.0079592,
+            ),
+            *(
+                245.5378186,
+                -122.7689093,
+                122.7689093,
+                -272.7768685,
+                150.0079592,
+                122.7689093,
+            ),
         ],
         [
-            *(150.0079592, 157.5781668, -2.976190476, -122.7689093, -121.1816077, -0.2289377289),
-            *(122.7689093, -127.5613391, 2.976190476, -150.0079592, 145.6428798, 0.2289377289),
+            *(
+                150.0079592,
+                157.5781668,
+                -2.976190476,
+                -122.7689093,
+                -121.1816077,
+                -0.2289377289,
+            ),
+            *(
+                122.7689093,
+                -127.5613391,
+                2.976190476,
+                -150.0079592,
+                145.6428798,
+                0.2289377289,
+            ),
         ],
         [
-            *(-150.0079592, -2.976190476, 157.5781668, 150.0079592, 0.2289377289, 145.6428798),
-            *(-122.7689093, 2.976190476, -127.5613391, 122.7689093, -0.2289377289, -121.1816077),
+            *(
+                -150.0079592,
+                -2.976190476,
+                157.5781668,
+                150.0079592,
+                0.2289377289,
+                145.6428798,
+            ),
+            *(
+                -122.7689093,
+                2.976190476,
+                -127.5613391,
+                122.7689093,
+                -0.2289377289,
+                -121.1816077,
+            ),
         ],
     ]
-    np.testing.assert_allclose(matrix(SQUARE)[np.ix_(out[:3], out)], rows, atol=PRINTED * 300)
+    np.testing.assert_allclose(
+        matrix(SQUARE)[np.ix_(out[:3], out)], rows, atol=PRINTED * 300
+    )
 
 
 def test_bending_and_shear_of_the_trapezoid() -> None:
@@ -154,7 +202,9 @@ def found_in(deck: str) -> Path:
         ("plate_py/plate_py.dat", 6, [6333.01209, 7495.46117, 16238.4585, 17161.5129]),
     ],
 )
-def test_frequencies_of_nx_nastran(deck: str, rigid: int, recorded: list[float]) -> None:
+def test_frequencies_of_nx_nastran(
+    deck: str, rigid: int, recorded: list[float]
+) -> None:
     found = modes(read_deck(found_in(deck)), rigid + len(recorded))
     np.testing.assert_allclose(found[rigid:], recorded, rtol=1e-5)
 
@@ -164,7 +214,18 @@ def test_a_triangle_of_msc_nastran() -> None:
     """One CTRIA3 beside one CQUAD4, on bars: 6 % off in the sixth elastic mode without the residual
     bending flexibility of the triangle.
     """
-    recorded = [46.013924, 47.388, 147.61, 309.85, 441.41, 1334.9, 1793.5, 2129.7, 2781.7, 2884.6]
+    recorded = [
+        46.013924,
+        47.388,
+        147.61,
+        309.85,
+        441.41,
+        1334.9,
+        1793.5,
+        2129.7,
+        2781.7,
+        2884.6,
+    ]
     found = modes(read_deck(found_in("random/random_test_bar_plus_tri.bdf")), 13)[3:]
     np.testing.assert_allclose(found, recorded, rtol=1.5e-3)
 
@@ -175,7 +236,12 @@ def test_one_element_bends_as_a_beam(length: float) -> None:
     P L/S.
     """
     xyz = np.array([[0, 0, 0], [length, 0, 0], [length, 1, 0], [0, 1, 0]])
-    cards = (grid(xyz), shells(np.array([[1, 2, 3, 4]])), pshell(0.1), steel(E=2e5, nu=0.0))
+    cards = (
+        grid(xyz),
+        shells(np.array([[1, 2, 3, 4]])),
+        pshell(0.1),
+        steel(E=2e5, nu=0.0),
+    )
     stiffness, shear = 2e5 * 0.1**3 / 12, 1e5 * 0.1 * 0.833333
     free = np.flatnonzero(np.repeat([0, 1, 1, 0], 6))
     for params, part in (({}, 3), ({"RESBEND": "NO"}, 4)):
@@ -183,7 +249,9 @@ def test_one_element_bends_as_a_beam(length: float) -> None:
         load = np.zeros(24)
         load[[8, 14]] = 0.5
         tip = np.linalg.solve(K[np.ix_(free, free)], load[free])[2]
-        assert tip == pytest.approx(length**3 / (part * stiffness) + length / shear, rel=1e-6)
+        assert tip == pytest.approx(
+            length**3 / (part * stiffness) + length / shear, rel=1e-6
+        )
 
 
 def test_first_node_and_position_do_not_matter() -> None:
@@ -191,7 +259,9 @@ def test_first_node_and_position_do_not_matter() -> None:
     rng = np.random.default_rng(4)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    skew = np.array([[0, 0, 0.02], [2, 0.3, -0.02], [1.6, 1.9, 0.02], [-0.4, 1.1, -0.02]])
+    skew = np.array(
+        [[0, 0, 0.02], [2, 0.3, -0.02], [1.6, 1.9, 0.02], [-0.4, 1.1, -0.02]]
+    )
     K = matrix(skew)
     T = np.kron(np.eye(8), turn)
     np.testing.assert_allclose(matrix(skew @ turn.T), T @ K @ T.T, atol=1e-9 * K.max())

@@ -89,7 +89,9 @@ def patch(m: Model, xyz: Float, u: Float) -> float:
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(
-    "shape", [TRIANGLE, QUADRILATERAL, TETRAHEDRON, WEDGE, HEXAHEDRON], ids=lambda s: len(s.corners)
+    "shape",
+    [TRIANGLE, QUADRILATERAL, TETRAHEDRON, WEDGE, HEXAHEDRON],
+    ids=lambda s: len(s.corners),
 )
 def test_shape_functions_are_one_at_their_node(shape: ElementShape, order: int) -> None:
     points = shape.nodes(order)
@@ -98,7 +100,8 @@ def test_shape_functions_are_one_at_their_node(shape: ElementShape, order: int) 
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-14)
     inside = points.mean(axis=0) + 0.1 * np.arange(points.shape[1])
     ahead, back = (
-        shape.functions(order, inside + h * np.eye(points.shape[1]))[0] for h in (1e-6, -1e-6)
+        shape.functions(order, inside + h * np.eye(points.shape[1]))[0]
+        for h in (1e-6, -1e-6)
     )
     want = shape.functions(order, inside[None])[1][0]
     np.testing.assert_allclose((ahead - back).T / 2e-6, want, atol=1e-8)
@@ -160,7 +163,9 @@ def test_lumped_mass_of_ten_nodes_has_its_centre_where_the_body_has() -> None:
     np.testing.assert_allclose(turned, whole[same])
     folded, _ = shares(corners, 8)
     np.testing.assert_allclose(folded[4:], whole[4:8])
-    np.testing.assert_allclose(folded[:4], [0, whole[8] / 2, whole[9] / 2, whole[8:].sum() / 2])
+    np.testing.assert_allclose(
+        folded[:4], [0, whole[8] / 2, whole[9] / 2, whole[8:].sum() / 2]
+    )
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -179,7 +184,9 @@ def test_patch_of_constant_strain(name: str) -> None:
     assert patch(m, xyz, xyz @ GRADIENT) < ROUNDING
 
 
-@pytest.mark.parametrize("material", [steel(E, NU), mat9(crystal())], ids=lambda t: t.card)
+@pytest.mark.parametrize(
+    "material", [steel(E, NU), mat9(crystal())], ids=lambda t: t.card
+)
 def test_constant_strain_goes_through_prisms(material: Table) -> None:
     """Wedges as Nastran's: layers of unequal height over one mesh of unequal triangles."""
     xyz, hexas = box(3, 3, 3, (1.0, 1.0, 1.0))
@@ -247,8 +254,11 @@ def test_missing_midside_nodes(name: str) -> None:
     T[nodes[0, k], nodes[0, list(edge)]] = 0.5
     T = np.kron(np.delete(T, nodes[0, k], axis=1), np.eye(3))
     assert len(part.free) == T.shape[1]
-    np.testing.assert_allclose(part.mass.toarray(), T.T @ full.mass.toarray() @ T, atol=1e-12 * RHO)
-    if name != "CTETRA10":  # its four points see the dilatation of the whole element in either case
+    np.testing.assert_allclose(
+        part.mass.toarray(), T.T @ full.mass.toarray() @ T, atol=1e-12 * RHO
+    )
+    # its four points see the dilatation of the whole element in either case
+    if name != "CTETRA10":
         np.testing.assert_allclose(
             part.stiffness.toarray(), T.T @ full.stiffness.toarray() @ T, atol=1e-9 * E
         )
@@ -277,12 +287,15 @@ def test_mat9_of_an_isotropic_body_is_mat1(name: str) -> None:
     """
     xyz, nodes = skewed(name)
     one = assemble(body(name, xyz, nodes)).stiffness.toarray()
-    nine = assemble(body(name, xyz, nodes, mat9(isotropic()), psolid(2, -1))).stiffness.toarray()
+    nine = assemble(
+        body(name, xyz, nodes, mat9(isotropic()), psolid(2, -1))
+    ).stiffness.toarray()
     if name in ("CHEXA8", "CPENTA6", "CTETRA4", "CTETRA10"):
         np.testing.assert_allclose(nine, one, atol=1e-12 * np.abs(one).max())
     else:
         low = np.linalg.eigvalsh(nine - one)[0]
-        assert low > -1e-12 * np.abs(one).max()  # a projection can only take energy away
+        # a projection can only take energy away
+        assert low > -1e-12 * np.abs(one).max()
         assert np.abs(nine - one).max() < 0.5 * np.abs(one).max()
 
 
@@ -314,7 +327,12 @@ def test_material_frame_goes_with_the_body(name: str, cordm: int) -> None:
         cards("CORD2R", CID=[7], B3=1.0, C1=1.0),
     )
     moved = body(
-        name, xyz @ R.T, nodes, mat9(crystal()), psolid(2, cordm), cards("CORD2R", CID=[7], **frame)
+        name,
+        xyz @ R.T,
+        nodes,
+        mat9(crystal()),
+        psolid(2, cordm),
+        cards("CORD2R", CID=[7], **frame),
     )
     a, b = (np.linalg.eigvalsh(assemble(m).stiffness.toarray()) for m in (still, moved))
     np.testing.assert_allclose(b, a, atol=1e-10 * a[-1])
@@ -326,9 +344,12 @@ def test_element_frame_of_a_regular_body_is_basic(name: str) -> None:
     the same.
     """
     xyz, nodes = cube(name, 1, 0.0)
-    keep = nodes[:1]  # the first wedge has G1-G2 along x, the first pyramid stands upright
+    # the first wedge has G1-G2 along x, the first pyramid stands upright
+    keep = nodes[:1]
     K = [
-        assemble(body(name, xyz, keep, mat9(crystal()), psolid(2, c), AUTOSPC="NO")).stiffness
+        assemble(
+            body(name, xyz, keep, mat9(crystal()), psolid(2, c), AUTOSPC="NO")
+        ).stiffness
         for c in (0, -1)
     ]
     assert abs(K[0] - K[1]).max() < 1e-12 * abs(K[0]).max()
@@ -365,9 +386,13 @@ def _pull(node: Int, direction: Int, xyz: Float) -> Float:
 def test_tensor_turned_by_halves() -> None:
     """Two turns are one, and the energy of a strain does not depend on who looks at it."""
     C, A, B = tensor(crystal()[None]), rotation(1)[None], rotation(2)[None]
-    np.testing.assert_allclose(turned(turned(C, B), A), turned(C, B @ A), rtol=1e-10, atol=1e-2)
+    np.testing.assert_allclose(
+        turned(turned(C, B), A), turned(C, B @ A), rtol=1e-10, atol=1e-2
+    )
     strain = GRADIENT + GRADIENT.T
-    before = np.einsum("pqrs,pq,rs->", C[0], A[0] @ strain @ A[0].T, A[0] @ strain @ A[0].T)
+    before = np.einsum(
+        "pqrs,pq,rs->", C[0], A[0] @ strain @ A[0].T, A[0] @ strain @ A[0].T
+    )
     after = np.einsum("pqrs,pq,rs->", turned(C, A)[0], strain, strain)
     assert after == pytest.approx(before, rel=1e-12)
 
@@ -407,7 +432,9 @@ def test_complex_step_in_node_coordinates(name: str, anisotropic: bool) -> None:
     for coupled in (-1, 1):
         m = body(name, xyz, nodes, *more, COUPMASS=coupled)
         exact = [A.imag / 1e-40 for A in element_matrices(m, 1e-40j * d)]
-        pairs = zip(element_matrices(m, 1e-5 * d), element_matrices(m, -1e-5 * d), strict=True)
+        pairs = zip(
+            element_matrices(m, 1e-5 * d), element_matrices(m, -1e-5 * d), strict=True
+        )
         for a, (p, q) in zip(exact, pairs, strict=True):
             assert np.abs(a - (p - q) / 2e-5).max() < 1e-7 * np.abs(a).max()
 
@@ -424,7 +451,9 @@ def test_complex_step_in_the_material(name: str, card: str, field: str) -> None:
 
     def at(factor: complex) -> tuple[Float, Float]:
         return element_matrices(
-            replace(m, tables={**m.tables, card: m[card].with_column(field, value * factor)})
+            replace(
+                m, tables={**m.tables, card: m[card].with_column(field, value * factor)}
+            )
         )
 
     for exact, p, q in zip(at(1 + 1e-40j), at(1 + 1e-5), at(1 - 1e-5), strict=True):
@@ -461,7 +490,9 @@ def test_second_order_cubes_agree(a: str, b: str) -> None:
 @pytest.mark.parametrize("name", ["CHEXA", "CPENTA", "CPYRAM5"])
 def test_a_body_without_stiffness_has_its_mass(name: str) -> None:
     """E = 0 is how decks carry weight alone."""
-    s = assemble(body(name, *cube(name, 1, 0.0), steel(0.0, NU, RHO), psolid(), AUTOSPC="NO"))
+    s = assemble(
+        body(name, *cube(name, 1, 0.0), steel(0.0, NU, RHO), psolid(), AUTOSPC="NO")
+    )
     assert not s.stiffness.nnz
     assert s.mass.diagonal().sum() == pytest.approx(3 * RHO)
 
@@ -480,5 +511,11 @@ def test_inside_out_indefinite_and_fluid_are_refused() -> None:
         assemble(body("CPYRAM5", xyz, nodes, steel(E, 0.5, RHO), psolid()))
     with pytest.raises(UnsupportedCard, match="PFLUID"):
         assemble(
-            body("CPYRAM5", xyz, nodes, steel(), cards("PSOLID", PID=[1], MID=1, FCTN="PFLUID"))
+            body(
+                "CPYRAM5",
+                xyz,
+                nodes,
+                steel(),
+                cards("PSOLID", PID=[1], MID=1, FCTN="PFLUID"),
+            )
         )

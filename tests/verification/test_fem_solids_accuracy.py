@@ -41,7 +41,12 @@ def sliding_cube(name: str, n: int, size: float, nu: float = 0.3) -> float:
     s = assemble(m)
     start = np.random.default_rng(0).normal(size=len(s.free))
     lam = eigsh(
-        s.stiffness.tocsc(), 3, s.mass.tocsc(), sigma=0.0, v0=start, return_eigenvectors=False
+        s.stiffness.tocsc(),
+        3,
+        s.mass.tocsc(),
+        sigma=0.0,
+        v0=start,
+        return_eigenvectors=False,
     )
     return float(lam.mean() / (2 * np.pi**2 / (2 * (1 + nu))) - 1)
 
@@ -76,7 +81,10 @@ def test_nearly_incompressible_cube(name: str, worse: float) -> None:
 
 
 def cantilever(
-    name: str, cells: tuple[int, int, int], size: tuple[float, float, float], skew: float = 0.0
+    name: str,
+    cells: tuple[int, int, int],
+    size: tuple[float, float, float],
+    skew: float = 0.0,
 ) -> float:
     """Tip deflection under a load across, over that of a Timoshenko beam; `skew` leans the cells
     alternately.
@@ -89,7 +97,12 @@ def cantilever(
     xyz, nodes = cut(name, xyz, hexas)
     root = np.flatnonzero(xyz[:, 0] < 1e-9) + 1
     m = model(
-        grid(xyz), elements(kind(name)[0], nodes), psolid(), steel(1.0), spc(root, "123"), spc=1
+        grid(xyz),
+        elements(kind(name)[0], nodes),
+        psolid(),
+        steel(1.0),
+        spc(root, "123"),
+        spc=1,
     )
     s = assemble(m)
     f, tip = _end_load(s, xyz, L)
@@ -106,12 +119,16 @@ def _end_load(s: System, xyz: Float, length: float) -> tuple[Float, Float]:
     return f, tip
 
 
-@pytest.mark.parametrize("name", ["CHEXA8", "CHEXA20", "CPENTA15", "CTETRA10", "CPYRAM13"])
+@pytest.mark.parametrize(
+    "name", ["CHEXA8", "CHEXA20", "CPENTA15", "CTETRA10", "CPYRAM13"]
+)
 def test_slender_cantilever(name: str) -> None:
     """One layer of cells ten times as long as high; the clamped root makes it a little stiffer than
     the beam.
     """
-    assert cantilever(name, (10, 1, 1), (100.0, 1.0, 1.0)) == pytest.approx(1.0, abs=0.03)
+    assert cantilever(name, (10, 1, 1), (100.0, 1.0, 1.0)) == pytest.approx(
+        1.0, abs=0.03
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,8 +161,13 @@ def cylinder(name: str, nu: float) -> float:
     )
     inside = np.flatnonzero(xyz[:, 0] < 1e-9)
     middle = (np.abs(xyz[inside, 1:] - 0.5) < 1e-9).any(axis=1)
-    share = np.where(middle, 1 / 3, -1 / 12) if middle.any() else np.full(inside.size, 0.25)
-    f, at = np.zeros(len(s.free)), s.free.find(inside + 1, np.ones(inside.size, dtype=int))
+    share = (
+        np.where(middle, 1 / 3, -1 / 12) if middle.any() else np.full(inside.size, 0.25)
+    )
+    f, at = (
+        np.zeros(len(s.free)),
+        s.free.find(inside + 1, np.ones(inside.size, dtype=int)),
+    )
     f[at] = share * 6 * np.sin(np.radians(5))
     u = share @ spsolve(s.stiffness.tocsc(), f)[at]
     return float(u / ((1 + nu) / 1000 / 8 * (27 + 3 * (1 - 2 * nu))))
@@ -154,7 +176,9 @@ def cylinder(name: str, nu: float) -> float:
 @pytest.mark.parametrize("nu", [0.3, 0.49, 0.499, 0.4999])
 @pytest.mark.parametrize("name", ["CHEXA8", "CHEXA20", "CPYRAM13"])
 def test_thick_cylinder(name: str, nu: float) -> None:
-    assert cylinder(name, nu) == pytest.approx(1.0, abs=0.012 if name == "CHEXA8" else 0.003)
+    assert cylinder(name, nu) == pytest.approx(
+        1.0, abs=0.012 if name == "CHEXA8" else 0.003
+    )
 
 
 NAFEMS_HEX20 = [
@@ -197,9 +221,19 @@ def test_fv52_thick_plate(
     """
     xyz, hexas = box(*cells, (10.0, 10.0, 1.0))
     xyz, nodes = cut(name, xyz, hexas)
-    rim = ((xyz[:, :2] < 1e-9) | (xyz[:, :2] > 10 - 1e-9)).any(axis=1) & (xyz[:, 2] < 1e-9)
+    rim = ((xyz[:, :2] < 1e-9) | (xyz[:, :2] > 10 - 1e-9)).any(axis=1) & (
+        xyz[:, 2] < 1e-9
+    )
     held = spc(np.flatnonzero(rim) + 1, "3")
-    m = model(grid(xyz), elements(kind(name)[0], nodes), psolid(), steel(), held, spc=1, COUPMASS=1)
+    m = model(
+        grid(xyz),
+        elements(kind(name)[0], nodes),
+        psolid(),
+        steel(),
+        held,
+        spc=1,
+        COUPMASS=1,
+    )
     f = modes(m, 10)
     assert (np.abs(f[:3]) < 1e-2).all()
     np.testing.assert_allclose(f[3:], want, rtol=tolerance)
@@ -214,7 +248,13 @@ def test_lumped_mass_against_coupled(name: str) -> None:
     def first(coupled: int) -> float:
         xyz, hexas = box(8, 1, 1, (8.0, 1.0, 1.0))
         xyz, nodes = cut(name, xyz, hexas)
-        m = model(grid(xyz), elements(kind(name)[0], nodes), psolid(), steel(), COUPMASS=coupled)
+        m = model(
+            grid(xyz),
+            elements(kind(name)[0], nodes),
+            psolid(),
+            steel(),
+            COUPMASS=coupled,
+        )
         return float(modes(m, 7)[6])
 
     assert first(-1) == pytest.approx(first(1), rel=0.06 if kind(name)[1] else 0.12)
@@ -234,7 +274,12 @@ def test_held_nodes_and_constraints_do_not_change_the_sum() -> None:
     root = np.arange(1, 10)
     held = assemble(
         model(
-            grid(xyz), table, psol, steel(), cards("SPC1", SID=[1], C=["13"], G=ragged(root)), spc=1
+            grid(xyz),
+            table,
+            psol,
+            steel(),
+            cards("SPC1", SID=[1], C=["13"], G=ragged(root)),
+            spc=1,
         )
     )
     at = whole.free.find(held.free.node, held.free.direction)

@@ -21,7 +21,8 @@ from ringtrue.fem.assembly import assemble
 from ringtrue.model.ports import ModesRequest
 from ringtrue.solvers.embedded import EmbeddedSolver
 
-TIP = 1e-8 * np.array(  # of the nodes above those of the lower face, in the order of the card
+# of the nodes above those of the lower face, in the order of the card
+TIP = 1e-8 * np.array(
     [
         [96.78333, 4.125000, 39.85000],
         [94.28333, -4.875000, -38.35000],
@@ -50,8 +51,12 @@ SIDES = 1e-8 * np.array(  # the same of the wedge, by load
     ]
 )
 PRINTED = 1e-6  # of the largest displacement: seven digits
-SPLIT = 0.01  # of a frequency: how MSC splits the mass of a tetrahedron is not published
-DECK = Path(__file__).parents[2].parent / "shared/data/fe/corpus/complex/tet10/Simple_Example.bdf"
+# of a frequency: how MSC splits the mass of a tetrahedron is not published
+SPLIT = 0.01
+DECK = (
+    Path(__file__).parents[2].parent
+    / "shared/data/fe/corpus/complex/tet10/Simple_Example.bdf"
+)
 RECORDED = np.array(  # Hz
     [
         87278.52,
@@ -94,7 +99,9 @@ def test_one_wedge_bends_and_twists_as_recorded() -> None:
     loads[3, :, 2] = -1 / 6
     moved = np.linalg.solve(K, loads.reshape(4, 9).T).T.reshape(4, 3, 3)
     for found, recorded in zip(moved, SIDES, strict=True):
-        np.testing.assert_allclose(found, recorded, atol=PRINTED * np.abs(recorded).max())
+        np.testing.assert_allclose(
+            found, recorded, atol=PRINTED * np.abs(recorded).max()
+        )
 
 
 def test_lumped_mass_of_tetrahedra_as_recorded() -> None:

@@ -23,10 +23,14 @@ L, BETA = 2.0, np.array([4.730041, 7.853205])
 I1, I2 = 2e-5, 1e-5
 
 
-def chain(n: int, along: Float, first: int = 1, origin: Float | None = None) -> tuple[Float, Table]:
+def chain(
+    n: int, along: Float, first: int = 1, origin: Float | None = None
+) -> tuple[Float, Table]:
     """Nodes and n CBARs on a line."""
     axis = np.asarray(along, dtype=float) / np.linalg.norm(along)
-    xyz = np.linspace(0, L, n + 1)[:, None] * axis + (0 if origin is None else np.asarray(origin))
+    xyz = np.linspace(0, L, n + 1)[:, None] * axis + (
+        0 if origin is None else np.asarray(origin)
+    )
     i = np.arange(first, first + n)
     return xyz, cards("CBAR", EID=i, PID=1, GA=i, GB=i + 1, X1=0.3, X2=0.5, X3=1.0)
 
@@ -63,7 +67,10 @@ def test_two_beams_on_springs_spin_alone() -> None:
     """Joined by springs along and across, which turn nothing."""
     (a, one), (b, two) = chain(6, (1, 0, 0)), chain(6, (1, 0, 0), 8, (0, 0.5, 0))
     bars = cards(
-        "CBAR", **{k: np.concatenate([one[k], two[k]]) for k in ("EID", "GA", "GB")}, PID=1, X3=1.0
+        "CBAR",
+        **{k: np.concatenate([one[k], two[k]]) for k in ("EID", "GA", "GB")},
+        PID=1,
+        X3=1.0,
     )
     k = np.arange(12)
     springs = cards(
@@ -77,7 +84,10 @@ def test_two_beams_on_springs_spin_alone() -> None:
     )
     both = model(grid(np.vstack([a, b])), bars, SECTION, steel(), springs)
     system = assemble(both)
-    assert [system.free.labels()[i][-2:] for i in massless_rotations(both, system)] == ["RX", "RX"]
+    assert [system.free.labels()[i][-2:] for i in massless_rotations(both, system)] == [
+        "RX",
+        "RX",
+    ]
     with EmbeddedSolver().open(both) as analysis:
         assert analysis.modes(ModesRequest(12)).complete
 
@@ -89,7 +99,9 @@ def test_point_masses_on_a_bush(apart: float) -> None:
     """
     masses = cards("CONM2", EID=[2, 3], G=[1, 2], M=[1.0, 3.0])
     bush = cards("CBUSH", EID=[1], PID=1, GA=1, GB=2, X3=1.0)
-    stiff = cards("PBUSH", PID=[1], K1=300.0, K2=600.0, K3=900.0, K4=5.0, K5=5.0, K6=5.0)
+    stiff = cards(
+        "PBUSH", PID=[1], K1=300.0, K2=600.0, K3=900.0, K4=5.0, K5=5.0, K6=5.0
+    )
     pair = model(grid(np.array([[0, 0, 0], [apart, 0, 0]])), masses, bush, stiff)
     system = assemble(pair)
     assert massless_rotations(pair, system).size == (1 if apart else 3)
@@ -143,14 +155,21 @@ def test_an_offset_mass_joins_the_turns(offset: Float) -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("offset", "count"), [((0.2, 0.0, 0.0), 1), ((0.2, 0.1, 0.0), 0)])
+@pytest.mark.parametrize(
+    ("offset", "count"), [((0.2, 0.0, 0.0), 1), ((0.2, 0.1, 0.0), 0)]
+)
 def test_a_rigid_tip_spins_with_its_line(offset: Float, count: int) -> None:
     """The free node of the rigid element is on no bar; off the line it carries the mass about."""
     xyz, bars = chain(6, (1, 0, 0))
     link = cards("RBE2", EID=[60], GN=8, CM="123456", GM=ragged([7]))
     mass = cards("CONM2", EID=[50], G=8, M=10.0)
     m = model(
-        grid(np.vstack([xyz, xyz[-1] + np.array(offset)])), bars, SECTION, steel(), link, mass
+        grid(np.vstack([xyz, xyz[-1] + np.array(offset)])),
+        bars,
+        SECTION,
+        steel(),
+        link,
+        mass,
     )
     assert massless_rotations(m, assemble(m)).size == count
     with EmbeddedSolver().open(m) as analysis:
@@ -162,7 +181,10 @@ def test_a_rigid_tip_spins_with_its_line(offset: Float, count: int) -> None:
 def test_a_spin_that_is_not_held_is_named(n: int) -> None:
     """By rounding K - σM can be factorised for some of them."""
     strict = free(n, (1, 2, 3), AUTOSPC="NO")
-    with EmbeddedSolver().open(strict) as analysis, pytest.raises(SingularModel, match="mechanism"):
+    with (
+        EmbeddedSolver().open(strict) as analysis,
+        pytest.raises(SingularModel, match="mechanism"),
+    ):
         analysis.modes(ModesRequest(9))
 
 
@@ -174,7 +196,9 @@ def test_statics_and_derivatives() -> None:
             analysis.static(np.zeros(66))
         modes = analysis.modes(ModesRequest(9)).modes.take(slice(5, 9))
         slope, shape = analysis.derivatives(modes, parameters)
-        np.testing.assert_allclose(slope[:, 0], (2 * np.pi * modes.frequencies) ** 2, rtol=1e-6)
+        np.testing.assert_allclose(
+            slope[:, 0], (2 * np.pi * modes.frequencies) ** 2, rtol=1e-6
+        )
         assert np.abs(shape).max() < 1e-5 * np.abs(modes.shapes).max()
 
 
@@ -192,7 +216,12 @@ def test_dofs_that_nothing_uses_are_left_out_without_autospc() -> None:
     )
     with EmbeddedSolver().open(model(*parts, AUTOSPC="NO")) as analysis:
         found = analysis.modes(ModesRequest(9))
-        assert sorted(analysis.system.autospc.labels()) == ["1+RX", "1+RY", "1+RZ", "77"]
+        assert sorted(analysis.system.autospc.labels()) == [
+            "1+RX",
+            "1+RY",
+            "1+RZ",
+            "77",
+        ]
         at = analysis.static(np.eye(len(analysis.dofs))[0])
     np.testing.assert_allclose(found.modes.frequencies, np.sqrt(k / mass) / 2 / np.pi)
     assert found.complete

@@ -28,7 +28,9 @@ CORNERS = {f"GA{i}": i for i in range(1, 5)} | {f"GB{i}": i + 4 for i in range(1
 
 
 def weld(xyz: Float = XYZ, p: dict[str, object] | None = None, **more: object) -> Model:
-    line = cards("CWELD", EID=[3], PID=5, **({"GS": 8, "TYPE": "GRIDID", **CORNERS} | more))
+    line = cards(
+        "CWELD", EID=[3], PID=5, **({"GS": 8, "TYPE": "GRIDID", **CORNERS} | more)
+    )
     return model(
         grid(xyz),
         line,
@@ -83,7 +85,9 @@ def test_rigid_motions_rank_mass_and_turns(warp: float) -> None:
     there, Q = turned(xyz)
     big = np.kron(np.eye(20), Q)
     np.testing.assert_allclose(
-        assemble(weld(there)).stiffness.toarray(), big @ K @ big.T, atol=1e-8 * abs(K).max()
+        assemble(weld(there)).stiffness.toarray(),
+        big @ K @ big.T,
+        atol=1e-8 * abs(K).max(),
     )
 
 
@@ -127,7 +131,10 @@ def test_given_ends_follow_their_patches() -> None:
         atol=1e-12,
     )
     np.testing.assert_allclose(
-        s.stiffness.toarray(), assemble(weld()).stiffness.toarray()[:48, :48], rtol=1e-9, atol=1e-3
+        s.stiffness.toarray(),
+        assemble(weld()).stiffness.toarray()[:48, :48],
+        rtol=1e-9,
+        atol=1e-3,
     )
 
 
@@ -136,9 +143,16 @@ def test_given_ends_follow_their_patches() -> None:
     [
         *(
             parameter(x)
-            for x in (("PWELD", 5, "D"), ("MAT1", 1, "E"), ("MAT1", 1, "NU"), ("MAT1", 1, "RHO"))
+            for x in (
+                ("PWELD", 5, "D"),
+                ("MAT1", 1, "E"),
+                ("MAT1", 1, "NU"),
+                ("MAT1", 1, "RHO"),
+            )
         ),
-        Parameter("nodes", shapes=(Shape((2, 6), ((0.01, 0.02, 0.01), (0.0, 0.01, 0.02))),)),
+        Parameter(
+            "nodes", shapes=(Shape((2, 6), ((0.01, 0.02, 0.01), (0.0, 0.01, 0.02))),)
+        ),
     ],
     ids=["D", "E", "NU", "RHO", "nodes"],
 )
@@ -167,11 +181,19 @@ def spot(high: float = H, **p: object) -> Model:
     tria = cards("CTRIA3", EID=[51], PID=8, G1=5, G2=6, G3=7)
     skin = cards("PSHELL", PID=[8, 9], MID1=7, T=[2e-3, 4e-3])
     m = weld(
-        xyz, {"TYPE": "SPOT"} | p, TYPE="ELEMID", SHIDA=50, SHIDB=51, **dict.fromkeys(CORNERS, 0)
+        xyz,
+        {"TYPE": "SPOT"} | p,
+        TYPE="ELEMID",
+        SHIDA=50,
+        SHIDB=51,
+        **dict.fromkeys(CORNERS, 0),
     )
-    soft = cards("MAT1", MID=[1, 7], E=[E, 1e-3], NU=NU, RHO=[8000.0, 0.0], GE=[0.02, 0.0])
+    soft = cards(
+        "MAT1", MID=[1, 7], E=[E, 1e-3], NU=NU, RHO=[8000.0, 0.0], GE=[0.02, 0.0]
+    )
     return Model(
-        {**m.tables, "CQUAD4": quad, "CTRIA3": tria, "PSHELL": skin, "MAT1": soft}, m.params
+        {**m.tables, "CQUAD4": quad, "CTRIA3": tria, "PSHELL": skin, "MAT1": soft},
+        m.params,
     )
 
 

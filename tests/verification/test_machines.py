@@ -15,7 +15,12 @@ from scipy.signal import lfilter, welch
 
 from ringtrue.core.arrays import Any_, Float, Int
 from ringtrue.core.signals import Channel, TimeHistory
-from ringtrue.signal.machines import Machine, find_machines, near_harmonics, remove_machines
+from ringtrue.signal.machines import (
+    Machine,
+    find_machines,
+    near_harmonics,
+    remove_machines,
+)
 
 RATE, SECONDS = 300.0, 300.0
 SAMPLES = int(RATE * SECONDS)
@@ -49,7 +54,9 @@ class Comb:
 def structure(rng: np.random.Generator, frequencies: Any_, channels: int = 6) -> Any_:
     """(ch, sample) float32."""
     y = np.zeros((channels, SAMPLES), dtype=np.float32)
-    for f, z in zip(frequencies, rng.uniform(0.008, 0.02, len(frequencies)), strict=True):
+    for f, z in zip(
+        frequencies, rng.uniform(0.008, 0.02, len(frequencies)), strict=True
+    ):
         pole = np.exp(2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)) / RATE)
         a = [1.0, -2 * pole.real, abs(pole) ** 2]
         q = lfilter([1.0, -1.0], a, rng.standard_normal(SAMPLES)) * np.sqrt(z * f)
@@ -73,7 +80,9 @@ def with_combs(rng: np.random.Generator, quiet: Any_, *combs: Comb) -> Any_:
 
 
 def record(data: Any_) -> TimeHistory:
-    return TimeHistory(data, RATE, tuple(Channel(str(k)) for k in range(len(data))), "made")
+    return TimeHistory(
+        data, RATE, tuple(Channel(str(k)) for k in range(len(data))), "made"
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,7 +101,8 @@ def test_the_speed_its_wander_and_all_harmonics_are_found(comb: Comb) -> None:
     assert machine.wander == pytest.approx(comb.wander, rel=0.15, abs=2e-4)
     found = machine.harmonics
     assert np.isin(comb.orders, found).mean() > 0.95
-    assert np.isin(found, comb.orders).sum() >= found.size - 3  # one in a hundred orders by chance
+    # one in a hundred orders by chance
+    assert np.isin(found, comb.orders).sum() >= found.size - 3
     assert machine.chance < 1e-6
 
 
@@ -112,7 +122,9 @@ def test_what_is_taken_out_is_the_comb() -> None:
     rng = np.random.default_rng(21)
     comb = Comb(5.0, 0.002, 30, 20)
     frequencies = (
-        5.0 * np.array([3, 6, 9, 14, 21, 30]) * np.array([1.01, 1, 0.99, 1.01, 0.99, 1.01])
+        5.0
+        * np.array([3, 6, 9, 14, 21, 30])
+        * np.array([1.01, 1, 0.99, 1.01, 0.99, 1.01])
     )
     quiet = structure(rng, frequencies)
     whole = record(with_combs(rng, quiet, comb))
@@ -136,7 +148,9 @@ def test_structures_are_no_machines(seed: int) -> None:
     rng = np.random.default_rng(300 + seed)
     frequencies = np.exp(rng.uniform(np.log(4), np.log(120), 9))
     if seed % 2 == 0:
-        frequencies = rng.uniform(4, 15) * np.arange(1, 11) * (1 + 1e-3 * rng.standard_normal(10))
+        frequencies = (
+            rng.uniform(4, 15) * np.arange(1, 11) * (1 + 1e-3 * rng.standard_normal(10))
+        )
     assert find_machines(record(structure(rng, frequencies))) == ()
 
 

@@ -30,7 +30,9 @@ FRAME = (
     / "concrete_frame"
     / "ConcreteBuildingFrame.mat"
 )
-TRUE = np.array([0.05, 0.05, -0.05, -0.1, 0.1, -0.15, 0.15, -0.05, -0.1, 0.2, -0.2, 0.1])
+TRUE = np.array(
+    [0.05, 0.05, -0.05, -0.1, 0.1, -0.15, 0.15, -0.05, -0.1, 0.2, -0.2, 0.1]
+)
 
 
 def _plate(n: int = 8) -> MatrixModel:
@@ -74,7 +76,10 @@ def test_equation_one() -> None:
         assert np.allclose((lam[0] - lam[1]) / (2 * h), at.d_lambda[:, i], rtol=1e-6)
         sign = [np.sign(np.einsum("cm,cm->m", q.shapes, at.shapes)) for q in (up, down)]
         moved = (up.shapes * sign[0] - down.shapes * sign[1]) / (2 * h)
-        assert np.abs(moved - at.d_shapes[:, :, i]).max() < 1e-5 * np.abs(at.d_shapes).max()
+        assert (
+            np.abs(moved - at.d_shapes[:, :, i]).max()
+            < 1e-5 * np.abs(at.d_shapes).max()
+        )
     assert not at.d_lambda[:, 2].any()  # damping does not change natural modes
 
 
@@ -100,16 +105,23 @@ def test_what_is_no_model_is_refused() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not FRAME.is_file(), reason=f"needs {FRAME.name} of the shared data")
+@pytest.mark.skipif(
+    not FRAME.is_file(), reason=f"needs {FRAME.name} of the shared data"
+)
 def test_published_frame_is_recovered() -> None:
     """Twelve stiffness parameters of a 2302-DOF frame from six noise-free modes at 43 sensors, from
     nominal.
     """
     data = read_matrices(FRAME)
-    model = MatrixModel(data["K0"], data["M0"], stiffness=[data[f"E_{i}"] for i in range(1, 13)])
+    model = MatrixModel(
+        data["K0"], data["M0"], stiffness=[data[f"E_{i}"] for i in range(1, 13)]
+    )
     rows = data.arrays["measDOFs"].ravel().astype(np.int64) - 1
-    parameters = model.parameters(std=1e3)  # hardly a prior: it would hold the parameters back
-    observed = model.observed(model.observe(rows), parameters=parameters, request=ModesRequest(8))
+    # hardly a prior: it would hold the parameters back
+    parameters = model.parameters(std=1e3)
+    observed = model.observed(
+        model.observe(rows), parameters=parameters, request=ModesRequest(8)
+    )
     truth = observed.modes(TRUE)
     n = 6
     aim = Target(

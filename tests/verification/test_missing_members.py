@@ -48,9 +48,13 @@ def _found(
     tmp_path: Path, lacking: str, member: str, channels: Sequence[str]
 ) -> tuple[Model, tuple[MissingMember, ...]]:
     """Members proposed for the deck `lacking`; the truth has the cards `member`, too."""
-    true = rt.solve_modes(_read(tmp_path, lacking + member, "2.0+11"), count=MODES).at(channels)
+    true = rt.solve_modes(_read(tmp_path, lacking + member, "2.0+11"), count=MODES).at(
+        channels
+    )
     rng = np.random.default_rng(3)
-    noise = 0.01 * np.abs(true.shapes).max(axis=0) * rng.standard_normal(true.shapes.shape)
+    noise = (
+        0.01 * np.abs(true.shapes).max(axis=0) * rng.standard_normal(true.shapes.shape)
+    )
     aim = Target(
         frequencies=true.frequencies * (1 + 1e-3 * rng.standard_normal(MODES)),
         shapes=true.shapes + noise,
@@ -68,7 +72,9 @@ def _found(
 
 
 def _grid(points: Sequence[tuple[float, float, float]], first: int = 1) -> str:
-    return "".join(f"GRID,{first + i},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(points))
+    return "".join(
+        f"GRID,{first + i},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(points)
+    )
 
 
 def _frame() -> str:
@@ -97,8 +103,12 @@ def _brace(a: int, b: int) -> str:
     return f"CBAR,900,3,{a},{b},0.,1.,0.,,,\n,56,56\n"
 
 
-@pytest.mark.parametrize(("a", "b"), [(1, 103), (103, 205), (105, 203), (203, 301), (205, 303)])
-def test_a_brace_that_was_left_out_is_among_the_first_three(tmp_path: Path, a: int, b: int) -> None:
+@pytest.mark.parametrize(
+    ("a", "b"), [(1, 103), (103, 205), (105, 203), (203, 301), (205, 303)]
+)
+def test_a_brace_that_was_left_out_is_among_the_first_three(
+    tmp_path: Path, a: int, b: int
+) -> None:
     channels = [f"{100 * i + k}+{d}" for i in range(4) for k in (3, 5) for d in "XZ"]
     channels += [f"{100 * i + 50 + k}+Z" for i in range(3) for k in (3, 5)]
     _, found = _found(tmp_path, _frame(), _brace(a, b), channels)
@@ -120,7 +130,13 @@ SUPPORTS = (1, 5, 9, 37, 45, 73, 77, 81)  # corners and middles of the sides
 def _plate(supports: Sequence[int], n: int = 9) -> str:
     """A plate of 2 m x 1.5 m on vertical springs; nodes 1 to n², row by row."""
     text = "MAT1,1,2.1+11,,.3,7850.\nPSHELL,1,1,.02,1\nPBUSH,2,K,,,1.+6\nSPC1,1,126,1,THRU,81\n"
-    text += _grid([(2.0 * i / (n - 1), 1.5 * j / (n - 1), 0.0) for j in range(n) for i in range(n)])
+    text += _grid(
+        [
+            (2.0 * i / (n - 1), 1.5 * j / (n - 1), 0.0)
+            for j in range(n)
+            for i in range(n)
+        ]
+    )
     for j in range(n - 1):
         for i in range(n - 1):
             a = 1 + j * n + i
@@ -156,7 +172,9 @@ def _two_beams() -> str:
 
 
 def test_a_link_that_was_left_out_is_among_the_first_three(tmp_path: Path) -> None:
-    channels = [f"{first + i}+{d}" for first in (1, 101) for i in range(0, 13, 2) for d in "XYZ"]
+    channels = [
+        f"{first + i}+{d}" for first in (1, 101) for i in range(0, 13, 2) for d in "XYZ"
+    ]
     link = "CBUSH,513,4,13,113,,,,0\n"
     deck, found = _found(tmp_path, _two_beams(), link, channels)
     assert (13, 113) in [m.nodes[0] for m in found[:3] if m.form == "link"]

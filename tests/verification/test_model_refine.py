@@ -41,13 +41,17 @@ def plate(n: int, triangles: bool = False) -> Model:
     held = np.where((xyz[:, 1] == 0.7) & (not triangles), "3", "")
     table = fem_cases.triangles(quads) if triangles else fem_cases.shells(quads)
     edge = np.flatnonzero((xyz[:, 0] == 0) | (xyz[:, 1] == 0)) + 1
-    return model(grid(xyz, PS=held), table, pshell(0.01), steel(), spc(edge, "123456"), spc=1)
+    return model(
+        grid(xyz, PS=held), table, pshell(0.01), steel(), spc(edge, "123456"), spc=1
+    )
 
 
 @pytest.mark.parametrize("triangles", [False, True])
 def test_a_plate_refined_is_that_of_twice_the_elements(triangles: bool) -> None:
     again = refined(plate(3, triangles))
-    np.testing.assert_allclose(frequencies(again), frequencies(plate(6, triangles)), rtol=SAME)
+    np.testing.assert_allclose(
+        frequencies(again), frequencies(plate(6, triangles)), rtol=SAME
+    )
 
 
 def solid(name: str, n: int) -> Model:
@@ -82,7 +86,9 @@ def test_shells_of_the_second_order_refined_are_those_of_twice_the_elements(
         xyz, nodes, _ = net(card, n, n, rectangle(1.0, 0.7))
         xyz[:, 2] = 0.3 * xyz[:, 0] ** 2 if curved else 0.0
         corners = xyz[nodes[:, : 3 if card == "CTRIA6" else 4] - 1, 0]
-        thick = {f"T{k + 1}": 0.01 + 0.005 * corners[:, k] for k in range(corners.shape[1])}
+        thick = {
+            f"T{k + 1}": 0.01 + 0.005 * corners[:, k] for k in range(corners.shape[1])
+        }
         edge = np.flatnonzero(xyz[:, 0] == 0) + 1
         return model(
             grid(xyz),
@@ -94,7 +100,9 @@ def test_shells_of_the_second_order_refined_are_those_of_twice_the_elements(
         )
 
     tolerance = FIRST if curved and card == "CTRIA6" else SAME
-    np.testing.assert_allclose(frequencies(refined(made(2))), frequencies(made(4)), rtol=tolerance)
+    np.testing.assert_allclose(
+        frequencies(refined(made(2))), frequencies(made(4)), rtol=tolerance
+    )
 
 
 def test_shells_on_solids_of_the_second_order_share_their_new_nodes() -> None:
@@ -104,9 +112,13 @@ def test_shells_on_solids_of_the_second_order_share_their_new_nodes() -> None:
     m = solid("CHEXA20", 1)
     t = m["CHEXA"]
     end = np.flatnonzero(positions(m)[m["GRID"].find(t["G2"])][:, 0] == 0.5)
-    face = {f"G{k + 1}": t[f"G{g}"][end] for k, g in enumerate((2, 3, 7, 6, 10, 15, 18, 14))}
+    face = {
+        f"G{k + 1}": t[f"G{g}"][end] for k, g in enumerate((2, 3, 7, 6, 10, 15, 18, 14))
+    }
     skin = cards("CQUAD8", EID=900 + np.arange(end.size), PID=2, **face)
-    fine = refined(replace(m, tables={**m.tables, "CQUAD8": skin, "PSHELL": pshell(0.001, pid=2)}))
+    fine = refined(
+        replace(m, tables={**m.tables, "CQUAD8": skin, "PSHELL": pshell(0.001, pid=2)})
+    )
     assert len(fine["GRID"]) == len(refined(m)["GRID"])
     assert len(fine["CQUAD8"]) == 4 * end.size
 
@@ -128,7 +140,10 @@ def test_tetrahedra_fill_the_same_space_and_come_nearer(name: str) -> None:
 def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     m = plate(4)
     x = positions(m)
-    cantilever = {"GRID": grid(x), "SPC1": spc(np.flatnonzero(x[:, 0] == 0) + 1, "123456")}
+    cantilever = {
+        "GRID": grid(x),
+        "SPC1": spc(np.flatnonzero(x[:, 0] == 0) + 1, "123456"),
+    }
     m = replace(m, tables={**m.tables, **cantilever})
     seam, (xyz, quads) = np.flatnonzero(x[:, 0] == 0.5), square(4, 1.0, 0.7)
     twin = np.arange(1, seam.size + 1) + len(
@@ -139,7 +154,9 @@ def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     other[seam + 1] = twin
     quads[beyond] = other[quads[beyond]]
     number, ends = np.arange(500, 500 + seam.size), {"GA": seam + 1, "GB": twin}
-    tied = ragged(*np.repeat(np.stack([twin, seam + 1], axis=1), 6, axis=0))  # six motions a pair
+    tied = ragged(
+        *np.repeat(np.stack([twin, seam + 1], axis=1), 6, axis=0)
+    )  # six motions a pair
     motion = ragged(*np.tile(np.arange(1, 7), seam.size)[:, None].repeat(2, axis=1))
     rigid = {
         "RBE2": lambda: cards(
@@ -163,7 +180,9 @@ def test_edges_joined_node_by_node_stay_joined(joint: str) -> None:
     case = replace(m.case, mpc=3 if joint == "MPC" else 0)
     joined = replace(m, tables={**m.tables, **apart}, case=case)
     np.testing.assert_allclose(frequencies(joined), frequencies(m), rtol=SAME)
-    np.testing.assert_allclose(frequencies(refined(joined)), frequencies(refined(m)), rtol=SAME)
+    np.testing.assert_allclose(
+        frequencies(refined(joined)), frequencies(refined(m)), rtol=SAME
+    )
 
 
 @pytest.mark.parametrize("name", ["CTETRA10", "CPENTA15", "CHEXA20"])
@@ -174,7 +193,10 @@ def test_midside_nodes_of_curved_solids_lie_on_their_curves(name: str) -> None:
         bent = bent.with_column(
             axis, bent[axis] + slope * bent["X1"] ** 2
         )  # within the shape functions
-    fine, straight = refined(replace(m, tables={**m.tables, "GRID": bent})), positions(refined(m))
+    fine, straight = (
+        refined(replace(m, tables={**m.tables, "GRID": bent})),
+        positions(refined(m)),
+    )
     x = positions(fine)
     np.testing.assert_allclose(x[:, 0], straight[:, 0], atol=1e-12)
     np.testing.assert_allclose(x[:, 1], straight[:, 1] + 0.3 * x[:, 0] ** 2, atol=1e-12)
@@ -187,11 +209,21 @@ def frame(**bars: object) -> Model:
     xyz = np.stack([2 * np.cos(angle), 2 * np.sin(angle), 0.1 * np.arange(6)], axis=1)
     ends = np.array(list(pairwise(range(1, 7))))
     given = {"X1": 0.0, "X2": 0.0, "X3": 1.0} | bars
-    table = cards("CBAR", EID=np.arange(1, 6), PID=1, GA=ends[:, 0], GB=ends[:, 1], **given)
+    table = cards(
+        "CBAR", EID=np.arange(1, 6), PID=1, GA=ends[:, 0], GB=ends[:, 1], **given
+    )
     round_ = cards("CORD2C", CID=[5], B3=1.0, C1=1.0)
-    bar = cards("PBAR", PID=[1], MID=1, A=1e-3, I1=4e-7, I2=1e-7, J=2e-7, K1=0.8, K2=0.7)
+    bar = cards(
+        "PBAR", PID=[1], MID=1, A=1e-3, I1=4e-7, I2=1e-7, J=2e-7, K1=0.8, K2=0.7
+    )
     return model(
-        grid(xyz, CD=5), table, round_, bar, steel(), spc(np.array([1, 6]), "123456"), spc=1
+        grid(xyz, CD=5),
+        table,
+        round_,
+        bar,
+        steel(),
+        spc(np.array([1, 6]), "123456"),
+        spc=1,
     )
 
 
@@ -221,7 +253,9 @@ def test_bars_in_halves_are_as_stiff(given: dict[str, object]) -> None:
     fine = refined(m)
     assert len(fine["CBAR"]) == 10
     whole = condensed(m, ends)
-    np.testing.assert_allclose(condensed(fine, ends), whole, atol=1e-7 * np.abs(whole).max())
+    np.testing.assert_allclose(
+        condensed(fine, ends), whole, atol=1e-7 * np.abs(whole).max()
+    )
 
 
 def test_beams_with_unlike_ends_and_rods_by_themselves_stay_whole() -> None:
@@ -232,12 +266,17 @@ def test_beams_with_unlike_ends_and_rods_by_themselves_stay_whole() -> None:
     rods = cards("CROD", EID=[21, 22], PID=4, G1=[1, 1], G2=[6, 2])
     rod = cards("PROD", PID=[4], MID=1, A=1e-3)
     fine = refined(
-        Model(dict(m.tables) | {t.card: t for t in (beams, ends, rods, rod)}, {}, m.case)
+        Model(
+            dict(m.tables) | {t.card: t for t in (beams, ends, rods, rod)}, {}, m.case
+        )
     )
     assert len(fine["CBEAM"]) == 3  # that of equal ends in halves
     assert fine["CROD"].ids[:2].tolist() == [21, 22]
     assert len(fine["CROD"]) == 3  # that along a bar in halves
-    assert np.unique(np.concatenate([fine[c].ids for c in ("CBAR", "CBEAM", "CROD")])).size == 16
+    assert (
+        np.unique(np.concatenate([fine[c].ids for c in ("CBAR", "CBEAM", "CROD")])).size
+        == 16
+    )
 
 
 def test_new_nodes_are_in_the_rigid_elements_of_those_about_them() -> None:
@@ -249,11 +288,17 @@ def test_new_nodes_are_in_the_rigid_elements_of_those_about_them() -> None:
     mean = cards("RBE3", EID=[51], REFGRID=91, REFC="123456", G=ragged(edge), C=ragged(["123"] * edge.size),
                  WT=ragged(1.0 + np.arange(edge.size)), GM=ragged([]), CM=ragged(np.array([], dtype="U6")))  # fmt: skip
     more: dict[str, Table] = {"RBE2": rigid, "RBE3": mean}
-    fine = refined(Model(dict(m.tables) | more | {"GRID": stacked(m["GRID"], hub)}, {}, m.case))
+    fine = refined(
+        Model(dict(m.tables) | more | {"GRID": stacked(m["GRID"], hub)}, {}, m.case)
+    )
     on_edge = fine["GRID"].ids[positions(fine)[:, 0] == 1.0]
-    np.testing.assert_array_equal(np.sort(fine["RBE2"].ragged("GM").row(0)), np.sort(on_edge))
+    np.testing.assert_array_equal(
+        np.sort(fine["RBE2"].ragged("GM").row(0)), np.sort(on_edge)
+    )
     joined, weights = fine["RBE3"].ragged("G").row(0), fine["RBE3"].ragged("WT").row(0)
-    y = dict(zip(fine["GRID"].ids.tolist(), positions(fine)[:, 1].tolist(), strict=True))
+    y = dict(
+        zip(fine["GRID"].ids.tolist(), positions(fine)[:, 1].tolist(), strict=True)
+    )
     np.testing.assert_allclose(weights, [1 + y[i] / 0.35 for i in joined.tolist()])
 
 
@@ -288,12 +333,20 @@ def test_the_mesh_error_is_that_against_a_fine_mesh(kind: str) -> None:
 def test_rigid_body_modes_have_no_mesh_error() -> None:
     m = plate(4)
     free = Model(
-        {c: t for c, t in m.tables.items() if c != "SPC1"} | {"GRID": grid(positions(m))}, {}
+        {c: t for c, t in m.tables.items() if c != "SPC1"}
+        | {"GRID": grid(positions(m))},
+        {},
     )
     with EmbeddedSolver().open(free) as analysis:
-        found = mesh_errors(free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver())
-        alone = mesh_errors(free, analysis.modes(ModesRequest(6)).modes, EmbeddedSolver())
-        below = analysis.modes(ModesRequest(band=(0.0, 0.1 * float(found.frequencies[6]))))
+        found = mesh_errors(
+            free, analysis.modes(ModesRequest(9)).modes, EmbeddedSolver()
+        )
+        alone = mesh_errors(
+            free, analysis.modes(ModesRequest(6)).modes, EmbeddedSolver()
+        )
+        below = analysis.modes(
+            ModesRequest(band=(0.0, 0.1 * float(found.frequencies[6])))
+        )
     assert len(below.modes) == 6
     assert "rounding" not in below.proof  # which is all that they are
     assert np.isnan(alone.relative).all()

@@ -44,10 +44,16 @@ def test_closed_sections_that_become_a_box() -> None:
     carries no flow.
     """
     box = SECTIONS["BOX1"][1]
-    same(SECTIONS["HAT1"][1](4.0, 3.0, 4.0 - 2e-9, 0.2, 0.3), box(4.0, 3.0, 0.2, 0.3, 0.2, 0.2))
+    same(
+        SECTIONS["HAT1"][1](4.0, 3.0, 4.0 - 2e-9, 0.2, 0.3),
+        box(4.0, 3.0, 0.2, 0.3, 0.2, 0.2),
+    )
     thin = SECTIONS["DBOX"][1](6.0, 3.0, 2.0, 0.1, 1e-9, 0.2, 0.3, 0.4, 0.3, 0.4)
     same(thin, box(6.0, 3.0, 0.3, 0.4, 0.2, 0.1))
-    even, one = SECTIONS["DBOX"][1](6.0, 3.0, 3.0, *[0.2] * 7), box(6.0, 3.0, *[0.2] * 4)
+    even, one = (
+        SECTIONS["DBOX"][1](6.0, 3.0, 3.0, *[0.2] * 7),
+        box(6.0, 3.0, *[0.2] * 4),
+    )
     web = {"A": 0.2 * 2.6, "I1": 0.2 * 2.6**3 / 12, "I2": 2.6 * 0.2**3 / 12, "J": 0.0}
     same(even, {name: one[name] + more for name, more in web.items()}, 1e-12)
     uneven = SECTIONS["DBOX"][1](6.0, 3.0, 2.0, 0.1, 0.3, 0.2, 0.1, 0.2, 0.3, 0.4)
@@ -88,7 +94,8 @@ def test_lumped_areas_of_a_pbcomp(tmp_path: Path) -> None:
     """
     corners = [(y, z, 0.25) for y in (0.07, 0.13) for z in (-0.04, 0.04)]
     areas = "".join(
-        f"+,{y},{z},{c},{mid}\n+\n" for (y, z, c), mid in zip(corners, ("", 1, "", 1), strict=True)
+        f"+,{y},{z},{c},{mid}\n+\n"
+        for (y, z, c), mid in zip(corners, ("", 1, "", 1), strict=True)
     )
     p = composite(tmp_path, FOUR.format(symmetry=5) + areas.replace("+\n", ""))
     want = {
@@ -111,7 +118,9 @@ def test_a_quarter_of_a_pbcomp_and_one_without_areas(tmp_path: Path) -> None:
     assert [p[n] for n in ("A", "I1", "I2", "I12", "N1A")] == pytest.approx(
         [2e-3, 1.8e-6, 3.2e-6, 0, 0], abs=1e-15
     )
-    p = composite(tmp_path, "PBCOMP,7,1,2.-3,4.-6,5.-6,1.-6,3.-6\n+,,,,,.01,.02\n+,.03,.04\n")
+    p = composite(
+        tmp_path, "PBCOMP,7,1,2.-3,4.-6,5.-6,1.-6,3.-6\n+,,,,,.01,.02\n+,.03,.04\n"
+    )
     assert [p[n] for n in ("I1", "I2B", "I12", "N1A", "N2B", "K1")] == [
         4e-6,
         5e-6,
@@ -129,6 +138,8 @@ def test_a_quarter_of_a_pbcomp_and_one_without_areas(tmp_path: Path) -> None:
         (FOUR.format(symmetry=3) + "+,.03,.04,1.\n", "SYMOPT 3; give all areas"),
     ],
 )
-def test_a_pbcomp_that_is_not_read_says_what_to_do(tmp_path: Path, text: str, why: str) -> None:
+def test_a_pbcomp_that_is_not_read_says_what_to_do(
+    tmp_path: Path, text: str, why: str
+) -> None:
     with pytest.raises(UnsupportedCard, match=why):
         composite(tmp_path, "CBEAM,1,7,1,2,0.,0.,1.\nGRID,1\nGRID,2,,1.\n" + text)

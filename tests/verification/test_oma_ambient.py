@@ -41,7 +41,10 @@ DATA = Path(__file__).parents[2].parent / "shared/data/oma"
 
 def wrap(y: np.ndarray, rate: float) -> TimeHistory:
     return TimeHistory(
-        y, rate, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+        y,
+        rate,
+        tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))),
+        "made",
     )
 
 
@@ -62,7 +65,10 @@ def response(force: np.ndarray, derivative: int = 2) -> np.ndarray:
 
 def record(seed: int, minutes: float = MINUTES) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    y = PHI @ response(rng.standard_normal((6, int(minutes * 60 * RATE) + 6000)))[:, 6000:]
+    y = (
+        PHI
+        @ response(rng.standard_normal((6, int(minutes * 60 * RATE) + 6000)))[:, 6000:]
+    )
     return y + 0.1 * y.std(1, keepdims=True) * rng.standard_normal(y.shape)
 
 
@@ -102,7 +108,9 @@ def test_accelerations_velocities_and_displacements_are_one_motion():
     """
     rng, kinds = np.random.default_rng(5), np.array([2, 2, 2, 2, 1, 1, 1, 0, 0, 0])
     force = rng.standard_normal((6, int(MINUTES * 60 * RATE) + 6000))
-    y = np.concatenate([PHI[kinds == k] @ response(force, k)[:, 6000:] for k in (2, 1, 0)])
+    y = np.concatenate(
+        [PHI[kinds == k] @ response(force, k)[:, 6000:] for k in (2, 1, 0)]
+    )
     y += 0.02 * y.std(1, keepdims=True) * rng.standard_normal(y.shape)
     names = ("displacement", "velocity", "acceleration")
     channels = tuple(Channel(f"{i + 1}+Z", names[k]) for i, k in enumerate(kinds))
@@ -111,7 +119,10 @@ def test_accelerations_velocities_and_displacements_are_one_motion():
     assert len(r.modes) == 6, r.reasons
     assert r.modes.frequencies[at] == pytest.approx(F, rel=6e-3)
     assert np.diag(mac(r.modes.shapes[:, at], PHI.astype(complex))).min() > 0.98
-    assert "channels of different kinds: shapes are those of acceleration in all" in r.notes
+    assert (
+        "channels of different kinds: shapes are those of acceleration in all"
+        in r.notes
+    )
 
 
 def test_bias_is_small_and_stated_deviation_covers_the_scatter():
@@ -138,7 +149,9 @@ def wandering(seed: int, share: float) -> AmbientResult:
     y, t = record(seed, 60), np.arange(int(3600 * RATE)) / RATE
     warped = t - share * np.sqrt(2) * 3600 / (2 * np.pi) * np.cos(2 * np.pi * t / 3600)
     y = np.array([np.interp(warped, t, x) for x in y])
-    return identify_ambient(wrap(y[:, ::2], RATE / 2), AmbientSettings(fmin=1.0, fmax=10.0))
+    return identify_ambient(
+        wrap(y[:, ::2], RATE / 2), AmbientSettings(fmin=1.0, fmax=10.0)
+    )
 
 
 def test_a_frequency_that_wanders_is_named_and_its_damping_in_doubt():
@@ -158,13 +171,16 @@ def test_gusts_leave_the_damping_to_the_blocks_of_the_record():
     """
     y, t = record(2, 20), np.arange(int(1200 * RATE)) / RATE
     gusts = identify_ambient(
-        wrap(y * np.where(t % 180 < 90, 4.0, 1.0), RATE), AmbientSettings(fmin=1.0, fmax=10.0)
+        wrap(y * np.where(t % 180 < 90, 4.0, 1.0), RATE),
+        AmbientSettings(fmin=1.0, fmax=10.0),
     )
     even = identify_ambient(wrap(y, RATE), AmbientSettings(fmin=1.0, fmax=10.0))
     assert all("maximum likelihood" in x for x in even.reasons)
     assert not any("maximum likelihood" in x for x in gusts.reasons)
     assert len(gusts.modes) == len(even.modes) == 3
-    assert (np.abs(gusts.modes.damping - even.modes.damping) < 3 * gusts.uncertainty.damping).all()
+    assert (
+        np.abs(gusts.modes.damping - even.modes.damping) < 3 * gusts.uncertainty.damping
+    ).all()
 
 
 def test_covariance_factor_holds_the_stated_deviations():
@@ -182,13 +198,17 @@ def test_shape_deviation_covers_its_error():
         truth = PHI / PHI[top, range(6)]
         error = np.abs(psi) - np.abs(truth)
         free = np.arange(10)[:, None] != top
-        ratio.append((error / np.maximum(result(k).uncertainty.shape[:, at[k]], 1e-9))[free])
+        ratio.append(
+            (error / np.maximum(result(k).uncertainty.shape[:, at[k]], 1e-9))[free]
+        )
     # the median of |error|/σ is 0.67 for a normal error
     assert 0.4 < np.median(np.abs(np.concatenate(ratio))) < 1.1
 
 
 def test_no_modes_in_white_noise():
-    r = identify_ambient(wrap(np.random.default_rng(5).standard_normal((5, 30000)), 100.0))
+    r = identify_ambient(
+        wrap(np.random.default_rng(5).standard_normal((5, 30000)), 100.0)
+    )
     assert len(r.modes) == 0
     assert r.modes.shapes.shape == (5, 0)
     assert any("noise" in n for n in r.notes)
@@ -226,7 +246,9 @@ def test_a_dead_channel_is_left_out_and_said():
 def test_orders_of_one_band_agree_with_the_truth():
     y = record(3, 4)
     p = ssi_cov(
-        wrap(y, RATE), SsiCov(block_rows=40, order_max=30), references=["1+Z", "4+Z", "7+Z"]
+        wrap(y, RATE),
+        SsiCov(block_rows=40, order_max=30),
+        references=["1+Z", "4+Z", "7+Z"],
     )
     near = np.abs(p.frequencies - 11.8) < 0.1
     assert len(set(p.order[near].tolist())) > 8
@@ -249,7 +271,10 @@ def test_orders_of_one_band_agree_with_the_truth():
 def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():
     e = np.random.default_rng(4).standard_normal((3, 6000))
     y = lfilter(
-        [1.0], [1.0, -1.6, 0.95], np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e, axis=1
+        [1.0],
+        [1.0, -1.6, 0.95],
+        np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e,
+        axis=1,
     )
     settings, ids = SsiCov(10, 8, 2, 1), ("1", "2", "3")
 
@@ -277,7 +302,9 @@ def test_a_record_in_stretches_gives_the_same_modes():
     assert (i >= 0).all()
     assert (j >= 0).all()
     scatter = np.hypot(a.uncertainty.frequency[i], b.uncertainty.frequency[j])
-    assert (np.abs(a.modes.frequencies[i] - b.modes.frequencies[j]) < 1.5 * scatter).all()
+    assert (
+        np.abs(a.modes.frequencies[i] - b.modes.frequencies[j]) < 1.5 * scatter
+    ).all()
     # of the same record: nearer to each other than two records would be
     with pytest.raises(DataError, match="no stretch"):
         identify_stretches(())
@@ -309,19 +336,32 @@ def test_building_with_two_close_pairs():
     relative.
     """
     exact = np.array(
-        [2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741]
+        [
+            2.63186,
+            2.69173,
+            3.43042,
+            8.29742,
+            8.42882,
+            10.6272,
+            14.0053,
+            14.0930,
+            17.5741,
+        ]
     )
     r = identify_ambient(wrap(np.load(DATA / "l_building/set1.npy").T, 100.0))
     assert len(r.modes) == 9
     # four standard deviations of the least certain (0.09 to 0.17 %)
-    assert r.modes.frequencies == pytest.approx(exact * (1 - 0.3e-4 * exact**2), rel=7e-3)
+    assert r.modes.frequencies == pytest.approx(
+        exact * (1 - 0.3e-4 * exact**2), rel=7e-3
+    )
 
 
 @pytest.mark.data
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not here")
 def test_timber_building_as_published():
     r = identify_ambient(
-        wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0), AmbientSettings(fmax=3.0)
+        wrap(np.load(DATA / "palisaden/Palisaden_dataset.npy").T, 100.0),
+        AmbientSettings(fmax=3.0),
     )
     assert r.modes.frequencies == pytest.approx(
         [1.882, 2.422, 2.687], rel=2e-3
@@ -337,4 +377,9 @@ def test_five_storeys_in_heavy_noise():
     assert len(r.modes) == 5
     # integrated at 12 Hz the data's frequencies are low by up to 3 %: (ωΔt)²/12 at the highest
     assert r.modes.frequencies == pytest.approx(exact, rel=0.035)
-    assert np.diag(mac(np.load(folder / "phi_ref.npy").astype(complex), r.modes.shapes)).min() > 0.9
+    assert (
+        np.diag(
+            mac(np.load(folder / "phi_ref.npy").astype(complex), r.modes.shapes)
+        ).min()
+        > 0.9
+    )

@@ -44,7 +44,9 @@ def test_a_pole_of_an_order_is_taken_as_it_is(auto: AmbientResult) -> None:
     """
     d = auto.diagrams[0]
     at = np.flatnonzero(
-        (d.cluster >= 0) & (np.abs(d.poles.frequencies - 11.8) < 0.1) & (d.poles.order >= 30)
+        (d.cluster >= 0)
+        & (np.abs(d.poles.frequencies - 11.8) < 0.1)
+        & (d.poles.order >= 30)
     )
     k = int(at[0])
     pick = Pick(float(d.poles.frequencies[k]), int(d.poles.order[k]))
@@ -53,15 +55,24 @@ def test_a_pole_of_an_order_is_taken_as_it_is(auto: AmbientResult) -> None:
     assert found.reasons[1].startswith(f"chosen by hand, order {pick.order}; found at ")
     assert found.modes.frequencies[1] == pytest.approx(pick.frequency, rel=1e-12)
     assert found.modes.damping[1] == pytest.approx(d.poles.damping[k], rel=1e-9)
-    assert found.uncertainty.frequency[1] == pytest.approx(d.poles.std_frequency[k], rel=1e-6)
-    assert found.uncertainty.damping[1] == pytest.approx(d.poles.std_damping[k], rel=1e-6)
+    assert found.uncertainty.frequency[1] == pytest.approx(
+        d.poles.std_frequency[k], rel=1e-6
+    )
+    assert found.uncertainty.damping[1] == pytest.approx(
+        d.poles.std_damping[k], rel=1e-6
+    )
     assert 0 < np.median(found.uncertainty.shape[:, 1]) < 0.05
-    np.testing.assert_array_equal(found.modes.frequencies[[0, 2]], auto.modes.frequencies[[0, 2]])
+    np.testing.assert_array_equal(
+        found.modes.frequencies[[0, 2]], auto.modes.frequencies[[0, 2]]
+    )
 
 
 def test_a_pole_that_no_mode_holds_becomes_one(auto: AmbientResult) -> None:
     d = auto.diagrams[0]
-    far = np.abs(d.poles.frequencies[:, None] / auto.modes.frequencies - 1).min(axis=1) > 0.05
+    far = (
+        np.abs(d.poles.frequencies[:, None] / auto.modes.frequencies - 1).min(axis=1)
+        > 0.05
+    )
     k = int(np.flatnonzero((d.cluster < 0) & far & (d.poles.order > 20))[0])
     pick = Pick(float(d.poles.frequencies[k]), int(d.poles.order[k]))
     found = by_hand(Choice((pick,)))
@@ -71,13 +82,20 @@ def test_a_pole_that_no_mode_holds_becomes_one(auto: AmbientResult) -> None:
     assert np.isfinite(found.uncertainty.frequency[i])
     assert np.isfinite(found.uncertainty.shape[:, i]).all()
     assert "chosen by hand" in found.reasons[i]
-    assert any((x.cluster >= 0).sum() > (d.cluster >= 0).sum() for x in found.diagrams[:1])
+    assert any(
+        (x.cluster >= 0).sum() > (d.cluster >= 0).sum() for x in found.diagrams[:1]
+    )
 
 
 def test_rejected_and_merged(auto: AmbientResult) -> None:
     found = by_hand(Choice(rejects=(Reject(11.8, "crane"), Reject(20.0, "nothing"))))
-    np.testing.assert_array_equal(found.modes.frequencies, auto.modes.frequencies[[0, 2]])
-    assert f"mode at {auto.modes.frequencies[1]:.5g} Hz rejected by hand: crane" in found.notes
+    np.testing.assert_array_equal(
+        found.modes.frequencies, auto.modes.frequencies[[0, 2]]
+    )
+    assert (
+        f"mode at {auto.modes.frequencies[1]:.5g} Hz rejected by hand: crane"
+        in found.notes
+    )
     assert "rejected by hand, but not there: a mode at 20 Hz" in found.notes
     with pytest.raises(
         DataError,

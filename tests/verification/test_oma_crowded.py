@@ -21,7 +21,9 @@ SMALL = AmbientSettings(fmin=3.0, order_max=32)  # hardly more than two for each
 DENSE = np.linspace(8.0, 16.0, 35)  # 0.6 of the resolution of the usual lags apart
 
 
-def record(f: np.ndarray = F, damping: float = 0.012, seconds: int = SECONDS) -> TimeHistory:
+def record(
+    f: np.ndarray = F, damping: float = 0.012, seconds: int = SECONDS
+) -> TimeHistory:
     rng = np.random.default_rng(6)
     s = 2 * np.pi * f * (-damping + 1j)
     force = rng.standard_normal((f.size, int(RATE * seconds))).astype(complex)
@@ -32,7 +34,10 @@ def record(f: np.ndarray = F, damping: float = 0.012, seconds: int = SECONDS) ->
     y = shapes(f.size) @ np.array(q)
     y += 0.05 * y.std() * rng.standard_normal(y.shape)
     return TimeHistory(
-        y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(CHANNELS)), "made"
+        y,
+        RATE,
+        tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(CHANNELS)),
+        "made",
     )
 
 
@@ -45,7 +50,9 @@ def found(
 ) -> tuple[int, int]:
     """Modes that are there, and those that are not."""
     m = identify_ambient(h or record(), settings).modes
-    like = (np.abs(m.frequencies[:, None] / f - 1) < 0.01) & (mac(m.shapes, shapes(f.size)) > 0.9)
+    like = (np.abs(m.frequencies[:, None] / f - 1) < 0.01) & (
+        mac(m.shapes, shapes(f.size)) > 0.9
+    )
     return int(like.any(axis=0).sum()), int((~like.any(axis=1)).sum())
 
 

@@ -18,7 +18,12 @@ DAMPING = np.array([0.012, 0.004, 0.006, 0.02, 0.0015, 0.003])
 
 
 def record(
-    seed: int, *, channels: int = 4, impacts: int = 2, noise: float = 3e-3, seconds: float = 6.0
+    seed: int,
+    *,
+    channels: int = 4,
+    impacts: int = 2,
+    noise: float = 3e-3,
+    seconds: float = 6.0,
 ) -> TimeHistory:
     """Impacts `seconds` apart, after a third of a second of noise."""
     rng = np.random.default_rng(seed)
@@ -33,7 +38,9 @@ def record(
         size = 1 + 0.3 * rng.standard_normal(poles.size)
         data[:, start:] += ((shapes * size) @ np.exp(poles[:, None] * time)).imag
     data += noise * rng.standard_normal(data.shape)
-    names = tuple(Channel(f"{k + 1}+Z", "acceleration", "m/s^2") for k in range(channels))
+    names = tuple(
+        Channel(f"{k + 1}+Z", "acceleration", "m/s^2") for k in range(channels)
+    )
     return TimeHistory(data, RATE, names, "decay")
 
 
@@ -46,10 +53,17 @@ def duffing(seed: int, stiffening: float) -> TimeHistory:
     time = np.arange(int(6 * rate)) / rate
 
     def motion(_: float, u: Float) -> list[float]:
-        return [u[1], -0.008 * omega * u[1] - omega**2 * (u[0] + stiffening * u[0] ** 3)]
+        return [
+            u[1],
+            -0.008 * omega * u[1] - omega**2 * (u[0] + stiffening * u[0] ** 3),
+        ]
 
-    solved = solve_ivp(motion, (0, 6), [0, 0.8 * omega], t_eval=time, rtol=1e-8, atol=1e-10)
-    linear = 0.3 * np.exp(-0.006 * 2 * np.pi * 91 * time) * np.sin(2 * np.pi * 91 * time)
+    solved = solve_ivp(
+        motion, (0, 6), [0, 0.8 * omega], t_eval=time, rtol=1e-8, atol=1e-10
+    )
+    linear = (
+        0.3 * np.exp(-0.006 * 2 * np.pi * 91 * time) * np.sin(2 * np.pi * 91 * time)
+    )
     data = np.array([[1.0, 0.5], [0.7, -0.8]]) @ np.stack([solved.y[0], linear])
     data = np.concatenate([np.zeros((2, 300)), data], axis=1)
     data += 1e-3 * np.random.default_rng(seed).standard_normal(data.shape)

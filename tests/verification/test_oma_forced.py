@@ -31,7 +31,8 @@ def oscillator(force: np.ndarray, f: float, zeta: float) -> np.ndarray:
     s = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))
     ringing = lfilter([0, np.exp(s / RATE) - 1], [1, -np.exp(s / RATE)], force)
     return np.asarray(
-        2 * np.real(s / (2j * s.imag) * ringing) + 2 * np.real(s / (2j * s.imag)) * force
+        2 * np.real(s / (2j * s.imag) * ringing)
+        + 2 * np.real(s / (2j * s.imag)) * force
     )
 
 
@@ -39,7 +40,8 @@ def record(crowd: float) -> TimeHistory:
     rng = np.random.default_rng(4)
     force = rng.standard_normal((STOREYS, int(RATE * SECONDS)))
     force += crowd * np.outer(
-        rng.standard_normal(STOREYS), oscillator(rng.standard_normal(force.shape[1]), PEAK, WIDTH)
+        rng.standard_normal(STOREYS),
+        oscillator(rng.standard_normal(force.shape[1]), PEAK, WIDTH),
     )
     return responses(force, rng)
 
@@ -60,11 +62,16 @@ def jumped(seed: int) -> TimeHistory:
 def responses(force: np.ndarray, rng: np.random.Generator) -> TimeHistory:
     """Accelerations of the floors under forces (floor, sample), with noise."""
     f, shapes = chain()
-    q = np.array([oscillator(p, x, 0.01) for p, x in zip(shapes.T @ force, f, strict=True)])
+    q = np.array(
+        [oscillator(p, x, 0.01) for p, x in zip(shapes.T @ force, f, strict=True)]
+    )
     y = shapes @ q
     y += 0.05 * y.std() * rng.standard_normal(y.shape)
     return TimeHistory(
-        y, RATE, tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(STOREYS)), "made"
+        y,
+        RATE,
+        tuple(Channel(f"{i + 1}+X", "acceleration") for i in range(STOREYS)),
+        "made",
     )
 
 
@@ -102,7 +109,9 @@ def test_only_a_doubtful_pole_of_a_shape_that_others_span_is_forced() -> None:
         np.array([0.01, 0.05, 0.01]),
         np.array([5e-4, 5e-3, 5e-4]),
     )
-    own = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 3)))[0].astype(complex)
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 3)))[0].astype(
+        complex
+    )
     mixed = own.copy()
     mixed[:, 1] = own[:, 0] - 0.6 * own[:, 2]
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
@@ -119,7 +128,9 @@ def test_a_peak_far_sharper_than_the_modes_is_forced() -> None:
     shape = np.random.default_rng(2).standard_normal((12, 3)).astype(complex)
     f, z = np.array([1.0, 1.5, 2.0]), np.array([0.01, 0.0008, 0.015])
     sure = 0.05 * np.sqrt(z / f)
-    mixed = np.stack([shape[:, 0], 0.4 * shape[:, 0] + 0.6 * shape[:, 2], shape[:, 2]], axis=1)
+    mixed = np.stack(
+        [shape[:, 0], 0.4 * shape[:, 0] + 0.6 * shape[:, 2], shape[:, 2]], axis=1
+    )
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[], [0, 2], []]
     assert not any(x.size for x in carriers(f, z, sure, shape))
     z[1] = 0.006
@@ -133,7 +144,9 @@ def test_of_a_mode_and_a_wide_peak_that_is_as_well_known_the_peak_is_forced() ->
     shape = np.random.default_rng(3).standard_normal((8, 2)).astype(complex)
     f, z = np.array([4.0, 6.2, 7.9]), np.array([0.03, 0.011, 0.01])
     sure = np.array([0.06, 0.065, 0.02]) * np.sqrt(z / f)
-    mixed = np.stack([shape[:, 0] + 0.5 * shape[:, 1], shape[:, 0], shape[:, 1]], axis=1)
+    mixed = np.stack(
+        [shape[:, 0] + 0.5 * shape[:, 1], shape[:, 0], shape[:, 1]], axis=1
+    )
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[1, 2], [], []]
 
 
@@ -146,7 +159,9 @@ def test_a_peak_below_all_modes_is_carried_by_two_above() -> None:
         np.array([0.09, 0.01, 0.01]),
         np.array([0.014, 5e-4, 5e-4]),
     )
-    own = np.linalg.qr(np.random.default_rng(0).standard_normal((7, 3)))[0].astype(complex)
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((7, 3)))[0].astype(
+        complex
+    )
     mixed = own.copy()
     mixed[:, 0] = own[:, 1] + 0.5 * own[:, 2]
     assert [x.tolist() for x in carriers(f, z, sure, mixed)] == [[1, 2], [], []]
@@ -159,7 +174,9 @@ def test_a_channel_in_another_unit_makes_no_shapes_alike() -> None:
         np.array([0.01, 0.05, 0.01]),
         np.array([5e-4, 5e-3, 5e-4]),
     )
-    own = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].astype(complex)
+    own = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].astype(
+        complex
+    )
     own[0] *= 1e3
     assert not any(x.size for x in carriers(f, z, sure, own))
 

@@ -17,7 +17,12 @@ from scipy.signal import lfilter
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import AmbientResult, identify_ambient
-from ringtrue.signal.tonal_lines import SEARCH, LineFit, find_tonal_lines, remove_tonal_lines
+from ringtrue.signal.tonal_lines import (
+    SEARCH,
+    LineFit,
+    find_tonal_lines,
+    remove_tonal_lines,
+)
 from ringtrue.signal.transients import find_events
 
 F, Z = np.array([2.1, 4.7, 4.9, 9.3, 14.2]), np.array([1.0, 0.8, 1.0, 0.6, 1.2]) / 100
@@ -29,15 +34,25 @@ DAMPING = 0.06
 def response(force: np.ndarray, rate: float, slower: float = 1.0) -> np.ndarray:
     """Accelerations (6, sample) for modal forces (5, sample)."""
     q = []
-    for pole, x in zip(2 * np.pi * F / slower * (-Z + 1j * np.sqrt(1 - Z**2)), force, strict=True):
+    for pole, x in zip(
+        2 * np.pi * F / slower * (-Z + 1j * np.sqrt(1 - Z**2)), force, strict=True
+    ):
         a = np.exp(pole / rate)
-        q.append(2 * np.real(pole**2 / (2j * pole.imag) * lfilter([0, (a - 1) / pole], [1, -a], x)))
+        q.append(
+            2
+            * np.real(
+                pole**2 / (2j * pole.imag) * lfilter([0, (a - 1) / pole], [1, -a], x)
+            )
+        )
     return PHI @ np.array(q)
 
 
 def history(data: np.ndarray, rate: float) -> TimeHistory:
     return TimeHistory(
-        data, rate, tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(6)), "made"
+        data,
+        rate,
+        tuple(Channel(f"{i + 1}+Z", "acceleration", "m/s^2") for i in range(6)),
+        "made",
     )
 
 
@@ -53,7 +68,9 @@ def dropped(
     """Impacts at `times` (s); `ambient` is the RMS of random vibration over the first peak."""
     rng, samples = np.random.default_rng(0), int(seconds * rate)
     force = np.zeros(samples)
-    force[np.round(times * rate).astype(int)] = 1 + levels * rng.standard_normal(times.size)
+    force[np.round(times * rate).astype(int)] = 1 + levels * rng.standard_normal(
+        times.size
+    )
     y = response(np.outer(PHI[0], force), rate, slower)
     peak = np.abs(y).max()
     random = response(rng.standard_normal((5, samples)), rate, slower)
@@ -61,7 +78,9 @@ def dropped(
     return history(y + 1e-3 * peak * rng.standard_normal(y.shape), rate)
 
 
-def dropped_elsewhere(interval: float, count: int, seed: int, rate: float = 64.0) -> TimeHistory:
+def dropped_elsewhere(
+    interval: float, count: int, seed: int, rate: float = 64.0
+) -> TimeHistory:
     """A weight dropped at equal intervals, each time at another of six points, beside random forces
     of a tenth of its motion.
     """
@@ -80,9 +99,14 @@ def every(interval: float, seconds: float) -> np.ndarray:
 
 
 def check(r: AmbientResult, damping: float = DAMPING, slower: float = 1.0) -> None:
-    np.testing.assert_allclose(r.modes.frequencies, F / slower, rtol=2e-3, err_msg=str(r.notes))
+    np.testing.assert_allclose(
+        r.modes.frequencies, F / slower, rtol=2e-3, err_msg=str(r.notes)
+    )
     np.testing.assert_allclose(r.modes.damping, Z, rtol=damping)
-    assert (np.abs(r.modes.frequencies - F / slower) < 4 * r.uncertainty.frequency + 1e-4 * F).all()
+    assert (
+        np.abs(r.modes.frequencies - F / slower)
+        < 4 * r.uncertainty.frequency + 1e-4 * F
+    ).all()
     assert not r.harmonics
 
 
@@ -113,10 +137,13 @@ def test_impacts_of_a_hand(levels: float, scatter: float, rate: float) -> None:
 
 @pytest.mark.parametrize(("ambient", "damping"), [(0.003, DAMPING), (0.1, 0.5)])
 def test_impacts_beside_random_forces(ambient: float, damping: float) -> None:
-    check(identify_ambient(dropped(every(25.0, 400.0), 400.0, ambient=ambient)), damping)
+    check(
+        identify_ambient(dropped(every(25.0, 400.0), 400.0, ambient=ambient)), damping
+    )
 
 
-@pytest.mark.parametrize("interval", [3.8, 4.7, 5.6])  # 8 to 12 periods of the first mode
+# 8 to 12 periods of the first mode
+@pytest.mark.parametrize("interval", [3.8, 4.7, 5.6])
 def test_impacts_that_follow_soon_leave_no_bias(interval: float) -> None:
     """Correlations that reach across impacts at equal intervals have lines at all multiples of
     1/T, which move the lowest mode by many of its stated deviations.
@@ -162,7 +189,9 @@ def test_a_machine_beside_the_impacts_is_no_mode(f: float, taken_out: bool) -> N
 
 
 @pytest.mark.parametrize("rate", [64.0, 256.0, 1024.0])
-def test_the_times_of_impacts_are_known_to_a_sample_of_their_motion(rate: float) -> None:
+def test_the_times_of_impacts_are_known_to_a_sample_of_their_motion(
+    rate: float,
+) -> None:
     times = every(25.0, 400.0)
     found = find_events(dropped(times, 400.0, rate).data, rate)
     np.testing.assert_allclose(found.times, times, atol=1 / 16)
@@ -179,9 +208,13 @@ def test_many_lines_are_bounded_and_parts_of_them_leave_as_little_as_all(
     fifty = np.sin(2 * np.pi * np.linspace(7.01, 25.3, 50)[:, None] * t).sum(axis=0)
     found = find_tonal_lines(history(quiet + fifty, rate))
     assert len(found) == 50
-    left = remove_tonal_lines(history(quiet + fifty, rate), [h.frequency for h in found])
+    left = remove_tonal_lines(
+        history(quiet + fifty, rate), [h.frequency for h in found]
+    )
     monkeypatch.setattr("ringtrue.signal.tonal_lines.FIT", LineFit(together=50))
-    best = remove_tonal_lines(history(quiet + fifty, rate), [h.frequency for h in found])
+    best = remove_tonal_lines(
+        history(quiet + fifty, rate), [h.frequency for h in found]
+    )
     assert (
         best.data - quiet
     ).std() < 0.2 * fifty.std()  # 400 unknowns take some of the noise of 38,400 samples

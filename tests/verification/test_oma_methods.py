@@ -51,7 +51,10 @@ def motion(seed: int, loud: np.ndarray | float = 1.0) -> np.ndarray:
     for s in -Z * w + 1j * w * np.sqrt(1 - Z**2):
         force = rng.standard_normal(int(SECONDS * RATE) + 2000)
         z = lfilter([0, (np.exp(s / RATE) - 1) / s], [1, -np.exp(s / RATE)], force)
-        q.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * force)
+        q.append(
+            2 * np.real(s**2 / (2j * s.imag) * z)
+            + 2 * np.real(s / (2j * s.imag)) * force
+        )
     return np.array(q)[:, 2000:] * np.reshape(loud, (-1, 1))
 
 
@@ -60,7 +63,9 @@ def record(seed: int) -> TimeHistory:
     y = PHI @ motion(seed)
     return wrap(
         y
-        + 0.1 * y.std(1, keepdims=True) * np.random.default_rng(100 + seed).standard_normal(y.shape)
+        + 0.1
+        * y.std(1, keepdims=True)
+        * np.random.default_rng(100 + seed).standard_normal(y.shape)
     )
 
 
@@ -109,7 +114,9 @@ def test_fsdd_of_a_mode_below_the_filter_of_the_recorder(seed: int) -> None:
     """
     rng, w, zeta = np.random.default_rng(seed), 2 * np.pi * 16.0, 0.03
     pole = np.exp(w * (-zeta + 1j * np.sqrt(1 - zeta**2)) / RATE)
-    q = lfilter([1, -2, 1], np.poly([pole, pole.conj()]), rng.standard_normal(int(1200 * RATE)))
+    q = lfilter(
+        [1, -2, 1], np.poly([pole, pole.conj()]), rng.standard_normal(int(1200 * RATE))
+    )
     y = np.outer([1.0, -0.6, 0.8], lfilter(firwin(121, 0.9), 1, q))
     f = fdd(wrap(y + 0.02 * y.std() * rng.standard_normal(y.shape)))[0].frequencies
     assert np.abs(f / 16 - 1).min() < 5 * np.sqrt(zeta / (w * 1200))
@@ -143,7 +150,8 @@ def test_next_era_within_its_scatter():
     for seed in range(3):
         h = record(seed)
         m, _ = modes_of(
-            next_era(h, SsiCov(block_rows=30, order_max=30)), tuple(c.id for c in h.channels)
+            next_era(h, SsiCov(block_rows=30, order_max=30)),
+            tuple(c.id for c in h.channels),
         )
         at = near(m)
         within(m.frequencies[at], m.damping[at], [0, 1, 2, 3], 7.0)
@@ -153,10 +161,19 @@ def test_ssi_data_and_its_stated_deviation():
     e = []
     for seed in range(3):
         h = record(seed)
-        p = ssi_data(h, SsiCov(block_rows=10, order_max=14, blocks=12), references=["1", "3", "6"])
+        p = ssi_data(
+            h,
+            SsiCov(block_rows=10, order_max=14, blocks=12),
+            references=["1", "3", "6"],
+        )
         m, u = modes_of(p, tuple(c.id for c in h.channels))
         at = near(m)
-        e.append([(m.frequencies[at] - F) / u.frequency[at], (m.damping[at] - Z) / u.damping[at]])
+        e.append(
+            [
+                (m.frequencies[at] - F) / u.frequency[at],
+                (m.damping[at] - Z) / u.damping[at],
+            ]
+        )
     # 12 values of each: their root mean square is known to 20 %
     rms = np.sqrt((np.array(e) ** 2).mean((0, 2)))
     assert ((rms > 0.5) & (rms < 1.5)).all(), rms

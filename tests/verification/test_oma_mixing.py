@@ -27,10 +27,15 @@ def spectra(shared: float) -> SpectralBins:
     h = 2 * Z * nu**2 / (1 - nu**2 + 2j * Z * nu)
     modal = h[:, :, None] * (np.eye(3) + shared * (1 - np.eye(3))) * h[:, None].conj()
     root = np.linalg.cholesky(SHAPES @ modal @ SHAPES.T + 1e-3 * np.eye(6))
-    noise = np.random.default_rng(0).standard_normal((2, FREQS.size, 6, LINES)) / np.sqrt(2)
+    noise = np.random.default_rng(0).standard_normal(
+        (2, FREQS.size, 6, LINES)
+    ) / np.sqrt(2)
     y = root @ (noise[0] + 1j * noise[1])
     return SpectralBins(
-        FREQS, np.full(FREQS.size, float(LINES)), y @ y.conj().swapaxes(1, 2) / LINES, 1e4
+        FREQS,
+        np.full(FREQS.size, float(LINES)),
+        y @ y.conj().swapaxes(1, 2) / LINES,
+        1e4,
     )
 
 

@@ -12,11 +12,15 @@ from ringtrue.identification.ambient.pipeline import AmbientResult, identify_amb
 RATE, DAMPING = 50.0, 0.01
 
 
-def response(phi: np.ndarray, f: float, zeta: float, rate: float, force: np.ndarray) -> np.ndarray:
+def response(
+    phi: np.ndarray, f: float, zeta: float, rate: float, force: np.ndarray
+) -> np.ndarray:
     """Accelerations (ch, sample) of a mode under a modal force (sample,) held over a sample."""
     w = 2 * np.pi * f
     a = np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]])
-    ad, b, c, d, _ = cont2discrete((a, np.array([[0.0], [1.0]]), a[1:], np.eye(1)), 1 / rate)
+    ad, b, c, d, _ = cont2discrete(
+        (a, np.array([[0.0], [1.0]]), a[1:], np.eye(1)), 1 / rate
+    )
     top = np.poly(ad - b @ c) + (d[0, 0] - 1) * np.poly(ad)
     return np.outer(phi, lfilter(top, np.poly(ad), force))
 

@@ -20,18 +20,26 @@ def accelerations(
 ) -> np.ndarray:
     """Modes of orthonormal shapes under white forces."""
     rng = np.random.default_rng(2)
-    phi, q = np.linalg.qr(np.random.default_rng(16).standard_normal((channels, f.size)))[0], []
+    phi, q = (
+        np.linalg.qr(np.random.default_rng(16).standard_normal((channels, f.size)))[0],
+        [],
+    )
     for s in 2 * np.pi * f * (-z + 1j * np.sqrt(1 - z**2)):
         force, a = rng.standard_normal(int(seconds * rate)), np.exp(s / rate)
         q.append(
-            2 * np.real(s**2 / (2j * s.imag) * lfilter([0, (a - 1) / s], [1, -a], force)) + force
+            2
+            * np.real(s**2 / (2j * s.imag) * lfilter([0, (a - 1) / s], [1, -a], force))
+            + force
         )
     return np.asarray(phi @ np.array(q))
 
 
 def wrap(y: np.ndarray) -> TimeHistory:
     return TimeHistory(
-        y, RATE, tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))), "made"
+        y,
+        RATE,
+        tuple(Channel(f"{i + 1}+Z", "acceleration") for i in range(len(y))),
+        "made",
     )
 
 

@@ -63,7 +63,11 @@ class Reader:
 def exact(at: list[int], name: str) -> tuple[ModeSet, Uncertainty, str]:
     shape = made.PHI[at] / np.abs(made.PHI[at]).max(axis=0)
     modes = ModeSet(made.F, made.Z, shape.astype(complex), tuple(map(str, at)))
-    return modes, Uncertainty.independent(1e-3 * made.F, 0.1 * made.Z, 0.01 + 0 * shape), name
+    return (
+        modes,
+        Uncertainty.independent(1e-3 * made.F, 0.1 * made.Z, 0.01 + 0 * shape),
+        name,
+    )
 
 
 def test_what_a_setup_did_not_find_is_read_there() -> None:
@@ -117,7 +121,8 @@ def test_files_of_one_installation_are_one_record() -> None:
     for seed in range(3):
         same = [made.recorded(10 * seed + k)[0] for k in range(3)]
         quiet = [
-            replace(x, data=x.data * level) for x, level in zip(same, (1, 0.2, 4), strict=True)
+            replace(x, data=x.data * level)
+            for x, level in zip(same, (1, 0.2, 4), strict=True)
         ]
         assert len(identify_stretches(quiet).modes) >= 3
 
@@ -178,7 +183,9 @@ def test_the_diagram_has_the_poles_of_all_setups(merge: str, tmp_path: Path) -> 
     words = ["--setups", table_of(tmp_path), "--rate", made.RATE, "--merge", merge]
     assert run(["oma", *map(str, words), "--diagram", str(page)]) == 0
     assert "singular values" in page.read_text(encoding="utf-8")
-    found = rt.identify_ambient_setups(tmp_path / "setups.csv", rate=made.RATE, merge=merge)
+    found = rt.identify_ambient_setups(
+        tmp_path / "setups.csv", rate=made.RATE, merge=merge
+    )
     poles = np.concatenate([d.poles.frequencies for d in found.diagram.diagrams])
     near = np.abs(poles[:, None] / made.F - 1) < 0.01
     assert (near.sum(axis=0) >= 4 * (3 if merge == "poser" else 1)).all()
@@ -190,13 +197,17 @@ def test_the_diagram_has_the_poles_of_all_setups(merge: str, tmp_path: Path) -> 
 def test_a_pick_takes_up_what_the_setups_doubt() -> None:
     f = np.array([1.1, 1.9, 2.3])
     natural = np.array([True, False, True])
-    choice = Choice((Pick(1.9, 40),), rejects=(Reject(2.3, "crane"),), source="choice.toml")
+    choice = Choice(
+        (Pick(1.9, 40),), rejects=(Reject(2.3, "crane"),), source="choice.toml"
+    )
     keep, said, notes = chosen_of_setups(f, 1e-3 * f, natural, choice)
     assert keep.tolist() == [True, True, False]
     assert said == ["", "taken up by hand", ""]
     assert notes == ["mode at 2.3 Hz rejected by hand: crane"]
     with pytest.raises(DataError, match=r"choice\.toml: pick at 3 Hz: no candidate"):
-        chosen_of_setups(f, 1e-3 * f, natural, Choice((Pick(3.0),), source="choice.toml"))
+        chosen_of_setups(
+            f, 1e-3 * f, natural, Choice((Pick(3.0),), source="choice.toml")
+        )
 
 
 @pytest.mark.parametrize(
@@ -239,6 +250,16 @@ def test_the_building_has_its_nine_modes() -> None:
         channels = tuple(rt.Channel(n, "acceleration", "m/s^2") for n in names)
         records.append(TimeHistory(y, 100.0, channels, f"set{k}"))
     test = rt.identify_ambient_setups(records)
-    exact_hz = [2.63186, 2.69173, 3.43042, 8.29742, 8.42882, 10.6272, 14.0053, 14.0930, 17.5741]
+    exact_hz = [
+        2.63186,
+        2.69173,
+        3.43042,
+        8.29742,
+        8.42882,
+        10.6272,
+        14.0053,
+        14.0930,
+        17.5741,
+    ]
     assert test.frequencies == pytest.approx(exact_hz, rel=0.01)
     assert np.isfinite(test.shapes).all()

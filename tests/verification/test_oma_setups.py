@@ -34,7 +34,9 @@ def errors(modes: ModeSet, std: Uncertainty) -> np.ndarray:
     return np.asarray((gap / std.shape[:, at])[np.isfinite(gap)])
 
 
-def measured(at: list[int], rng: np.random.Generator) -> tuple[ModeSet, Uncertainty, str]:
+def measured(
+    at: list[int], rng: np.random.Generator
+) -> tuple[ModeSet, Uncertainty, str]:
     """The shapes at some channels with an error of each component, largest component 1, of any
     scale before.
     """
@@ -43,7 +45,9 @@ def measured(at: list[int], rng: np.random.Generator) -> tuple[ModeSet, Uncertai
     shape = noisy / noisy[top]
     std = 0.03 / np.abs(noisy[top]) * np.sqrt(1 + shape**2)
     std[top] = 0.0
-    modes = ModeSet(F * (1 + 1e-3 * rng.standard_normal(F.size)), Z, shape, tuple(map(str, at)))
+    modes = ModeSet(
+        F * (1 + 1e-3 * rng.standard_normal(F.size)), Z, shape, tuple(map(str, at))
+    )
     return modes, Uncertainty.independent(1e-3 * F, 0.1 * Z, std), "a"
 
 
@@ -52,14 +56,21 @@ def recorded(seed: int, samples: int = 7500) -> list[TimeHistory]:
     rng, setups = np.random.default_rng(seed), []
     for at in PLACES:
         y = np.zeros((len(at), samples))
-        for phi, s in zip(PHI[at].T, 2 * np.pi * F * (-Z + 1j * np.sqrt(1 - Z**2)), strict=True):
+        for phi, s in zip(
+            PHI[at].T, 2 * np.pi * F * (-Z + 1j * np.sqrt(1 - Z**2)), strict=True
+        ):
             force = rng.uniform(0.5, 2) * rng.standard_normal(samples)
             y += np.outer(
-                phi, (s * lfilter([1.0], [1.0, -np.exp(s / RATE)], force.astype(complex))).imag
+                phi,
+                (
+                    s * lfilter([1.0], [1.0, -np.exp(s / RATE)], force.astype(complex))
+                ).imag,
             )
         y += 0.03 * y.std() * rng.standard_normal(y.shape)
         setups.append(
-            TimeHistory(y, RATE, tuple(Channel(str(i), "acceleration") for i in at), "made")
+            TimeHistory(
+                y, RATE, tuple(Channel(str(i), "acceleration") for i in at), "made"
+            )
         )
     return setups
 

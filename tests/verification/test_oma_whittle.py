@@ -36,7 +36,10 @@ def record(seed: int) -> np.ndarray:
     for s in lam:
         force = rng.standard_normal(int(SECONDS * RATE) + 3000)
         z = lfilter([0, (np.exp(s / RATE) - 1) / s], [1, -np.exp(s / RATE)], force)
-        q.append(2 * np.real(s**2 / (2j * s.imag) * z) + 2 * np.real(s / (2j * s.imag)) * force)
+        q.append(
+            2 * np.real(s**2 / (2j * s.imag) * z)
+            + 2 * np.real(s / (2j * s.imag)) * force
+        )
     y = PHI @ np.array(q)[:, 3000:]
     return y + 0.1 * y.std() * rng.standard_normal(y.shape)
 
@@ -46,7 +49,9 @@ def binned(
 ) -> SpectralBins:
     one = np.ones(len(y))
     channels = np.arange(len(y))
-    return spectral_bins(Signals(y, 0 * one), channels, rate=rate, limits=limits, scale=one)
+    return spectral_bins(
+        Signals(y, 0 * one), channels, rate=rate, limits=limits, scale=one
+    )
 
 
 @cache
@@ -59,7 +64,9 @@ def fits() -> tuple[LikelihoodFit, ...]:
         f = F * (1 + 2 * floor()[0] * rng.standard_normal(2))
         z = Z * (1 + floor()[1] * rng.standard_normal(2))
         psi = PHI + 0.02 * rng.standard_normal(PHI.shape)
-        out.append(refine_by_likelihood(b, EstimatedModes(f, z, psi), SLOPE, np.full(2, 0.2)))
+        out.append(
+            refine_by_likelihood(b, EstimatedModes(f, z, psi), SLOPE, np.full(2, 0.2))
+        )
     return tuple(out)
 
 
@@ -71,7 +78,9 @@ def floor() -> tuple[np.ndarray, np.ndarray]:
 def errors() -> tuple[np.ndarray, np.ndarray]:
     """Relative errors and their stated standard deviations, both (record, 2, mode): ln f, ln ζ."""
     e = np.array([[np.log(r.frequency / F), np.log(r.damping / Z)] for r in fits()])
-    return e, np.array([np.sqrt(np.diagonal(r.covariance, axis1=1, axis2=2)).T for r in fits()])
+    return e, np.array(
+        [np.sqrt(np.diagonal(r.covariance, axis1=1, axis2=2)).T for r in fits()]
+    )
 
 
 def test_every_fit_settles():
@@ -82,7 +91,8 @@ def test_every_fit_settles():
 def test_scatter_is_near_the_floor_without_bias():
     e, _ = errors()
     scatter = np.sqrt((e**2).mean(0)) / np.array(floor())
-    assert (scatter < 2.0).all()  # background, slope and the neighbour's share are estimated too
+    # background, slope and the neighbour's share are estimated too
+    assert (scatter < 2.0).all()
     standard_error = scatter / np.sqrt(RECORDS)  # up to 0.25 of the floor
     assert (np.abs(e.mean(0)) / np.array(floor()) < 3 * standard_error).all()
 
@@ -99,7 +109,9 @@ def test_stated_deviation_is_that_of_the_scatter():
 def test_a_line_in_the_spectrum_stops_the_fit():
     y, t = record(0), np.arange(int(SECONDS * RATE)) / RATE
     y = y + 20 * y.std() * np.outer(np.ones(6), np.sin(2 * np.pi * 5.04 * t))
-    r = refine_by_likelihood(binned(y), EstimatedModes(F, Z, PHI), SLOPE, np.full(2, 0.2))
+    r = refine_by_likelihood(
+        binned(y), EstimatedModes(F, Z, PHI), SLOPE, np.full(2, 0.2)
+    )
     assert not r.ok.all()
 
 
@@ -107,7 +119,12 @@ def test_modes_that_move_in_step_keep_their_damping():
     """Three overlapping modes under one common force and 10 % of their own, as on shaken ground: no
     bias.
     """
-    f, z, rate, n = np.array([1.0, 1.05, 1.15]), np.array([0.03, 0.032, 0.028]), 8.0, 14400
+    f, z, rate, n = (
+        np.array([1.0, 1.05, 1.15]),
+        np.array([0.03, 0.032, 0.028]),
+        8.0,
+        14400,
+    )
     phi = np.linalg.qr(np.random.default_rng(4).standard_normal((12, 3)))[0]
     line = np.fft.rfftfreq(n, 1 / rate)
     motion = line**2 / (f[:, None] ** 2 - line**2 + 2j * z[:, None] * f[:, None] * line)
@@ -138,7 +155,9 @@ def test_a_fit_that_knows_less_than_its_start_is_not_believed(monkeypatch):
     doubt, accepted = np.array([0.06, 0.06]), 0
     for seed in range(6):
         psi = PHI + 0.01 * np.random.default_rng(seed).standard_normal(PHI.shape)
-        fit = refine_by_likelihood(binned(record(seed)), EstimatedModes(F, Z, psi), SLOPE, doubt)
+        fit = refine_by_likelihood(
+            binned(record(seed)), EstimatedModes(F, Z, psi), SLOPE, doubt
+        )
         stated = np.sqrt(fit.covariance[fit.ok, 1, 1])
         assert (stated < 0.2).all()
         accepted += stated.size
@@ -154,9 +173,14 @@ def test_modes_that_share_their_force_are_left_to_the_subspace():
     lam = -Z * w + 1j * w * np.sqrt(1 - Z**2)
     force = rng.standard_normal(int(1600 * RATE))
     q = np.array(
-        [np.real(s**2 / (2j * s.imag) * lfilter([1], [1, -np.exp(s / RATE)], force)) for s in lam]
+        [
+            np.real(s**2 / (2j * s.imag) * lfilter([1], [1, -np.exp(s / RATE)], force))
+            for s in lam
+        ]
     )
     shape = PHI + 0.3 * PHI[:, ::-1]  # what is left of the other mode passes the filter
     y = PHI @ q + 0.01 * q.std() * rng.standard_normal((6, force.size))
-    fit = refine_by_likelihood(binned(y), EstimatedModes(F, Z, shape), SLOPE, np.full(2, 0.2))
+    fit = refine_by_likelihood(
+        binned(y), EstimatedModes(F, Z, shape), SLOPE, np.full(2, 0.2)
+    )
     assert not fit.ok.any()

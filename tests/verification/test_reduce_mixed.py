@@ -35,16 +35,23 @@ def net() -> AffineSystem:
         i, j = pairs[:, field == f]
         ones = np.ones(i.size)
         spring = sparse.coo_array(
-            (np.r_[ones, ones, -ones, -ones], (np.r_[i, j, i, j], np.r_[i, j, j, i])), shape=(n, n)
+            (np.r_[ones, ones, -ones, -ones], (np.r_[i, j, i, j], np.r_[i, j, j, i])),
+            shape=(n, n),
         )
         parts.append(sparse.csr_array(1e4 * spring))
     ground = sparse.csr_array(1e2 * sparse.eye_array(n))
-    names = ParameterSet(tuple(Parameter(f"field {f}", (), 0.2, 5.0) for f in range(FIELDS**2)))
+    names = ParameterSet(
+        tuple(Parameter(f"field {f}", (), 0.2, 5.0) for f in range(FIELDS**2))
+    )
     none = sparse.csr_array((n, n))
     terms = tuple(AffineTerm(power(i), k, none) for i, k in enumerate(parts))
     mass = sparse.csr_array(sparse.diags_array(1 + 0.1 * np.cos(np.arange(n))))
     return AffineSystem(
-        sparse.csr_array(sum(parts[1:], parts[0]) + ground), mass, names, terms, none[:3]
+        sparse.csr_array(sum(parts[1:], parts[0]) + ground),
+        mass,
+        names,
+        terms,
+        none[:3],
     )
 
 
@@ -66,9 +73,9 @@ def test_mixtures_of_sensitivities_span_what_all_of_them_span(
     assert columns < 0.25 * (sum(solved) - columns) == 0.25 * COUNT * FIELDS**2
     x = np.random.default_rng(2).uniform(-0.5, 0.5, FIELDS**2)
     k, m = system.at(np.exp(x))
-    true = np.sqrt(linalg.eigvalsh(k.toarray(), m.toarray(), subset_by_index=(0, COUNT - 1))) / (
-        2 * np.pi
-    )
+    true = np.sqrt(
+        linalg.eigvalsh(k.toarray(), m.toarray(), subset_by_index=(0, COUNT - 1))
+    ) / (2 * np.pi)
     wrong = [np.abs(r.modes(x).frequencies / true - 1).max() for r in (few, every)]
     start = np.abs(few.modes(0 * x).frequencies / true - 1).max()
     assert wrong[0] < max(2 * wrong[1], 1e-6)

@@ -41,7 +41,9 @@ def basis(
     loss: float = LOSS,
     **search: float,
 ) -> ResponseBasis:
-    return response_basis(Pencil(k, m), loads, lines, start, ResponseSearch(loss, **search))  # type: ignore[arg-type]
+    return response_basis(
+        Pencil(k, m), loads, lines, start, ResponseSearch(loss, **search)
+    )  # type: ignore[arg-type]
 
 
 def response(
@@ -69,7 +71,9 @@ def test_response_is_that_of_the_full_model(system: tuple[np.ndarray, ...]) -> N
         assert np.linalg.norm(got - true) < 5 * TOLERANCE * np.linalg.norm(true)
 
 
-def test_modes_that_the_loads_do_not_excite_cost_nothing(system: tuple[np.ndarray, ...]) -> None:
+def test_modes_that_the_loads_do_not_excite_cost_nothing(
+    system: tuple[np.ndarray, ...],
+) -> None:
     """A force on the line of symmetry: half of the modes have a node there."""
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
@@ -82,12 +86,16 @@ def test_modes_known_beforehand_are_used(system: tuple[np.ndarray, ...]) -> None
     k, m, lam, loads = system
     hertz = np.sqrt(lam) / (2 * np.pi)
     _, phi = linalg.eigh(k.toarray(), m.toarray(), subset_by_index=(0, 29))
-    known = basis(k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, tolerance=0.05)
+    known = basis(
+        k, m, loads, np.linspace(0.5 * hertz[0], hertz[10], 40), phi, tolerance=0.05
+    )
     assert known.lines == ()
     assert 30 < known.vectors.shape[1] <= 32  # and the static answers
 
 
-def test_a_limit_on_the_vectors_is_told_by_the_residual(system: tuple[np.ndarray, ...]) -> None:
+def test_a_limit_on_the_vectors_is_told_by_the_residual(
+    system: tuple[np.ndarray, ...],
+) -> None:
     k, m, lam, loads = system
     lines = np.linspace(1.0, np.sqrt(lam[60]) / (2 * np.pi), 60)
     found = basis(k, m, loads, lines, loads, steps=4, most=10)

@@ -20,7 +20,13 @@ import ringtrue as rt
 from ringtrue.cli.main import run
 from ringtrue.core.arrays import Float
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.errors import ConfigError, DeckError, InputError, SingularModel, UnsupportedCard
+from ringtrue.errors import (
+    ConfigError,
+    DeckError,
+    InputError,
+    SingularModel,
+    UnsupportedCard,
+)
 from ringtrue.io.matrices import read_op4, write_op4
 from ringtrue.io.modes import write_modes
 from ringtrue.model.ports import ModesRequest
@@ -51,7 +57,8 @@ def _grid(number: int, *xyz: float) -> str:
 
 def _bars(first: int, points: list[int]) -> str:
     return "".join(
-        f"CBAR,{first + i},7,{a},{b},1.,.3,2.\n" for i, (a, b) in enumerate(pairwise(points))
+        f"CBAR,{first + i},7,{a},{b},1.,.3,2.\n"
+        for i, (a, b) in enumerate(pairwise(points))
     )
 
 
@@ -83,7 +90,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (here / "branch.bdf").write_text(PROPERTIES + _grid(16, 2.5, 0.0, 2.0) + BRANCH)
     for name in ("cb", "guyan", "dynamic"):
         assembled = (
-            HEAD + f"INCLUDE '{name}.asm'\n" + PROPERTIES + FRAME + f"INCLUDE '{name}.pch'\n"
+            HEAD
+            + f"INCLUDE '{name}.asm'\n"
+            + PROPERTIES
+            + FRAME
+            + f"INCLUDE '{name}.pch'\n"
         )
         (here / f"with_{name}.bdf").write_text(assembled)
     return here
@@ -113,7 +124,9 @@ def test_craig_bampton_is_as_near_as_it_says(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("method", ["guyan", "dynamic"])
-def test_condensation_without_modes_holds_at_its_frequency(folder: Path, method: str) -> None:
+def test_condensation_without_modes_holds_at_its_frequency(
+    folder: Path, method: str
+) -> None:
     """Guyan is right at 0 Hz; the dynamic one at the frequency of a mode has that mode."""
     whole = frequencies(folder / "whole.bdf")
     at = float(whole[0]) if method == "dynamic" else None
@@ -130,7 +143,14 @@ def test_condensation_without_modes_holds_at_its_frequency(folder: Path, method:
 def test_the_command_writes_the_part_and_what_each_mode_loses(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["reduce", str(folder / "branch.bdf"), "--keep", "16", "--below", str(BELOW)]
+    words = [
+        "reduce",
+        str(folder / "branch.bdf"),
+        "--keep",
+        "16",
+        "--below",
+        str(BELOW),
+    ]
     assert run([*words, "--out", str(tmp_path / "cb"), "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["kept"][:2] == ["16+X", "16+Y"]
@@ -144,14 +164,18 @@ def test_the_command_writes_the_part_and_what_each_mode_loses(
 
 
 def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -> None:
-    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW), number=5)
+    part = rt.reduce_model(
+        folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW), number=5
+    )
     part.write(folder / "cb")
     part.write(folder / "full", op4=True)
     assembly = HEAD + PROPERTIES + FRAME + "INCLUDE 'full.asm'\nINCLUDE 'full.pch'\n"
     text = "ASSIGN INPUTT4='FULL.op4',unit=105\n" + assembly
     (folder / "with_op4.bdf").write_text(text.replace("SUPER=5", "SUPER       5"))
     np.testing.assert_allclose(
-        frequencies(folder / "with_op4.bdf"), frequencies(folder / "with_cb.bdf"), rtol=1e-7
+        frequencies(folder / "with_op4.bdf"),
+        frequencies(folder / "with_cb.bdf"),
+        rtol=1e-7,
     )
     held = read_op4(folder / "full.op4")
     np.testing.assert_array_equal(held["KAAX"].toarray(), part.external.stiffness)
@@ -159,7 +183,9 @@ def test_matrices_of_an_output4_file_are_those_of_the_punch_file(folder: Path) -
     write_op4(folder / "msc.op4", of_msc)
     (folder / "with_msc.bdf").write_text(text.replace("FULL.op4", "msc.op4"))
     np.testing.assert_allclose(
-        frequencies(folder / "with_msc.bdf"), frequencies(folder / "with_op4.bdf"), rtol=1e-9
+        frequencies(folder / "with_msc.bdf"),
+        frequencies(folder / "with_op4.bdf"),
+        rtol=1e-9,
     )
     (folder / "lost.bdf").write_text(text.replace("unit=105", "unit=72"))
     with pytest.raises(DeckError, match="unit 105: name its file above"):
@@ -176,12 +202,18 @@ def test_what_cannot_be_reduced_is_refused(folder: Path, tmp_path: Path) -> None
         rt.ReductionSettings(below=BELOW, method="dynamic")
     bare = tmp_path / "bare.bdf"
     bare.write_text(
-        HEAD + PROPERTIES + FRAME + "SEBULK,1,EXTERNAL\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
+        HEAD
+        + PROPERTIES
+        + FRAME
+        + "SEBULK,1,EXTERNAL\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
     )
     with pytest.raises(DeckError, match="its bulk data hold no DMIG"):
         read_deck(bare)
     bare.write_text(
-        HEAD + PROPERTIES + FRAME + "SEBULK,1,EXTOP2\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
+        HEAD
+        + PROPERTIES
+        + FRAME
+        + "SEBULK,1,EXTOP2\nBEGIN SUPER=1\nGRID,16,,2.5,0.,2.\n"
     )
     with pytest.raises(UnsupportedCard, match="TYPE EXTOP2"):
         read_deck(bare)
@@ -191,7 +223,9 @@ def test_a_factor_on_the_matrices_of_a_part_is_a_parameter(folder: Path) -> None
     """Stiffness and mass of the branch as matrices: derivatives against central differences, and
     an updating that finds the factors of a twin.
     """
-    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW))
+    part = rt.reduce_model(
+        folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW)
+    )
     part.write(folder / "cb")
     model = read_deck(folder / "with_cb.bdf")
     assert model["DMIG"]["NAME"].tolist() == ["KAAX@1", "MAAX@1"]
@@ -199,7 +233,9 @@ def test_a_factor_on_the_matrices_of_a_part_is_a_parameter(folder: Path) -> None
     parameters = rt.ParameterSet(tuple(both))
     with EmbeddedSolver().open(model) as analysis:
         modes = analysis.modes(ModesRequest(4)).modes
-        slopes = [analysis.derivatives(modes, parameters.take([i]))[0][:, 0] for i in range(2)]
+        slopes = [
+            analysis.derivatives(modes, parameters.take([i]))[0][:, 0] for i in range(2)
+        ]
     lam = (2 * np.pi * modes.frequencies) ** 2
     step = 1e-4
     for i, slope in enumerate(slopes):
@@ -207,19 +243,29 @@ def test_a_factor_on_the_matrices_of_a_part_is_a_parameter(folder: Path) -> None
         for sign in (1, -1):
             factors = np.ones(2)
             factors[i] += sign * step
-            with EmbeddedSolver().open(rt.at_factors(model, parameters, factors)) as analysis:
+            with EmbeddedSolver().open(
+                rt.at_factors(model, parameters, factors)
+            ) as analysis:
                 ends.append(analysis.modes(ModesRequest(4)).modes.frequencies)
-        difference = ((2 * np.pi * ends[0]) ** 2 - (2 * np.pi * ends[1]) ** 2) / (2 * step)
+        difference = ((2 * np.pi * ends[0]) ** 2 - (2 * np.pi * ends[1]) ** 2) / (
+            2 * step
+        )
         np.testing.assert_allclose(slope / lam, difference / lam, atol=1e-6)
-    twin = rt.solve_modes(rt.at_factors(model, parameters, np.array([0.8, 1.2])), count=6)
+    twin = rt.solve_modes(
+        rt.at_factors(model, parameters, np.array([0.8, 1.2])), count=6
+    )
     places = [f"{node}+{axis}" for node in (13, 16, 19) for axis in "XYZ"]
     result = rt.update(model, twin.at(places), parameters)
     np.testing.assert_allclose(result.factors, [0.8, 1.2], rtol=1e-3)
 
 
-def test_a_study_finds_and_delivers_factors_on_the_matrices_of_a_part(folder: Path) -> None:
+def test_a_study_finds_and_delivers_factors_on_the_matrices_of_a_part(
+    folder: Path,
+) -> None:
     """The punch file of the delivered deck has the scaled terms, and no other line is changed."""
-    part = rt.reduce_model(folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW))
+    part = rt.reduce_model(
+        folder / "branch.bdf", "16", rt.ReductionSettings(below=BELOW)
+    )
     part.write(folder / "cb")
     model = read_deck(folder / "with_cb.bdf")
     both = (rt.parameter("branch K", "DMIG 1 A"), rt.parameter("branch M", "DMIG 2 A"))
@@ -234,12 +280,16 @@ def test_a_study_finds_and_delivers_factors_on_the_matrices_of_a_part(folder: Pa
     found = done.results["update"].updated_values
     assert found["branch K"] == pytest.approx(0.8, rel=1e-3)
     assert found["branch M"] == pytest.approx(1.2, rel=1e-3)
-    assert any("(KAAX@1): all terms times 0.8" in line for line in done.results["final"].changes)
+    assert any(
+        "(KAAX@1): all terms times 0.8" in line
+        for line in done.results["final"].changes
+    )
     again = read_deck(done.folder / "updated" / "with_cb.bdf")
     for row, name in enumerate(("branch K", "branch M")):
         before = model["DMIG"].ragged("A").row(row)
         after = again["DMIG"].ragged("A").row(row)
-        np.testing.assert_allclose(after, found[name] * before, rtol=1e-8)  # of 16 columns
+        # of 16 columns
+        np.testing.assert_allclose(after, found[name] * before, rtol=1e-8)
 
 
 def test_scaled_matrices_are_written_in_place(folder: Path, tmp_path: Path) -> None:
@@ -249,7 +299,14 @@ def test_scaled_matrices_are_written_in_place(folder: Path, tmp_path: Path) -> N
     large += "*                     11               2           1.5+3\n"
     small = "DMIG    KAAX          12       1              12       1     4.0\n"
     other = "BEGIN SUPER=1\nGRID,12,,.5,0.,2.\n" + section.replace("11", "12")
-    text = HEAD.replace("SPC", "K2GG = KAAX\nSPC") + PROPERTIES + FRAME + section + large + small
+    text = (
+        HEAD.replace("SPC", "K2GG = KAAX\nSPC")
+        + PROPERTIES
+        + FRAME
+        + section
+        + large
+        + small
+    )
     deck = tmp_path / "deck.bdf"
     deck.write_text(text + "SEBULK,1,EXTERNAL\n" + other)
     model = read_deck(deck)

@@ -47,7 +47,9 @@ def test_refined_half_spectra_are_unbiased_in_damping() -> None:
     for seed in range(8):
         modes = identify_ambient_by("plscf", ambient.record(seed)).modes
         error.append(modes.damping[ambient.near(modes)] / ambient.Z - 1)
-    assert (np.abs(np.mean(error, axis=0)) < 3.5 * 2 * ambient.FLOOR_Z / np.sqrt(len(error))).all()
+    assert (
+        np.abs(np.mean(error, axis=0)) < 3.5 * 2 * ambient.FLOOR_Z / np.sqrt(len(error))
+    ).all()
 
 
 @pytest.mark.parametrize("method", ["plscf", "era", "ssi-data"])
@@ -60,15 +62,33 @@ def test_bands_too_short_for_a_method_are_left_out_and_said(method: str) -> None
     assert any("too short for" in n for n in found.notes)
 
 
-def test_methods_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_methods_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_history(tmp_path / "r.h5", ambient.record(0))
-    words = ["oma", str(tmp_path / "r.h5"), "--method", "fdd", "--fmin", "8", "--fmax", "10"]
+    words = [
+        "oma",
+        str(tmp_path / "r.h5"),
+        "--method",
+        "fdd",
+        "--fmin",
+        "8",
+        "--fmax",
+        "10",
+    ]
     assert run([*words, "--json", "-"]) == 0
     (mode,) = json.loads(capsys.readouterr().out)["modes"]
     assert abs(mode["frequency_hz"] - 9.0) < 5 * mode["std_frequency_hz"]
     for wrong in (
         ["oma", str(tmp_path / "r.h5"), "--method", "bayes"],
-        ["oma", str(tmp_path / "r.h5"), "--method", "era", "--diagram", str(tmp_path / "d.html")],
+        [
+            "oma",
+            str(tmp_path / "r.h5"),
+            "--method",
+            "era",
+            "--diagram",
+            str(tmp_path / "d.html"),
+        ],
         ["oma", str(tmp_path / "r.h5"), "--near", "5"],
     ):
         assert run(wrong) == 2

@@ -80,7 +80,9 @@ def written(folder: Path, more: str) -> Path:
     write_sheet(folder / "sensors.csv", end, end.channels)
     modes = true.modes(18.0).modes
     shapes = true.observation(test, 0.01)(modes.shapes)
-    write_modes(folder / "modes.json", replace(modes, shapes=shapes, labels=test.channels))
+    write_modes(
+        folder / "modes.json", replace(modes, shapes=shapes, labels=test.channels)
+    )
     rows = (
         at_dofs((f"{END}+Z", "303+X"), true.analysis.dofs, 1.0).matrix
         @ true.analysis.system.transform
@@ -91,17 +93,23 @@ def written(folder: Path, more: str) -> Path:
         f"pull,303+X,,{moved[1, 0]:.9e}",
         f"pull,{END}+Y,,0.0",
     ]
-    (folder / "pull.csv").write_text("\n".join(["case,channel,load,deflection", *lines]) + "\n")
+    (folder / "pull.csv").write_text(
+        "\n".join(["case,channel,load,deflection", *lines]) + "\n"
+    )
     (folder / "study.toml").write_text(STUDY + more)
     return folder / "study.toml"
 
 
 @pytest.fixture(scope="module")
 def pulled(tmp_path_factory: pytest.TempPathFactory) -> StudyRun:
-    return run_study(written(tmp_path_factory.mktemp("pulled"), STATIC), until="localise")
+    return run_study(
+        written(tmp_path_factory.mktemp("pulled"), STATIC), until="localise"
+    )
 
 
-def test_a_candidate_that_no_mode_strains_is_proposed_by_the_pull_on_it(pulled: StudyRun) -> None:
+def test_a_candidate_that_no_mode_strains_is_proposed_by_the_pull_on_it(
+    pulled: StudyRun,
+) -> None:
     found = {m.name: m.factor for m in pulled.results["localise"].proposal.members}
     assert found["MAT1 9 E"] == pytest.approx(SOFT, rel=0.02)
     assert found["MAT1 1 E"] == pytest.approx(WRONG, rel=0.02)
@@ -148,5 +156,8 @@ def test_what_candidates_do_to_the_data_is_what_the_reduced_model_says(
     nominal = at.slope[mine] * p.derivative(0 * x) / p.derivative(x) * p.std()
     # zeros: the other vectors of the basis have a small part in the derivatives of shapes
     np.testing.assert_allclose(
-        slopes, nominal, rtol=1e-5, atol=(1e-2 if kind == "zeros" else 1e-6) * abs(nominal).max()
+        slopes,
+        nominal,
+        rtol=1e-5,
+        atol=(1e-2 if kind == "zeros" else 1e-6) * abs(nominal).max(),
     )

@@ -31,9 +31,7 @@ from ringtrue.study.run import StudyRun, load_study, run_study
 TRUTH = {"stiffness": 0.75, "density": 0.9}
 CORNERS = [small_study.node(3, i, j) for i, j in small_study.CORNERS]
 MASS = "".join(f"CONM2,{9000 + k},{n},,800.0\n" for k, n in enumerate(CORNERS))
-LOADED = (
-    '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
-)
+LOADED = '\n[[configuration]]\nname = "loaded"\ncards = "deck/mass.bdf"\nsheet = "loaded/sensors.csv"\n'
 LOADED += 'log = "loaded/campaign.json"\nleft_out = 2\n'
 OWN = (
     '\n[[configuration]]\nname = "loaded"\ndeck = "deck/loaded.bdf"\nmodes = '
@@ -57,9 +55,15 @@ def folder(
     (at / "deck").mkdir()
     (at / "deck/frame.bdf").write_text(small_study.deck())
     (at / "deck/mass.bdf").write_text(MASS)
-    (at / "deck/loaded.bdf").write_text(small_study.deck().replace("ENDDATA", MASS + "ENDDATA"))
-    small_study.write_data(at / "data", ambient=False, truth=truth(e, rho, loaded=False))
-    small_study.write_data(at / "loaded", ambient=False, truth=truth(e, rho, loaded=True))
+    (at / "deck/loaded.bdf").write_text(
+        small_study.deck().replace("ENDDATA", MASS + "ENDDATA")
+    )
+    small_study.write_data(
+        at / "data", ambient=False, truth=truth(e, rho, loaded=False)
+    )
+    small_study.write_data(
+        at / "loaded", ambient=False, truth=truth(e, rho, loaded=True)
+    )
     (at / "truth.bdf").write_text(truth(e, rho, loaded=True))
     seen = small_study.measured_modes(at / "truth.bdf", small_study.FMAX)
     write_modes(at / "loaded.json", seen)
@@ -84,7 +88,9 @@ def errors(run: StudyRun) -> dict[str, float]:
     best = done.sets[done.chosen]
     assert best.outcome.startswith("converged")
     found = dict(zip(best.parameters, best.factor.tolist(), strict=True))
-    return {name: abs(found.get(name, 1.0) / value - 1) for name, value in TRUTH.items()}
+    return {
+        name: abs(found.get(name, 1.0) / value - 1) for name, value in TRUTH.items()
+    }
 
 
 def test_both_parameters_are_found_and_from_one_configuration_they_are_not(
@@ -126,15 +132,21 @@ def test_damping_is_fitted_to_both_tests(both: StudyRun) -> None:
     assert (~other.modes.used).sum() == 2
     for modes in (d.modes, other.modes):  # the truth has one ratio in all modes of both
         assert modes.spread(True)[1] < 0.1
-    np.testing.assert_allclose(d.regions.coefficients, 2 * small_study.DAMPING, rtol=0.2)
-    told = json.loads((both.folder / "summary.json").read_text())["damping"]["configurations"]
+    np.testing.assert_allclose(
+        d.regions.coefficients, 2 * small_study.DAMPING, rtol=0.2
+    )
+    told = json.loads((both.folder / "summary.json").read_text())["damping"][
+        "configurations"
+    ]
     assert [t["name"] for t in told] == ["loaded"]
     assert "Damping of the modes: loaded" in (both.folder / "report.html").read_text(
         encoding="utf-8"
     )
 
 
-@pytest.mark.parametrize(("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")])
+@pytest.mark.parametrize(
+    ("e", "rho", "wrong"), [(1.0, 0.8, "density"), (0.8, 1.0, "stiffness")]
+)
 def test_one_wrong_parameter_is_chosen_by_both_tests(
     tmp_path: Path, e: float, rho: float, wrong: str
 ) -> None:
@@ -170,11 +182,15 @@ def test_stated_limits_hold_for_every_delivered_deck(both: StudyRun) -> None:
     )
     said = missed_words(strict, both.results)
     tables = both.results["final"].table, both.results["configured"].items[0].table
-    assert len(said) == sum(int((np.abs(t.deviation_percent) > 1e-4).sum()) for t in tables)
+    assert len(said) == sum(
+        int((np.abs(t.deviation_percent) > 1e-4).sum()) for t in tables
+    )
     assert sum(s.startswith("loaded: test mode") for s in said) > 0
-    assert [c.held for c in verdict(both.config, both.results) if c.name.startswith("loaded")] == [
-        True
-    ]
+    assert [
+        c.held
+        for c in verdict(both.config, both.results)
+        if c.name.startswith("loaded")
+    ] == [True]
 
 
 def test_every_deck_that_has_the_field_is_written(both: StudyRun) -> None:
@@ -203,7 +219,8 @@ def test_a_second_run_resumes_and_the_store_holds_the_tables(both: StudyRun) -> 
         (a,), (b,) = both.results[stage].items, stored[stage].items
         assert a.name == b.name == "loaded"
     np.testing.assert_array_equal(
-        both.results["configured"].items[0].table.fe_hz, stored["configured"].items[0].table.fe_hz
+        both.results["configured"].items[0].table.fe_hz,
+        stored["configured"].items[0].table.fe_hz,
     )
 
 
@@ -223,8 +240,12 @@ def test_a_deck_of_its_own_and_a_file_of_modes(both: StudyRun, tmp_path: Path) -
 def test_where_a_deck_differs_is_said(tmp_path: Path) -> None:
     study = folder(tmp_path, PLAIN + OWN)
     deck = tmp_path / "deck/loaded.bdf"
-    text = deck.read_text().replace("MAT1,10,3.+10,,0.2,2500.0", "MAT1,10,3.+10,,0.2,2250.0")
-    deck.write_text(text.replace("MAT1,3,", "MAT1,53,").replace("PBEAM,3,3,", "PBEAM,3,53,"))
+    text = deck.read_text().replace(
+        "MAT1,10,3.+10,,0.2,2500.0", "MAT1,10,3.+10,,0.2,2250.0"
+    )
+    deck.write_text(
+        text.replace("MAT1,3,", "MAT1,53,").replace("PBEAM,3,3,", "PBEAM,3,53,")
+    )
     run = run_study(study, until="configurations")
     (item,) = run.results["configurations"].items
     assert item.notes == (
@@ -263,12 +284,16 @@ def test_a_deck_that_carries_nothing_is_refused(tmp_path: Path) -> None:
         run_study(study, until="configurations")
 
 
-def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: Path) -> None:
+def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(
+    tmp_path: Path,
+) -> None:
     """All moduli and all densities play the suspension; two sways and a torsion lie below 3 Hz in
     each test.
     """
     sure = small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
-    toml = small_study.MODEL + small_study.TEST + sure + "[correlate]\nrigid_below = 3.0\n"
+    toml = (
+        small_study.MODEL + small_study.TEST + sure + "[correlate]\nrigid_below = 3.0\n"
+    )
     toml += small_study.WHOLE.replace("[[candidate]]", "[[suspension]]")
     study = folder(tmp_path, toml)
     small_study.write_data(tmp_path / "data", truth=truth(0.75, 0.9, loaded=False))
@@ -277,7 +302,9 @@ def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: P
         study.write_text(toml + more)
         run = run_study(study, until=until)
         tune = run.results["tune"]
-        found.append(max(abs(tune.factors[n] / value - 1) for n, value in TRUTH.items()))
+        found.append(
+            max(abs(tune.factors[n] / value - 1) for n, value in TRUTH.items())
+        )
     assert found[0] > 0.1  # their ratio alone
     assert found[1] < 0.02
     assert max(tune.std.values()) < 0.05
@@ -285,10 +312,12 @@ def test_a_suspension_is_tuned_to_the_rigid_body_modes_of_both_tests(tmp_path: P
     assert len(other.after) == 3
     assert other.after.max_deviation() < 0.5 < 5 < other.before.max_deviation()
     deliver(run)
-    told = json.loads((run.folder / "summary.json").read_text())["suspension_configurations"]
+    told = json.loads((run.folder / "summary.json").read_text())[
+        "suspension_configurations"
+    ]
     assert [len(t["after"]) for t in told] == [3]
-    assert "loaded: rigid-body modes after tuning." in (run.folder / "report.html").read_text(
-        encoding="utf-8"
-    )
+    assert "loaded: rigid-body modes after tuning." in (
+        run.folder / "report.html"
+    ).read_text(encoding="utf-8")
     (deck,) = run.results["configured"].items
     assert any("MAT1 10 RHO" in c for c in deck.changes)

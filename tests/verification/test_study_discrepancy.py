@@ -43,7 +43,11 @@ def updated(folder: Path, extra: str) -> tuple[SetResult, list[int]]:
     """The set that a study chooses, and the modes that it leaves out, from 1."""
     aim = twin.measured(WRONG, np.random.default_rng(3))
     twin.write_test(
-        folder, aim.frequencies, aim.shapes, 0.002, 0.01 * np.abs(aim.shapes).max(axis=0)
+        folder,
+        aim.frequencies,
+        aim.shapes,
+        0.002,
+        0.01 * np.abs(aim.shapes).max(axis=0),
     )
     (folder / "study.toml").write_text(STUDY + extra + CANDIDATES)
     stages = run_study(folder / "study.toml", until="update").results
@@ -55,7 +59,8 @@ def changes(folder: Path, extra: str) -> dict[str, float]:
     """Factor found over the true one of each wrong region."""
     best, _ = updated(folder, extra)
     return {
-        n: a / WRONG[int(n)] for n, a in zip(best.parameters, best.factor.tolist(), strict=True)
+        n: a / WRONG[int(n)]
+        for n, a in zip(best.parameters, best.factor.tolist(), strict=True)
     }
 
 
@@ -73,7 +78,12 @@ def test_the_command_updates_as_the_study_does(tmp_path: Path) -> None:
     """
     study, left_out = updated(tmp_path, "")
     words = [str(tmp_path / n) for n in ("study.toml", "modes.json")]
-    more = ["--leave-out", ",".join(map(str, left_out)), "--json", str(tmp_path / "found.json")]
+    more = [
+        "--leave-out",
+        ",".join(map(str, left_out)),
+        "--json",
+        str(tmp_path / "found.json"),
+    ]
     assert run(["update", *words, *more]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
     factors = {p["name"]: p["factor"] for p in found["parameters"]}
@@ -81,7 +91,9 @@ def test_the_command_updates_as_the_study_does(tmp_path: Path) -> None:
         study.factor.tolist(), rel=2e-4
     )  # of the basis
     std = {p["name"]: p["relative_std"] for p in found["parameters"]}
-    assert [std[n] for n in study.parameters] == pytest.approx(study.std.tolist(), rel=0.05)
+    assert [std[n] for n in study.parameters] == pytest.approx(
+        study.std.tolist(), rel=0.05
+    )
     kept = list(found["discrepancy_percent"].values())
     assert kept == pytest.approx((100 * study.discrepancy).tolist(), rel=0.02)
     assert kept[0] < 0.5  # 0.2 % of noise; 1 % is assumed
@@ -91,14 +103,21 @@ def test_the_command_updates_as_the_study_does(tmp_path: Path) -> None:
     assert run(["update", *words, *more]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["discrepancy_percent"] == {"frequency": 1.0, "mac": 5.0}
-    assert max(abs(p["factor"] / WRONG[int(p["name"])] - 1) for p in found["parameters"]) > 0.03
+    assert (
+        max(abs(p["factor"] / WRONG[int(p["name"])] - 1) for p in found["parameters"])
+        > 0.03
+    )
 
 
 def test_errors_that_are_given_hold(tmp_path: Path) -> None:
-    worst = max(abs(a - 1) for a in changes(tmp_path, "frequency_error = 0.01\n").values())
+    worst = max(
+        abs(a - 1) for a in changes(tmp_path, "frequency_error = 0.01\n").values()
+    )
     assert worst > 0.03
     given = parse_config(STUDY + "frequency_error = 0.01\n", tmp_path)
-    asked = parse_config(STUDY + 'frequency_error = 0.01\ndiscrepancy = "found"\n', tmp_path)
+    asked = parse_config(
+        STUDY + 'frequency_error = 0.01\ndiscrepancy = "found"\n', tmp_path
+    )
     assert asked.update.sharpened
     assert not given.update.sharpened
     assert not parse_config(STUDY + 'loss = "huber"\n', tmp_path).update.sharpened

@@ -52,8 +52,14 @@ def deflections(opened: Opened) -> list[float]:
     """Of 1 kN at the top floor, by the full stiffness matrix."""
     system = opened.analysis.system
     look = opened.observation(small_study.test_model(), 0.01)
-    rows = (look.matrix @ system.transform)[[look.channels.index(c) for c in READ]].toarray()
-    return (rows @ opened.analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T)).ravel().tolist()
+    rows = (look.matrix @ system.transform)[
+        [look.channels.index(c) for c in READ]
+    ].toarray()
+    return (
+        (rows @ opened.analysis.pencil.at(0.0).solve(1000.0 * rows[:1].T))
+        .ravel()
+        .tolist()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -66,18 +72,25 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small_study.write_data(at / "data", ambient=False, truth=truth())
     moved = deflections(Opened(read_deck(at / "truth.bdf"), 1.0))
     rows = [
-        f"pull,{c},{1000 if c == LOADED else ''},{u:.9e}" for c, u in zip(READ, moved, strict=True)
+        f"pull,{c},{1000 if c == LOADED else ''},{u:.9e}"
+        for c, u in zip(READ, moved, strict=True)
     ]
-    (at / "pull.csv").write_text("case,channel,load,deflection\n" + "\n".join(rows) + "\n")
+    (at / "pull.csv").write_text(
+        "case,channel,load,deflection\n" + "\n".join(rows) + "\n"
+    )
     (at / "study.toml").write_text(PLAIN)
     run_study(at / "study.toml", until="correlate")
     return at
 
 
-def study(made: Path, at: Path, more: str, settings: str = "", plain: str = PLAIN) -> Path:
+def study(
+    made: Path, at: Path, more: str, settings: str = "", plain: str = PLAIN
+) -> Path:
     """A copy with further residuals; what was identified is taken from the store."""
     shutil.copytree(made, at / "s")
-    (at / "s/study.toml").write_text(plain.replace("[update]", f"[update]\n{settings}") + more)
+    (at / "s/study.toml").write_text(
+        plain.replace("[update]", f"[update]\n{settings}") + more
+    )
     return at / "s/study.toml"
 
 
@@ -107,7 +120,9 @@ def test_scale_is_found(made: Path, tmp_path: Path, kind: str) -> None:
         assert found[name] == pytest.approx(value, rel=0.02)  # without: 0.85 and 1.02
     (data,) = run.results["update"].data
     if np.isfinite(data.measured).all():
-        far, near = (np.abs(v - data.measured) / data.error for v in (data.before, data.after))
+        far, near = (
+            np.abs(v - data.measured) / data.error for v in (data.before, data.after)
+        )
     else:
         far, near = data.before, data.after
     assert near.max() < 0.3 * far.max()
@@ -125,9 +140,13 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
     )  # zeros: modes with the point held
     (tmp_path / "held.bdf").write_text(held)
     f = (
-        Opened(read_deck(tmp_path / "held.bdf"), 1.0).modes(12.0).modes.frequencies[[1, 2, 4]]
+        Opened(read_deck(tmp_path / "held.bdf"), 1.0)
+        .modes(12.0)
+        .modes.frequencies[[1, 2, 4]]
     )  # 0 and 3 sway along y
-    more = STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
+    more = (
+        STATIC + weighing(made) + FRF + zeros.format(", ".join(f"{x:.6f}" for x in f))
+    )
     settings = 'residuals = ["frequencies", "mac"]\n'
     run = run_study(study(made, tmp_path, more, settings))
     deliver(run)
@@ -143,16 +162,21 @@ def test_all_together_with_zeros_reach_the_report_and_the_uncertainty(
     assert "303+X / 303+X: zero 1" in page
     assert "pull: 203+X" in page
     known = run.results["uncertainty"]
-    assert (known.posterior.ratio < 0.1).all()  # the modes alone leave the scale at its prior
+    # the modes alone leave the scale at its prior
+    assert (known.posterior.ratio < 0.1).all()
     at = np.array([TRUTH[n] for n in known.posterior.parameters.names])
     assert (np.abs(known.posterior.factor / at - 1) < 4 * known.posterior.std).all()
 
 
-def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path: Path) -> None:
+def test_what_was_measured_on_another_configuration_counts(
+    made: Path, tmp_path: Path
+) -> None:
     more = weighing(made) + 'configuration = "bare"\n'
     bare = '[[configuration]]\nname = "bare"\ndeck = "deck/frame.bdf"\nmodes = "bare.json"\n'
     path = study(made, tmp_path, more + bare + "[uncertainty]\nfolds = 3\n")
-    write_modes(path.parent / "bare.json", small_study.measured_modes(made / "truth.bdf", 20.0))
+    write_modes(
+        path.parent / "bare.json", small_study.measured_modes(made / "truth.bdf", 20.0)
+    )
     run = run_study(path, until="uncertainty")
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.01)
@@ -170,7 +194,9 @@ def test_what_was_measured_on_another_configuration_counts(made: Path, tmp_path:
         'residuals = ["frequencies", "mac"]\nfrequency_error = 0.005\n',
     ],
 )
-def test_ways_to_minimise_lead_to_the_same(made: Path, tmp_path: Path, settings: str) -> None:
+def test_ways_to_minimise_lead_to_the_same(
+    made: Path, tmp_path: Path, settings: str
+) -> None:
     found = factors(run_study(study(made, tmp_path, STATIC, settings), until="update"))
     for name, value in TRUTH.items():
         assert found[name] == pytest.approx(value, rel=0.02)
@@ -200,9 +226,9 @@ frequency_error = 0.001
     assert by["by evidence"].settings == "prior evidence, starts 2"
     assert by["frequencies first"].settings == "shape weight 0.1, frequency error 0.001"
     for name in ("by evidence", "frequencies first", "best subset"):
-        assert dict(zip(by[name].parameters, by[name].factor, strict=True)) == pytest.approx(
-            TRUTH, rel=0.02
-        )
+        assert dict(
+            zip(by[name].parameters, by[name].factor, strict=True)
+        ) == pytest.approx(TRUTH, rel=0.02)
     assert done.sets[done.chosen].name != "frequencies first"
     assert "not chosen from" in done.why
     told = {s["name"]: s for s in summarise(run)["sets"]}
@@ -212,15 +238,23 @@ frequency_error = 0.001
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ('[[set]]\nname = "a"\ncandidates = ["stifness"]\n', "did you mean 'stiffness'"),
+        (
+            '[[set]]\nname = "a"\ncandidates = ["stifness"]\n',
+            "did you mean 'stiffness'",
+        ),
         ('[[set]]\nname = "best subset"\n', "names of their own"),
         ('[[residual]]\nkind = "frf"\nfmim = 3.0\n', "did you mean 'fmin'"),
         ('[[residual]]\nkind = "mass"\n', "gives mass, center or inertia"),
-        ('[[residual]]\nkind = "mass"\nmass = 3.0\nconfiguration = "x"\n', "no configuration 'x'"),
+        (
+            '[[residual]]\nkind = "mass"\nmass = 3.0\nconfiguration = "x"\n',
+            "no configuration 'x'",
+        ),
         ('[[constraint]]\nterms = { "denisty" = 1.0 }\n', "did you mean 'density'"),
     ],
 )
-def test_what_the_study_cannot_mean_is_refused(tmp_path: Path, more: str, told: str) -> None:
+def test_what_the_study_cannot_mean_is_refused(
+    tmp_path: Path, more: str, told: str
+) -> None:
     with pytest.raises(ConfigError, match=told):
         parse_config(PLAIN + more, tmp_path / "study.toml")
 
@@ -237,13 +271,18 @@ def test_constraint_holds(made: Path, tmp_path: Path) -> None:
     ("text", "told"),
     [
         ("pull,303+X,1000,\n", "one deflection"),
-        ("pull,303+X,1e3,1e-3\npull,303+X,,1e-3\n", "pull.csv:3: channel 303+X is given twice"),
+        (
+            "pull,303+X,1e3,1e-3\npull,303+X,,1e-3\n",
+            "pull.csv:3: channel 303+X is given twice",
+        ),
         ("pull,303+X,much,1e-3\n", "pull.csv:2: load 'much' is not a number"),
         ("pull,99999+X,1e3,1e-3\n", "99999"),
         ("pull,1+X,1e3,1e-3\n", "channel 1+X is not on the sensor sheet"),
     ],
 )
-def test_static_tables_are_checked(made: Path, tmp_path: Path, text: str, told: str) -> None:
+def test_static_tables_are_checked(
+    made: Path, tmp_path: Path, text: str, told: str
+) -> None:
     path = study(made, tmp_path, STATIC)
     (path.parent / "pull.csv").write_text("case,channel,load,deflection\n" + text)
     with pytest.raises(DataError, match=told.replace("+", r"\+")):
@@ -257,16 +296,22 @@ def test_pairs_that_the_study_decides_hold_from_the_deck_to_the_delivered_one(
     run = run_study(study(made, tmp_path, locks + STATIC), until="final")
     found, final = run.results["correlate"], run.results["final"]
     for table in (found.initial, final.table):
-        pairs = set(zip(table.pairing.a.tolist(), table.pairing.b.tolist(), strict=True))
+        pairs = set(
+            zip(table.pairing.a.tolist(), table.pairing.b.tolist(), strict=True)
+        )
         assert (1, 1) not in pairs
         assert (3, 3) in pairs  # the order of the modes stays: all moduli change alike
     for name, value in factors(run).items():
         assert value == pytest.approx(TRUTH[name], rel=0.02)
     (tmp_path / "s/study.toml").write_text(PLAIN + '[correlate]\nlock = ["4:40"]\n')
-    with pytest.raises(ConfigError, match=r"correlate\.lock 4:40: there are 9 elastic test modes"):
+    with pytest.raises(
+        ConfigError, match=r"correlate\.lock 4:40: there are 9 elastic test modes"
+    ):
         run_study(tmp_path / "s/study.toml", until="correlate")
     with pytest.raises(ConfigError, match="'4-3' is no pair"):
-        parse_config(PLAIN + '[correlate]\nforbid = ["4-3"]\n', tmp_path / "s/study.toml")
+        parse_config(
+            PLAIN + '[correlate]\nforbid = ["4-3"]\n', tmp_path / "s/study.toml"
+        )
 
 
 def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
@@ -275,7 +320,9 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
     path = study(made, tmp_path, '[correlate]\nalign = "points"\n' + STATIC)
     c, s = np.cos(0.5), np.sin(0.5)
     about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    turn = Alignment(about_z, np.array([20.0, -3, 1]), 1.0, np.zeros(0), np.zeros(0, dtype=bool))
+    turn = Alignment(
+        about_z, np.array([20.0, -3, 1]), 1.0, np.zeros(0), np.zeros(0, dtype=bool)
+    )
     turned = turn.move(small_study.test_model())
     write_sheet(path.parent / "data/sensors.csv", turned, turned.channels)
     found: list[str] = []
@@ -300,9 +347,13 @@ def test_a_sheet_in_a_frame_of_its_own_is_laid_onto_the_deck(
 def test_an_interrupted_updating_goes_on_with_the_next_set(
     made: Path, tmp_path: Path, more: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = study(made, tmp_path, more, plain=PLAIN.replace("[update]", "[update]\nchoose = 1"))
+    path = study(
+        made, tmp_path, more, plain=PLAIN.replace("[update]", "[update]\nchoose = 1")
+    )
     whole = run_study(
-        study(made, tmp_path / "whole", more, plain=path.read_text().removesuffix(more)),
+        study(
+            made, tmp_path / "whole", more, plain=path.read_text().removesuffix(more)
+        ),
         until="update",
     )
     at: list[str] = []
@@ -321,7 +372,9 @@ def test_an_interrupted_updating_goes_on_with_the_next_set(
     again = run_study(path, until="update")
     assert not (path.parent / "update.sets.h5").exists()
     assert again.results["sensitivity"].sets == whole.results["sensitivity"].sets
-    for a, b in zip(again.results["update"].sets, whole.results["update"].sets, strict=True):
+    for a, b in zip(
+        again.results["update"].sets, whole.results["update"].sets, strict=True
+    ):
         np.testing.assert_array_equal(a.factor, b.factor)
         np.testing.assert_array_equal(a.history.path, b.history.path)
 
@@ -364,12 +417,18 @@ def test_a_deck_in_millimetres_gives_the_same(made: Path, tmp_path: Path) -> Non
     assert frfs.after.max() < 0.3 * frfs.before.max()
 
 
-def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(made: Path, tmp_path: Path) -> None:
-    run = run_study(study(made, tmp_path, '[correlate]\nmatch = "rigid"\n'), until="correlate")
+def test_a_sensor_off_the_nodes_reads_the_nodes_around_it(
+    made: Path, tmp_path: Path
+) -> None:
+    run = run_study(
+        study(made, tmp_path, '[correlate]\nmatch = "rigid"\n'), until="correlate"
+    )
     test = run.results["identify"].test
-    off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))  # on the rim of the floors
+    # on the rim of the floors
+    off = replace(test, xyz=test.xyz + np.array([0.2, 0.1, 0.0]))
     near, around = (
-        run.session.initial.observation(off, 1.0, how).matrix for how in ("nearest", "rigid")
+        run.session.initial.observation(off, 1.0, how).matrix
+        for how in ("nearest", "rigid")
     )
     assert (np.diff(near.indptr) == 1).all()
     assert (np.diff(around.indptr) >= 4).all()
@@ -395,9 +454,9 @@ def test_steps_of_a_remodelling_are_told_one_by_one(made: Path, tmp_path: Path) 
     assert found.remodelling.reason == "1. tank; 2. crane"
     assert len(read_deck(path.parent / "remodelled/step 1/frame.bdf")["CONM2"]) == 1
     assert len(read_deck(path.parent / "remodelled/frame.bdf")["CONM2"]) == 2
-    assert "after each step of the remodelling" in (run.folder / "report.html").read_text(
-        encoding="utf-8"
-    )
+    assert "after each step of the remodelling" in (
+        run.folder / "report.html"
+    ).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("kind", ["", "static", "mass", "frf"])
@@ -408,9 +467,13 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     both.
     """
     # so that the search has a basis of its own here, too
-    monkeypatch.setattr(candidate_screening, "SIZES", replace(candidate_screening.SIZES, vectors=1))
+    monkeypatch.setattr(
+        candidate_screening, "SIZES", replace(candidate_screening.SIZES, vectors=1)
+    )
     more = {"": "", "static": STATIC, "mass": weighing(made), "frf": FRF}[kind]
-    run = run_study(study(made, tmp_path, more, "propose = true\n"), until="sensitivity")
+    run = run_study(
+        study(made, tmp_path, more, "propose = true\n"), until="sensitivity"
+    )
     found = run.results["localise"]
     named = {m.name: m for m in found.proposal.members}
     told = summarise(run)
@@ -423,7 +486,9 @@ def test_the_proposal_takes_what_was_measured_beside_the_modes(
     for name, m in named.items():
         assert m.factor == pytest.approx(TRUTH[name], rel=0.03)
         assert not m.collinear
-    assert told["proposed_by"] == {"static": "pull", "mass": "mass", "frf": "hammer"}[kind]
+    assert (
+        told["proposed_by"] == {"static": "pull", "mass": "mass", "frf": "hammer"}[kind]
+    )
     assert set(run.results["sensitivity"].sets["proposal"]) == set(TRUTH)
     # all candidates free: known beside each other as well as alone only with the data that part
     # them

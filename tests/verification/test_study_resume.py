@@ -30,10 +30,10 @@ RIGID = (
     + small_study.TEST
     + small_study.SETTINGS.replace("[identify]", "[identify]\nconfidence = 0.4")
 )
-SUSPENDED = RIGID + small_study.candidates((2, 3)) + "[correlate]\nrigid_below = 3.0\n" + QUICK
-SUSPENDED += (
-    '[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n[uncertainty]\nsamples = 40\n'
+SUSPENDED = (
+    RIGID + small_study.candidates((2, 3)) + "[correlate]\nrigid_below = 3.0\n" + QUICK
 )
+SUSPENDED += '[[suspension]]\nname = "lowest storey"\ntargets = ["MAT1 1 E"]\n[uncertainty]\nsamples = 40\n'
 JOINT = PLAIN + LOADED + "\n[uncertainty]\nfolds = 3\n"
 
 
@@ -46,11 +46,15 @@ def digests(store: Path) -> dict[str, str]:
 def made(kind: str, at: Path) -> Path:
     if kind == "configurations":
         return folder(at, JOINT)
-    return small_study.write_study(at, {"planned": PLANNED, "suspended": SUSPENDED}[kind])
+    return small_study.write_study(
+        at, {"planned": PLANNED, "suspended": SUSPENDED}[kind]
+    )
 
 
 @pytest.mark.parametrize("kind", ["planned", "suspended", "configurations"])
-def test_every_stage_gives_the_same_bits_from_the_stored_results(tmp_path: Path, kind: str) -> None:
+def test_every_stage_gives_the_same_bits_from_the_stored_results(
+    tmp_path: Path, kind: str
+) -> None:
     study = made(kind, tmp_path)
     through = run_study(study)
     store = study.with_name("study.h5")
@@ -67,7 +71,8 @@ def test_timings_of_earlier_stages_are_kept(tmp_path: Path) -> None:
     first = run_study(study)
     store = Store(study.with_name("study.h5"))
     assert set(first.timings) == set(first.results) - {"provenance"}
-    store.save("provenance", "", None)  # as after a kill, which leaves no provenance of the run
+    # as after a kill, which leaves no provenance of the run
+    store.save("provenance", "", None)
     resumed = run_study(study, first="uncertainty")
     assert list(resumed.timings) == list(first.timings)
     rerun = {"uncertainty", "damping"}

@@ -26,19 +26,28 @@ from ringtrue.reduction.static import StaticShapes
 from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.updating.identifiability import clusters, cosines, identifiability
 from ringtrue.updating.selection import screening
-from ringtrue.updating.selection.candidates import CandidateSettings, elements_of, membership
+from ringtrue.updating.selection.candidates import (
+    CandidateSettings,
+    elements_of,
+    membership,
+)
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import expanded_errors, strain_energies
 from ringtrue.updating.selection.screening import effective
 
 
 def test_candidates_know_their_elements_and_units() -> None:
-    found = {c.name: c for c in generate(twin.read(twin.deck()), CandidateSettings(units="SI"))}
+    found = {
+        c.name: c
+        for c in generate(twin.read(twin.deck()), CandidateSettings(units="SI"))
+    }
     assert found["MAT1 11 E"].elements == (100, 101)
     assert found["MAT1 11 E"].what == "Young's modulus 2e+11 Pa of 2 CBEAM"
     assert found["PSHELL 20 T"].what == "thickness 0.1 m of 4 CQUAD4"
     assert found["PBUSH 900 K4"].what.startswith("stiffness about axis 1 5e+06 N m/rad")
-    assert found["PSHELL 10 piece 1 E"].elements != found["PSHELL 10 piece 2 E"].elements
+    assert (
+        found["PSHELL 10 piece 1 E"].elements != found["PSHELL 10 piece 2 E"].elements
+    )
     assert "MAT1 10 NU" not in found
     only = generate(twin.read(twin.deck()), CandidateSettings(kinds=("spring",)))
     assert {c.kind for c in only} == {"spring"}
@@ -47,10 +56,15 @@ def test_candidates_know_their_elements_and_units() -> None:
 def test_equal_springs_are_one_group_and_each_by_itself() -> None:
     text = twin.deck().replace("CBUSH,903,900", "CBUSH,903,901")
     extra = [
-        ln.replace("PBUSH,900", "PBUSH,901") for ln in text.splitlines() if ln.startswith("PBUSH")
+        ln.replace("PBUSH,900", "PBUSH,901")
+        for ln in text.splitlines()
+        if ln.startswith("PBUSH")
     ]
     model = twin.read(text.replace("ENDDATA", "\n".join([*extra, "ENDDATA"])))
-    names = {c.name: c.elements for c in generate(model, CandidateSettings(kinds=("spring",)))}
+    names = {
+        c.name: c.elements
+        for c in generate(model, CandidateSettings(kinds=("spring",)))
+    }
     assert names["PBUSH 900-901 K1"] == (900, 901, 902, 903)
     assert names["PBUSH 901 K1"] == (903,)
 
@@ -69,9 +83,14 @@ def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> Non
         ",.1,.09",
     ]
     cards += ["MAT1,1,2.1+11,,.3,7850."]
-    (tmp_path / "a.bdf").write_text("\n".join(["BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"]))
+    (tmp_path / "a.bdf").write_text(
+        "\n".join(["BEGIN BULK", *nodes, *bars, *cards, "ENDDATA"])
+    )
     model = read_deck(tmp_path / "a.bdf")
-    found = {c.name: c for c in generate(model, CandidateSettings(kinds=("property",), units="SI"))}
+    found = {
+        c.name: c
+        for c in generate(model, CandidateSettings(kinds=("property",), units="SI"))
+    }
     each = {f"PBARL 1 DIM{k}" for k in range(1, 5)}
     assert {n for n in found if n.split()[1] != "2"} == {
         "PBARL 1 DIM",
@@ -79,7 +98,10 @@ def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> Non
         "PBEAML 3 DIM",
         *each,
     }
-    assert found["PBARL 1 DIM3"].what == "dimension 3 (0.01 m) of the BOX section of 1 CBAR"
+    assert (
+        found["PBARL 1 DIM3"].what
+        == "dimension 3 (0.01 m) of the BOX section of 1 CBAR"
+    )
     assert [t.field for t in found["PBARL 1 DIM3"].parameter.targets] == ["DIM3"]
     assert [t.field for t in found["PBARL 1 DIM"].parameter.targets] == [
         "DIM1",
@@ -103,7 +125,9 @@ def test_a_section_given_by_its_dimensions_can_be_written(tmp_path: Path) -> Non
     assert "it was made from a PBARL" in why[1]
 
 
-def test_what_no_mode_strains_is_left_out_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_no_mode_strains_is_left_out_with_a_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """In the first sway mode most candidates hold less than 2 % of the energy; a material without
     element is none.
     """
@@ -116,7 +140,9 @@ def test_what_no_mode_strains_is_left_out_with_a_reason(monkeypatch: pytest.Monk
     with EmbeddedSolver().open(model) as analysis:
         low = analysis.eigen(ModesRequest(1))
         every = generate(model, CandidateSettings())
-        keep, lost = effective(model, analysis.system, every, low.values[:1], low.vectors[:, :1])
+        keep, lost = effective(
+            model, analysis.system, every, low.values[:1], low.vectors[:, :1]
+        )
     assert len(keep) + len(lost) == len(every)
     assert lost
     assert all("no mode has more than" in d.reason for d in lost)
@@ -142,7 +168,9 @@ def test_membership_has_every_element_of_every_candidate() -> None:
 def test_clusters_are_the_collinear_columns() -> None:
     rng = np.random.default_rng(1)
     a = rng.standard_normal((40, 3))
-    g = np.stack([a[:, 0], a[:, 1], -2 * a[:, 0], a[:, 2], a[:, 1] + 1e-3 * a[:, 0]], axis=1)
+    g = np.stack(
+        [a[:, 0], a[:, 1], -2 * a[:, 0], a[:, 2], a[:, 1] + 1e-3 * a[:, 0]], axis=1
+    )
     assert clusters(g).tolist() == [0, 1, 0, 2, 1]
     assert cosines(g)[0, 2] == pytest.approx(1.0)
     with pytest.raises(InputError, match="limit"):
@@ -161,7 +189,9 @@ def test_bounds_of_orthogonal_columns_and_of_twins() -> None:
 def test_element_energies_sum_to_the_strain_energy() -> None:
     start = twin.start()
     modes = start.analysis.eigen(ModesRequest(6))
-    energy = strain_energies(mesh(start.model), start.analysis.system, modes.vectors[:, :6])
+    energy = strain_energies(
+        mesh(start.model), start.analysis.system, modes.vectors[:, :6]
+    )
     np.testing.assert_allclose(energy.sum(axis=0), modes.values[:6], rtol=1e-8)
 
 
@@ -177,7 +207,11 @@ def test_errors_gather_where_the_model_is_wrong(region: int) -> None:
     at = np.flatnonzero(np.isin(system.free.direction, (1, 2, 3)))
     observe = np.eye(len(system.free))[at]
     mine = start.analysis.eigen(ModesRequest(20)).vectors
-    f, readings, sensors = aim.frequencies[:8], aim.vectors[at, :8], sparse.csr_array(observe)
+    f, readings, sensors = (
+        aim.frequencies[:8],
+        aim.vectors[at, :8],
+        sparse.csr_array(observe),
+    )
     matrices = system.stiffness, system.mass
     u = expand_hybrid(*matrices, ShapeReadings(sensors, readings, f, 1e-3), mine).shapes
     static = StaticShapes(system.stiffness, sensors)
@@ -214,7 +248,9 @@ def test_reduced_shape_sensitivities_hold_with_motions_almost_without_mass() -> 
         for m in map(model.modes, (step, -step))
     )
     slope = (ahead - behind)[:, :12] / (2 * h)
-    np.testing.assert_allclose(here.d_shapes[:, :12, i], slope, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose(
+        here.d_shapes[:, :12, i], slope, atol=1e-6 * np.abs(slope).max()
+    )
 
 
 def test_a_point_where_the_reduced_stiffness_is_not_definite_is_said() -> None:

@@ -55,25 +55,41 @@ def _measured(folder: Path, truth: str, rng: np.random.Generator) -> list[str]:
 def test_a_mass_that_the_deck_lacks_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(_measured(tmp_path, _with_mass(twin.deck()), np.random.default_rng(5))) == 0
-    found = {m["name"]: m for m in json.loads((tmp_path / "found.json").read_text())["proposed"]}
+    assert (
+        run(_measured(tmp_path, _with_mass(twin.deck()), np.random.default_rng(5))) == 0
+    )
+    found = {
+        m["name"]: m
+        for m in json.loads((tmp_path / "found.json").read_text())["proposed"]
+    }
     name = f"mass missing at {NODE}"
     assert name in found
     assert found[name]["added"] == pytest.approx(MASS, rel=0.05)
-    assert sum(m.get("added", 0.0) for m in found.values()) == pytest.approx(MASS, rel=0.1)
+    assert sum(m.get("added", 0.0) for m in found.values()) == pytest.approx(
+        MASS, rel=0.1
+    )
     printed = capsys.readouterr().out
     assert "that the deck does not have" in printed
     card = next(
-        line for line in printed.splitlines() if line.startswith("CONM2,") and f",{NODE},," in line
+        line
+        for line in printed.splitlines()
+        if line.startswith("CONM2,") and f",{NODE},," in line
     )
-    (tmp_path / "mended.bdf").write_text(twin.deck().replace("ENDDATA", f"{card}\nENDDATA"))
+    (tmp_path / "mended.bdf").write_text(
+        twin.deck().replace("ENDDATA", f"{card}\nENDDATA")
+    )
     assert len(read_deck(tmp_path / "mended.bdf")["CONM2"]) == 1 + len(
         twin.read(twin.deck())["CONM2"]
     )
 
 
 def test_wrong_stiffnesses_are_no_lacking_masses(tmp_path: Path) -> None:
-    assert run(_measured(tmp_path, twin.deck({20: 0.7, 31: 1.5}), np.random.default_rng(6))) == 0
+    assert (
+        run(
+            _measured(tmp_path, twin.deck({20: 0.7, 31: 1.5}), np.random.default_rng(6))
+        )
+        == 0
+    )
     found = json.loads((tmp_path / "found.json").read_text())["proposed"]
     assert found
     assert not [m["name"] for m in found if "added" in m]
@@ -86,11 +102,19 @@ def test_places_change_nothing_and_are_of_no_other_element() -> None:
     before, after = assemble(model), assemble(with_places)
     assert abs(before.mass - after.mass).max() == 0.0
     assert abs(before.stiffness - after.stiffness).max() == 0.0
-    taken = {i for t in model.tables.values() if t.card.startswith("C") for i in t.ids.tolist()}
+    taken = {
+        i
+        for t in model.tables.values()
+        if t.card.startswith("C")
+        for i in t.ids.tolist()
+    }
     assert not taken & {e for c in candidates for e in c.elements}
-    assert [c.name for c in candidates] == [f"mass missing at {n}" for n in nodes.tolist()]
+    assert [c.name for c in candidates] == [
+        f"mass missing at {n}" for n in nodes.tolist()
+    ]
     assert all(
-        c.parameter.lower < 1 < c.parameter.upper and c.parameter.lump == TOTAL for c in candidates
+        c.parameter.lower < 1 < c.parameter.upper and c.parameter.lump == TOTAL
+        for c in candidates
     )
 
 
@@ -105,15 +129,21 @@ def test_places_cover_the_structure_the_seen_ones_among_them() -> None:
     assert not np.isin(model["GRID"].ids[:4], found).any()
 
 
-def test_the_updated_deck_has_the_mass_as_a_card_and_nothing_else_changed(tmp_path: Path) -> None:
+def test_the_updated_deck_has_the_mass_as_a_card_and_nothing_else_changed(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "frame.bdf").write_text(twin.deck())
     model = read_deck(tmp_path / "frame.bdf")
-    with_places, candidates = lumped(model, np.array([NODE, 301]), TOTAL, CandidateSettings())
+    with_places, candidates = lumped(
+        model, np.array([NODE, 301]), TOTAL, CandidateSettings()
+    )
     chosen = parameters(candidates[:1])
     changes = field_changes(with_places, chosen, np.array([1 + MASS / TOTAL]))
     written = edit_fields(with_places, changes, tmp_path / "updated")
     added = [
-        line for line in written[0].read_text().splitlines() if line not in twin.deck().splitlines()
+        line
+        for line in written[0].read_text().splitlines()
+        if line not in twin.deck().splitlines()
     ]
     assert [line.split()[:3] for line in added] == [
         ["CONM2", str(candidates[0].elements[0]), str(NODE)]

@@ -32,7 +32,9 @@ TRUTH = np.array([0.6, 0.1, -0.5])
 def between_walls() -> DenseModel:
     springs = np.array([[[1.0, 0], [0, 0]], [[1, -1], [-1, 1]], [[0, 0], [0, 1]]]) * 1e4
     names = ParameterSet(
-        tuple(Parameter(n, (), 0.3, 3.0, "log", 1e3) for n in ("left", "middle", "right"))
+        tuple(
+            Parameter(n, (), 0.3, 3.0, "log", 1e3) for n in ("left", "middle", "right")
+        )
     )
     return DenseModel.springs(springs.sum(axis=0), np.eye(2), springs, names)
 
@@ -65,7 +67,10 @@ def test_starts_find_both_mirror_images_and_shapes_leave_one() -> None:
     )
     several = multi_start(linked, np.where([False, True, False], 0.1, starts))
     low_ends = several.ends[several.costs < 1e-3]
-    assert {tuple(np.round(e, 2)) for e in low_ends} == {(0.6, 0.1, -0.5), (-0.5, 0.1, 0.6)}
+    assert {tuple(np.round(e, 2)) for e in low_ends} == {
+        (0.6, 0.1, -0.5),
+        (-0.5, 0.1, 0.6),
+    }
     assert set(several.minimum[several.costs < 1e-3].tolist()) == {0, 1}
     one = multi_start(problem(1.0), starts, settings=StartSettings(10, 4))
     np.testing.assert_allclose(one.best.x, TRUTH, atol=1e-4)
@@ -92,7 +97,9 @@ class Broken:
 
 def test_starts_that_cannot_be_solved_are_told() -> None:
     only = problem(1.0).configurations[0]
-    with pytest.raises(NumericalError, match="none of 2 starts could be solved; singular"):
+    with pytest.raises(
+        NumericalError, match="none of 2 starts could be solved; singular"
+    ):
         multi_start(Problem((Configuration(Broken(), only.target),)), np.zeros((2, 3)))
     with pytest.raises(ConfigError, match="0 starts"):
         latin_hypercube(Broken.parameters, 0, np.random.default_rng(0))
@@ -110,19 +117,33 @@ def test_verified_updating_ends_on_the_full_model() -> None:
         if i:
             v[i - 1] = -1
         parts[i * groups // n] += 4e4 * np.outer(v, v)
-    names = ParameterSet(tuple(Parameter(f"k{g}", (), 0.2, 5.0, "log", 1e4) for g in range(groups)))
+    names = ParameterSet(
+        tuple(Parameter(f"k{g}", (), 0.2, 5.0, "log", 1e4) for g in range(groups))
+    )
     empty = sparse.csr_array((n, n))
-    terms = tuple(AffineTerm(power(i), sparse.csr_array(k), empty) for i, k in enumerate(parts))
+    terms = tuple(
+        AffineTerm(power(i), sparse.csr_array(k), empty) for i, k in enumerate(parts)
+    )
     eye = sparse.eye_array(n).tocsr()
-    system = AffineSystem(sparse.csr_array(parts.sum(axis=0)), eye, names, terms, eye[::4])
+    system = AffineSystem(
+        sparse.csr_array(parts.sum(axis=0)), eye, names, terms, eye[::4]
+    )
     rich = reduced_model(system, 8)
     model = rich.on(rich.basis.vectors[:, :16])  # hardly more than the modes
     full = DenseModel(
-        parts.sum(axis=0), np.eye(n), parts, np.zeros_like(parts), np.eye(n)[::4], names, 8
+        parts.sum(axis=0),
+        np.eye(n),
+        parts,
+        np.zeros_like(parts),
+        np.eye(n)[::4],
+        names,
+        8,
     )
     truth = np.array([0.6, -0.5, 0.3, -0.6, 0.5, -0.2, 0.4, -0.4])
     at = full.modes(truth)
-    target = Target(at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool))
+    target = Target(
+        at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool)
+    )
     start = Problem((Configuration(model, target),))
     assert np.abs(solve(start).x - truth).max() > 1e-2
     done = solve_verified(start, tolerance=1e-8)

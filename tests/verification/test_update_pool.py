@@ -18,9 +18,18 @@ from ringtrue.model.ports import ModesRequest
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.parametric import KnownModes, ReducedModel, reduced_model
 from ringtrue.updating.selection import screening
-from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, parameters
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    CandidateSettings,
+    parameters,
+)
 from ringtrue.updating.selection.generation import generate
-from ringtrue.updating.selection.screening import ScreenedDeck, close, screened, tractable
+from ringtrue.updating.selection.screening import (
+    ScreenedDeck,
+    close,
+    screened,
+    tractable,
+)
 from ringtrue.updating.selection.subset_search import SearchSettings
 
 
@@ -28,10 +37,23 @@ def laminate(across: float, **constants: float) -> Model:
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
     return model(
         grid(x),
-        cards("MAT8", MID=[1], E1=1.4e11, E2=across, NU12=0.3, G12=5e9, RHO=1600.0, **constants),
+        cards(
+            "MAT8",
+            MID=[1],
+            E1=1.4e11,
+            E2=across,
+            NU12=0.3,
+            G12=5e9,
+            RHO=1600.0,
+            **constants,
+        ),
         cards("CQUAD4", EID=[1], PID=1, G1=1, G2=2, G3=3, G4=4),
         cards(
-            "PCOMP", PID=[1], MID=ragged([1, 1]), T=ragged([0.01, 0.02]), THETA=ragged([0.0, 0.0])
+            "PCOMP",
+            PID=[1],
+            MID=ragged([1, 1]),
+            T=ragged([0.01, 0.02]),
+            THETA=ragged([0.0, 0.0]),
         ),
         spc(np.array([1, 2]), "123456"),
         spc=1,
@@ -40,7 +62,9 @@ def laminate(across: float, **constants: float) -> Model:
 
 def kept(m: Model, *, backwards: bool = False) -> list[str]:
     every = generate(m, CandidateSettings(("material",)))[:: -1 if backwards else 1]
-    return [every[i].name.removeprefix("MAT8 1 ") for i in tractable(m, every, len(every))]
+    return [
+        every[i].name.removeprefix("MAT8 1 ") for i in tractable(m, every, len(every))
+    ]
 
 
 def test_forms() -> None:
@@ -48,7 +72,9 @@ def test_forms() -> None:
     a pole.
     """
     m = laminate(1e10, G1Z=5e9, G2Z=5e9)
-    e1, g12, nu = (Parameter(f, (CardField("MAT8", 1, f),)) for f in ("E1", "G12", "NU12"))
+    e1, g12, nu = (
+        Parameter(f, (CardField("MAT8", 1, f),)) for f in ("E1", "G12", "NU12")
+    )
     assert matrices_kept(m, g12) == 0
     assert all(matrices_kept(m, p) for p in (e1, nu))
     assert matrices_kept(laminate(1.4e11), nu) is None
@@ -114,18 +140,28 @@ def test_nearer_to_the_structure_more_of_what_is_wrong_is_seen() -> None:
     s, rng = twin.start(), np.random.default_rng(100)
     wrong = twin.truth(rng, 4)
     aim = twin.measured(wrong, rng, shape=0.02)
-    model, system, found = s.model, s.analysis.system, s.analysis.eigen(ModesRequest(twin.COUNT))
+    model, system, found = (
+        s.model,
+        s.analysis.system,
+        s.analysis.eigen(ModesRequest(twin.COUNT)),
+    )
     observe = sparse.csr_array(s.observation.matrix @ system.transform)
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
         affine = observed_system(model, system, parameters(some), s.observation)
-        whole = reduced_model(affine, twin.COUNT, known=KnownModes(s.analysis.pencil, found))
+        whole = reduced_model(
+            affine, twin.COUNT, known=KnownModes(s.analysis.pencil, found)
+        )
         return whole, whole
 
     def seen(some: tuple[Candidate, ...]) -> int:
-        return sum(any(set(c.elements) == twin.region_elements(r) for c in some) for r in wrong)
+        return sum(
+            any(set(c.elements) == twin.region_elements(r) for c in some) for r in wrong
+        )
 
-    deck = ScreenedDeck(model, system, s.candidates, observe, found.values, found.vectors)
+    deck = ScreenedDeck(
+        model, system, s.candidates, observe, found.values, found.vectors
+    )
     left = deck.misfits((found.values, found.vectors), aim)
     first = tuple(s.candidates[i] for i in close(model, s.candidates, left, 8).tolist())
     kept = screened(deck, aim, look, 8, settings=SearchSettings(5))

@@ -62,7 +62,10 @@ def test_twins_are_named_with_the_one_that_is_chosen() -> None:
         [model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]]
     )
     twins = replace(
-        model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(11, std=1.0)
+        model,
+        d_stiffness=half,
+        d_mass=np.zeros_like(half),
+        parameters=parameters(11, std=1.0),
     )
     x = np.zeros(11)
     x[[0, 1, 6]] = 0.4, 0.4, -0.4
@@ -81,7 +84,9 @@ def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
     n, found = 14, []
     ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
     for seed in range(4):
-        rounding = 1 + 1e-13 * np.random.default_rng(seed).standard_normal((n + 1, 1, 1))
+        rounding = 1 + 1e-13 * np.random.default_rng(seed).standard_normal(
+            (n + 1, 1, 1)
+        )
         springs = 1e6 * np.einsum("si,sj->sij", ends, ends) * rounding
         model = DenseModel.springs(
             springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3)
@@ -89,10 +94,16 @@ def test_rounding_does_not_choose_and_a_mirror_image_is_named() -> None:
         x = np.zeros(n + 1)
         x[[4, 5]] = np.log(0.7)
         aim = aim_at(model, x, 10)
-        noisy = aim.frequencies * (1 + 1e-3 * np.random.default_rng(1).standard_normal(10))
+        noisy = aim.frequencies * (
+            1 + 1e-3 * np.random.default_rng(1).standard_normal(10)
+        )
         shapes = model.modes(np.zeros(n + 1)).shapes[:, :10]
         aim = replace(
-            aim, frequencies=noisy, shapes=shapes, weights=Weights(shape=0.0), frequency_only=True
+            aim,
+            frequencies=noisy,
+            shapes=shapes,
+            weights=Weights(shape=0.0),
+            frequency_only=True,
         )
         found.append(propose(single(model, aim), SearchSettings(4)))
     told = [{m.name: m.named for m in p.members} for p in found]
@@ -108,11 +119,15 @@ def test_two_errors_that_cancel_are_found_in_the_shapes() -> None:
     n = 20
     ends = np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)
     springs = 1e6 * np.einsum("si,sj->sij", ends, ends)
-    model = DenseModel.springs(springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3))
+    model = DenseModel.springs(
+        springs.sum(axis=0), np.eye(n), springs, parameters(n + 1, std=0.3)
+    )
     x = np.zeros(n + 1)
     x[[7, n - 7]] = np.log([1.15, 0.87])
     aim, rng = aim_at(model, x, 10), np.random.default_rng(3)
-    noise = 0.03 * np.abs(aim.shapes).max(axis=0) * rng.standard_normal(aim.shapes.shape)
+    noise = (
+        0.03 * np.abs(aim.shapes).max(axis=0) * rng.standard_normal(aim.shapes.shape)
+    )
     aim = replace(
         aim,
         frequencies=aim.frequencies * (1 + 0.002 * rng.standard_normal(10)),
@@ -129,20 +144,26 @@ def test_a_right_model_is_changed_no_more_than_its_noise() -> None:
     aim = aim_at(model, np.zeros(15), 10)
     shapes = aim.shapes * (1 + 0.02 * rng.standard_normal(aim.shapes.shape))
     aim = replace(
-        aim, frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)), shapes=shapes
+        aim,
+        frequencies=aim.frequencies * (1 + 0.003 * rng.standard_normal(10)),
+        shapes=shapes,
     )
     found = propose(single(model, aim), SearchSettings(5))
     assert max((abs(m.factor - 1) for m in found.members), default=0.0) < 0.05
 
 
 @pytest.mark.parametrize(("wrong", "factor"), [(2, 3.0), (4, 0.35)])
-def test_a_mode_that_left_the_gates_still_names_its_spring(wrong: int, factor: float) -> None:
+def test_a_mode_that_left_the_gates_still_names_its_spring(
+    wrong: int, factor: float
+) -> None:
     """Eight weakly coupled oscillators: no partner within 40 %, so that no linearisation at the
     start sees its mode.
     """
     n = 8
     own = (2 * np.pi * np.linspace(10.0, 17.0, n)) ** 2
-    coupled = np.diag(own) + 0.02 * own.mean() * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    coupled = np.diag(own) + 0.02 * own.mean() * (
+        2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    )
     springs = np.einsum("i,ij,ik->ijk", own, np.eye(n), np.eye(n))
     model = DenseModel.springs(coupled, np.eye(n), springs, parameters(n, std=0.3))
     x = np.where(np.arange(n) == wrong, np.log(factor), 0.0)
@@ -160,10 +181,15 @@ def test_candidates_that_were_left_out_before_are_paid_for() -> None:
     """
     model = chain(15, 15, std=1.0)
     aim = aim_at(model, np.where(np.arange(15) == 3, 0.5, 0.0), 10)
-    few, many = (propose(single(model, aim), SearchSettings(2, passed_over=n)) for n in (0, 85))
+    few, many = (
+        propose(single(model, aim), SearchSettings(2, passed_over=n)) for n in (0, 85)
+    )
     one = few.criteria[few.sizes == 1], many.criteria[many.sizes == 1]
-    rounded = 1e-6  # each of the two by half of that; before they are rounded they differ by 1e-13
-    np.testing.assert_allclose(one[1] - one[0], 2 * np.log(100 / 15), rtol=0, atol=rounded)
+    # each of the two by half of that; before they are rounded they differ by 1e-13
+    rounded = 1e-6
+    np.testing.assert_allclose(
+        one[1] - one[0], 2 * np.log(100 / 15), rtol=0, atol=rounded
+    )
     assert [m.name for m in many.members] == ["p3"]
 
 
@@ -171,7 +197,10 @@ def test_at_most_as_many_as_asked_for() -> None:
     model = chain(15, 15, std=1.0)
     x = np.zeros(15)
     x[[3, 8, 12]] = 0.5, -0.4, 0.45
-    assert len(propose(single(model, aim_at(model, x, 10)), SearchSettings(2)).members) <= 2
+    assert (
+        len(propose(single(model, aim_at(model, x, 10)), SearchSettings(2)).members)
+        <= 2
+    )
     with pytest.raises(InputError, match="at most 0"):
         propose(single(model, aim_at(model, x, 10)), SearchSettings(0))
 
@@ -205,7 +234,11 @@ def test_frame_names_the_wrong_regions() -> None:
 
 def test_what_is_made_from_a_deck_is_written_as_targets_of_a_study() -> None:
     every = [c.parameter for c in twin.start().candidates]
-    whole = [p for p in every if not p.substructures and not any(t.elements for t in p.targets)]
+    whole = [
+        p
+        for p in every
+        if not p.substructures and not any(t.elements for t in p.targets)
+    ]
     assert any(len(p.targets) == 6 for p in whole)  # PBUSH 900 K
     for p in whole:
         assert tuple(t for w in target_words(p) for t in parse_target(w)) == p.targets
@@ -218,13 +251,29 @@ def test_command_line_proposes_and_refuses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     aim = twin.measured({30: 1.6}, np.random.default_rng(2))
-    deck, test, result = tmp_path / "frame.bdf", tmp_path / "test.json", tmp_path / "found.json"
+    deck, test, result = (
+        tmp_path / "frame.bdf",
+        tmp_path / "test.json",
+        tmp_path / "found.json",
+    )
     deck.write_text(twin.deck())
     labels = twin.channels().labels()
-    write_modes(test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, labels))
+    write_modes(
+        test, ModeSet(aim.frequencies, np.zeros(twin.MODES), aim.shapes, labels)
+    )
     assert (
         run(
-            ["localise", str(deck), str(test), "--most", "2", "--pool", "12", "--json", str(result)]
+            [
+                "localise",
+                str(deck),
+                str(test),
+                "--most",
+                "2",
+                "--pool",
+                "12",
+                "--json",
+                str(result),
+            ]
         )
         == 0
     )
@@ -234,7 +283,9 @@ def test_command_line_proposes_and_refuses(
     printed = capsys.readouterr().out
     assert first["because"] in printed
     given = printed[printed.index("[[candidate]]") :]  # goes into a study as it is
-    candidates = parse_config('[model]\ndeck = "frame.bdf"\n' + given, tmp_path).candidate
+    candidates = parse_config(
+        '[model]\ndeck = "frame.bdf"\n' + given, tmp_path
+    ).candidate
     assert candidates[0].targets == first["targets"]
     assert candidates[0].name == first["name"]
     write_modes(
@@ -263,35 +314,45 @@ def plate(modulus: float, other: float = 1.0, thickness: float = 10.0) -> str:
             f"PSHELL,{half},{half},{t},{half},,{half}",
         ]
     lines += [
-        f"GRID,{100 * j + i + 1},,{100.0 * i},{87.5 * j},0." for j in range(9) for i in range(11)
+        f"GRID,{100 * j + i + 1},,{100.0 * i},{87.5 * j},0."
+        for j in range(9)
+        for i in range(11)
     ]
     for j in range(8):
         for i in range(10):
             n = 100 * j + i + 1
-            lines.append(f"CQUAD4,{5000 + n},{1 if i < 5 else 2},{n},{n + 1},{n + 101},{n + 100}")
+            lines.append(
+                f"CQUAD4,{5000 + n},{1 if i < 5 else 2},{n},{n + 1},{n + 101},{n + 100}"
+            )
     lines += [f"CBUSH,{9000 + n},5,{n},,,,,0" for n in (1, 11, 801, 811)]
     return "\n".join([*lines, "ENDDATA"]) + "\n"
 
 
 def plate_proposal(folder: Path, true: str) -> Proposal:
     """What is proposed for the plate of 70 GPa and 10 mm from 14 noisy modes of another."""
-    seen = tuple(f"{100 * j + i + 1}+Z" for j in (0, 2, 4, 6, 8) for i in (0, 3, 5, 7, 10))
+    seen = tuple(
+        f"{100 * j + i + 1}+Z" for j in (0, 2, 4, 6, 8) for i in (0, 3, 5, 7, 10)
+    )
     seen += tuple(f"{n}+{axis}" for n in (1, 11, 801) for axis in "XY")
     (folder / "fe.bdf").write_text(plate(7.0e4))
     (folder / "true.bdf").write_text(true)
     with EmbeddedSolver().open(read_deck(folder / "true.bdf")) as analysis:
         modes = analysis.modes(ModesRequest(14)).modes.rows(seen)
     rng = np.random.default_rng(0)
-    shapes = modes.shapes + 0.02 * np.abs(modes.shapes).max(axis=0) * rng.standard_normal(
-        modes.shapes.shape
-    )
+    shapes = modes.shapes + 0.02 * np.abs(modes.shapes).max(
+        axis=0
+    ) * rng.standard_normal(modes.shapes.shape)
     f = modes.frequencies * (1 + 1e-3 * rng.standard_normal(14))
     aim = Target(f, shapes, np.full(14, 1e-3), np.ones(14, dtype=bool))
     model = read_deck(folder / "fe.bdf")
     analysis = EmbeddedSolver().open(model)
-    every = generate(model, CandidateSettings(("material", "property", "spring"), units="mm-t-s"))
+    every = generate(
+        model, CandidateSettings(("material", "property", "spring"), units="mm-t-s")
+    )
     look = at_dofs(seen, analysis.dofs)
-    reduced = reduced_model(observed_system(model, analysis.system, of_candidates(every), look), 25)
+    reduced = reduced_model(
+        observed_system(model, analysis.system, of_candidates(every), look), 25
+    )
     return propose(single(reduced, aim), conflicts=conflicts(model, every))
 
 

@@ -45,7 +45,8 @@ DATA = Path(__file__).parents[2].parent / "shared/data/updating"
 pytestmark = [
     pytest.mark.data,
     pytest.mark.skipif(
-        not DATA.is_dir(), reason=f"{DATA} is not here: the measured frames cannot be updated"
+        not DATA.is_dir(),
+        reason=f"{DATA} is not here: the measured frames cannot be updated",
     ),
 ]
 
@@ -60,7 +61,9 @@ def storeys(k: np.ndarray, mass: np.ndarray, seen: list[int], std: float) -> Den
             v[i - 1] = -1
         parts[i] = k[i] * np.outer(v, v)
     names = ParameterSet(
-        tuple(Parameter(f"storey {i + 1}", (), 0.3, 3.0, "linear", std) for i in range(n))
+        tuple(
+            Parameter(f"storey {i + 1}", (), 0.3, 3.0, "linear", std) for i in range(n)
+        )
     )
     return DenseModel.springs(parts.sum(axis=0), mass, parts, names, seen)
 
@@ -70,10 +73,17 @@ def test_dtu_five_storeys_on_frequencies() -> None:
     given = loadmat(d / "modelprop.mat")
     model = storeys(given["k"][0], given["M"], [0, 1, 2, 3, 4], 1e3)
     np.testing.assert_allclose(
-        model.modes(np.zeros(5)).frequencies, [1.7474, 5.1879, 8.1239, 10.3009, 11.6526], atol=1e-3
+        model.modes(np.zeros(5)).frequencies,
+        [1.7474, 5.1879, 8.1239, 10.3009, 11.6526],
+        atol=1e-3,
     )
-    measured, shapes = np.load(d / "SSIfreq_no_damp.npy"), np.load(d / "SSImodes_no_damp.npy")
-    aim = Target(measured, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(shape=0.0))
+    measured, shapes = (
+        np.load(d / "SSIfreq_no_damp.npy"),
+        np.load(d / "SSImodes_no_damp.npy"),
+    )
+    aim = Target(
+        measured, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(shape=0.0)
+    )
     result = solve(single(model, aim))
     assert result.outcome.ok
     k = result.factors * given["k"][0]
@@ -94,7 +104,12 @@ def test_gt_four_storeys_on_two_modes_at_three_storeys() -> None:
     # relative errors
     weights = Weights(frequency=0.01, mac=0.01, shape=1.0)
     aim = Target(
-        f, shapes, np.zeros(2), np.ones(2, dtype=bool), weights, PairingSettings(frequency_gate=0.5)
+        f,
+        shapes,
+        np.zeros(2),
+        np.ones(2, dtype=bool),
+        weights,
+        PairingSettings(frequency_gate=0.5),
     )
     result = solve(single(model, aim))
     assert result.outcome.ok
@@ -102,7 +117,9 @@ def test_gt_four_storeys_on_two_modes_at_three_storeys() -> None:
     # stiffness
     np.testing.assert_allclose(result.x, [-0.2603, -0.2159, -0.1283, 0.5327], atol=5e-3)
     assert result.end.points[0].mac.min() > 0.999
-    assert np.abs(residual_at(single(model, aim), result.x).frequency_error).max() < 1e-3
+    assert (
+        np.abs(residual_at(single(model, aim), result.x).frequency_error).max() < 1e-3
+    )
 
 
 def test_gt_four_storeys_many_starts_reach_the_published_optimum_or_better() -> None:
@@ -116,13 +133,18 @@ def test_gt_four_storeys_many_starts_reach_the_published_optimum_or_better() -> 
     aim = Target(f, shapes, np.zeros(2), np.ones(2, dtype=bool), pairing=gates)
     starts = 0.5 * latin_hypercube(model.parameters, 20, np.random.default_rng(0))
     published = np.array([-0.2603, -0.2159, -0.1283, 0.5327])
-    for terms in ((Frequencies(0.01), Shapes(0.01)), (Frequencies(0.01), Mac(0.01, "ratio"))):
+    for terms in (
+        (Frequencies(0.01), Shapes(0.01)),
+        (Frequencies(0.01), Mac(0.01, "ratio")),
+    ):
         problem = Problem((Configuration(model, aim, terms),))
         found = multi_start(problem, starts)
         assert found.best.outcome.ok
         assert found.best.cost <= problem.cost(published)
         assert found.share > 0.5
-        np.testing.assert_allclose(found.best.end.points[0].now.frequencies[:2], f, rtol=2e-3)
+        np.testing.assert_allclose(
+            found.best.end.points[0].now.frequencies[:2], f, rtol=2e-3
+        )
 
 
 @pytest.mark.parametrize("kind", get_args(Kind))
@@ -130,13 +152,22 @@ def test_dtu_five_storeys_by_every_method(kind: str) -> None:
     d = DATA / "dtu_five_storey"
     given = loadmat(d / "modelprop.mat")
     model = storeys(given["k"][0], given["M"], [0, 1, 2, 3, 4], 1e3)
-    measured, shapes = np.load(d / "SSIfreq_no_damp.npy"), np.load(d / "SSImodes_no_damp.npy")
-    aim = Target(measured, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(shape=0.0))
-    done = solve(Problem((Configuration(model, aim, (Frequencies(0.01),)),)), Method(kind))  # type: ignore[arg-type]
+    measured, shapes = (
+        np.load(d / "SSIfreq_no_damp.npy"),
+        np.load(d / "SSImodes_no_damp.npy"),
+    )
+    aim = Target(
+        measured, shapes, np.zeros(5), np.ones(5, dtype=bool), Weights(shape=0.0)
+    )
+    done = solve(
+        Problem((Configuration(model, aim, (Frequencies(0.01),)),)), Method(kind)
+    )  # type: ignore[arg-type]
     assert done.outcome.ok
     np.testing.assert_allclose(done.end.points[0].now.frequencies, measured, rtol=1e-6)
     np.testing.assert_allclose(
-        done.factors * given["k"][0], [3156.3, 3087.7, 3170.7, 3529.9, 3959.0], rtol=5e-3
+        done.factors * given["k"][0],
+        [3156.3, 3087.7, 3170.7, 3529.9, 3959.0],
+        rtol=5e-3,
     )
 
 
@@ -145,10 +176,16 @@ def test_dtu_five_storeys_on_frequencies_and_shapes_beats_the_published_end() ->
     measurements.
     """
     d = DATA / "dtu_five_storey"
-    given, published = loadmat(d / "modelprop.mat"), loadmat(d / "upd_SSIfreqmode_no_damp.mat")
+    given, published = (
+        loadmat(d / "modelprop.mat"),
+        loadmat(d / "upd_SSIfreqmode_no_damp.mat"),
+    )
     model = storeys(given["k"][0], given["M"], [0, 1, 2, 3, 4], 1e3)
     aim = Target(
-        published["OMAfreq"].ravel(), published["OMAphi"], np.zeros(5), np.ones(5, dtype=bool)
+        published["OMAfreq"].ravel(),
+        published["OMAphi"],
+        np.zeros(5),
+        np.ones(5, dtype=bool),
     )
     problem = Problem((Configuration(model, aim),))
     done = solve(problem)
@@ -157,7 +194,9 @@ def test_dtu_five_storeys_on_frequencies_and_shapes_beats_the_published_end() ->
 
 
 def concrete_frame() -> tuple[MatrixModel, Observation]:
-    given = loadmat(DATA / "concrete_frame" / "ConcreteBuildingFrame.mat", spmatrix=False)
+    given = loadmat(
+        DATA / "concrete_frame" / "ConcreteBuildingFrame.mat", spmatrix=False
+    )
     matrices = MatrixModel(
         given["K0"], given["M0"], stiffness=[given[f"E_{i}"] for i in range(1, 13)]
     )
@@ -176,7 +215,9 @@ def test_objective_of_the_concrete_frame_is_zero_at_the_truth() -> None:
         truth = np.random.default_rng(seed).uniform(-0.3, 0.3, 12)
         at = model.modes(truth)
         faint += int(peak_shares(at.shapes)[:6].min() < 1e-2)
-        aim = Target(at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool))
+        aim = Target(
+            at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool)
+        )
         problem = Problem((Configuration(model, aim),))
         prior = float(truth @ problem.precision @ truth)
         assert (
@@ -186,7 +227,9 @@ def test_objective_of_the_concrete_frame_is_zero_at_the_truth() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 4, 14])
-def test_concrete_frame_is_recovered_where_a_mode_hardly_moves_the_sensors(seed: int) -> None:
+def test_concrete_frame_is_recovered_where_a_mode_hardly_moves_the_sensors(
+    seed: int,
+) -> None:
     """From 20 starts; the benchmark takes 100 and all seeds."""
     matrices, seen = concrete_frame()
     parameters = matrices.parameters(0.05, 2.0, 1e6)
@@ -194,9 +237,13 @@ def test_concrete_frame_is_recovered_where_a_mode_hardly_moves_the_sensors(seed:
     truth = rng.uniform(-0.3, 0.3, 12)
     full = matrices.observed(seen, parameters=parameters, request=ModesRequest(10))
     at = full.modes(truth)
-    aim = Target(at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool))
+    aim = Target(
+        at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool)
+    )
     search = replace(
-        aim, weights=Weights(frequency=0.1, mac=0.05), pairing=PairingSettings(close=1e-3)
+        aim,
+        weights=Weights(frequency=0.1, mac=0.05),
+        pairing=PairingSettings(close=1e-3),
     )
     reduced = matrices.reduced(seen, 10, parameters=parameters)
     low, high = parameters.bounds()
@@ -208,23 +255,36 @@ def test_concrete_frame_is_recovered_where_a_mode_hardly_moves_the_sensors(seed:
     near = solve_verified(
         Problem((Configuration(reduced, aim),)), start=found.best.y, tolerance=1e-8
     )
-    done = solve(Problem((Configuration(full, aim),)), start=near.solution.y, iterations=8)
+    done = solve(
+        Problem((Configuration(full, aim),)), start=near.solution.y, iterations=8
+    )
     np.testing.assert_allclose(done.x, truth, atol=1e-4)
 
 
 def test_concrete_frame_is_recovered_on_a_reduced_basis() -> None:
     matrices, seen = concrete_frame()
     parameters = matrices.parameters(0.05, 2.0, 1e6)
-    truth = np.array([-0.1, 0.2, 0.15, -0.2, 0.3, -0.15, 0.1, -0.25, 0.2, -0.1, 0.25, -0.3])
-    at = matrices.observed(seen, parameters=parameters, request=ModesRequest(10)).modes(truth)
+    truth = np.array(
+        [-0.1, 0.2, 0.15, -0.2, 0.3, -0.15, 0.1, -0.25, 0.2, -0.1, 0.25, -0.3]
+    )
+    at = matrices.observed(seen, parameters=parameters, request=ModesRequest(10)).modes(
+        truth
+    )
     gates = PairingSettings(close=1e-3)
     weights = Weights(
         frequency=0.1, mac=0.05
     )  # shapes pair modes far from the truth, frequencies do not
     aim = Target(
-        at.frequencies[:6], at.shapes[:, :6], np.zeros(6), np.ones(6, dtype=bool), weights, gates
+        at.frequencies[:6],
+        at.shapes[:, :6],
+        np.zeros(6),
+        np.ones(6, dtype=bool),
+        weights,
+        gates,
     )
-    problem = Problem((Configuration(matrices.reduced(seen, 10, parameters=parameters), aim),))
+    problem = Problem(
+        (Configuration(matrices.reduced(seen, 10, parameters=parameters), aim),)
+    )
     rng = np.random.default_rng(0)
     starts = np.vstack([np.zeros(12), latin_hypercube(parameters, 4, rng)])
     method = Method("levenberg-marquardt")

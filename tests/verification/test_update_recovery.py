@@ -39,8 +39,12 @@ def link(n: int, i: int, j: int) -> np.ndarray:
     return np.outer(v, v)
 
 
-def parameters(p: int, std: float = 100.0, lower: float = 0.1, upper: float = 10.0) -> ParameterSet:
-    return ParameterSet(tuple(Parameter(f"p{i}", (), lower, upper, "log", std) for i in range(p)))
+def parameters(
+    p: int, std: float = 100.0, lower: float = 0.1, upper: float = 10.0
+) -> ParameterSet:
+    return ParameterSet(
+        tuple(Parameter(f"p{i}", (), lower, upper, "log", std) for i in range(p))
+    )
 
 
 def chain(n: int, groups: int, **more: float) -> DenseModel:
@@ -48,7 +52,10 @@ def chain(n: int, groups: int, **more: float) -> DenseModel:
     for i in range(n):
         parts[i * groups // n] += 4e4 * link(n, i, i - 1)
     return DenseModel.springs(
-        parts.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, parameters(groups, **more)
+        parts.sum(axis=0),
+        np.diag(1 + 0.05 * np.arange(n)),
+        parts,
+        parameters(groups, **more),
     )
 
 
@@ -71,13 +78,21 @@ def grid(nx: int = 4, ny: int = 5, *, std: float = 100.0) -> DenseModel:
 
 def aim_at(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
     at = model.modes(x)
-    return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)
+    return Target(
+        at.frequencies[:m],
+        at.shapes[:, :m],
+        np.zeros(m),
+        np.ones(m, dtype=bool),
+        **more,
+    )
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.3])
 def test_chain_recovers_its_parameters(weight: float) -> None:
     model, truth = chain(15, 4), np.array([0.4, -0.3, 0.2, -0.25])
-    result = solve(single(model, aim_at(model, truth, 8, weights=Weights(shape=weight))))
+    result = solve(
+        single(model, aim_at(model, truth, 8, weights=Weights(shape=weight)))
+    )
     assert result.outcome is Outcome.CONVERGED
     np.testing.assert_allclose(result.x, truth, atol=EXACT)
     assert len(result.history) <= 15
@@ -98,13 +113,19 @@ def noisy(model: DenseModel, truth: np.ndarray, m: int) -> Target:
     """A target that the model cannot reach: frequencies off by 2 %, shapes by 5 %."""
     rng = np.random.default_rng(7)
     aim = aim_at(model, truth, m)
-    shapes = aim.shapes + 0.05 * np.abs(aim.shapes).max() * rng.standard_normal(aim.shapes.shape)
+    shapes = aim.shapes + 0.05 * np.abs(aim.shapes).max() * rng.standard_normal(
+        aim.shapes.shape
+    )
     return replace(
-        aim, frequencies=aim.frequencies * (1 + 0.02 * rng.standard_normal(m)), shapes=shapes
+        aim,
+        frequencies=aim.frequencies * (1 + 0.02 * rng.standard_normal(m)),
+        shapes=shapes,
     )
 
 
-def slope_of_j(model: DenseModel, aim: Target, x: np.ndarray, h: float = 1e-5) -> np.ndarray:
+def slope_of_j(
+    model: DenseModel, aim: Target, x: np.ndarray, h: float = 1e-5
+) -> np.ndarray:
     """∂J/∂x by central differences."""
 
     def j(at: np.ndarray) -> float:
@@ -156,7 +177,9 @@ def test_left_out_modes_have_no_influence_and_improve() -> None:
 
 def test_iteration_limit_is_reached_and_said() -> None:
     model = chain(15, 4)
-    result = solve(single(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)), iterations=1)
+    result = solve(
+        single(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)), iterations=1
+    )
     assert result.outcome is Outcome.MAX_ITERATIONS
 
 
@@ -167,7 +190,9 @@ def test_covariance_covers_the_scatter_of_noisy_tests() -> None:
     clean = aim_at(model, truth, 8, weights=Weights(frequency=0.01, shape=0.0))
     score = []
     for _ in range(60):
-        aim = replace(clean, frequencies=clean.frequencies * (1 + 0.01 * rng.standard_normal(8)))
+        aim = replace(
+            clean, frequencies=clean.frequencies * (1 + 0.01 * rng.standard_normal(8))
+        )
         result = solve(single(model, aim))
         score.append((result.x - truth) / result.std)
     # the estimated discrepancy never falls below the assumed one, so σ errs to the large side
@@ -181,14 +206,19 @@ def test_identifiability_sees_twins() -> None:
         [model.d_stiffness[:1] / 2, model.d_stiffness[:1] / 2, model.d_stiffness[1:]]
     )
     twins = replace(
-        model, d_stiffness=half, d_mass=np.zeros_like(half), parameters=parameters(3, std=1.0)
+        model,
+        d_stiffness=half,
+        d_mass=np.zeros_like(half),
+        parameters=parameters(3, std=1.0),
     )
     aim = aim_at(model, np.array([0.3, -0.2]), 6)
     double = solve(single(twins, aim))
     assert (double.identifiability[:2] > 0.5).all()
     assert double.identifiability[2] < 0.2
     s = weighted_sensitivities(single(twins, aim))
-    assert collinear_pairs(s, twins.parameters.names)[0].startswith("p0 and p1 have the same")
+    assert collinear_pairs(s, twins.parameters.names)[0].startswith(
+        "p0 and p1 have the same"
+    )
     assert len(set(orthogonal(s, 2).tolist()) & {0, 1}) == 1
 
 

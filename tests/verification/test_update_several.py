@@ -58,17 +58,32 @@ def row(
 
 def aim_at(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
     at = model.modes(x)
-    return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)  # type: ignore[arg-type]
+    return Target(
+        at.frequencies[:m],
+        at.shapes[:, :m],
+        np.zeros(m),
+        np.ones(m, dtype=bool),
+        **more,
+    )  # type: ignore[arg-type]
 
 
 def noisy(
-    model: DenseModel, m: int = 8, *, frequency: float = 0.02, shape: float = 0.05, **more: object
+    model: DenseModel,
+    m: int = 8,
+    *,
+    frequency: float = 0.02,
+    shape: float = 0.05,
+    **more: object,
 ) -> Target:
     rng = np.random.default_rng(7)
     aim = aim_at(model, TRUTH, m, **more)
-    shapes = aim.shapes + shape * np.abs(aim.shapes).max() * rng.standard_normal(aim.shapes.shape)
+    shapes = aim.shapes + shape * np.abs(aim.shapes).max() * rng.standard_normal(
+        aim.shapes.shape
+    )
     return replace(
-        aim, frequencies=aim.frequencies * (1 + frequency * rng.standard_normal(m)), shapes=shapes
+        aim,
+        frequencies=aim.frequencies * (1 + frequency * rng.standard_normal(m)),
+        shapes=shapes,
     )
 
 
@@ -79,7 +94,10 @@ def one(model: DenseModel, target: Target, **more: object) -> Problem:
 def slope_of_j(problem: Problem, y: np.ndarray, h: float = 1e-5) -> np.ndarray:
     at = problem.evaluate(y)
     return np.array(
-        [(problem.cost(y + e, at) - problem.cost(y - e, at)) / (2 * h) for e in h * np.eye(y.size)]
+        [
+            (problem.cost(y + e, at) - problem.cost(y - e, at)) / (2 * h)
+            for e in h * np.eye(y.size)
+        ]
     )
 
 
@@ -117,7 +135,9 @@ def test_gradient_of_the_objective_is_its_derivative_with_every_part_in_it() -> 
         y = np.array([0.1, -0.1, 0.05])
         at = problem.evaluate(y)
         got = slope_of_j(problem, y)
-        np.testing.assert_allclose(2 * problem.gradient(at), got, atol=1e-5 * np.abs(got).max())
+        np.testing.assert_allclose(
+            2 * problem.gradient(at), got, atol=1e-5 * np.abs(got).max()
+        )
         assert at.cost == pytest.approx(problem.cost(y), rel=1e-12)
 
 
@@ -125,7 +145,10 @@ def test_bounds_and_linear_constraints_hold_and_the_rest_is_stationary() -> None
     model = row(lower=0.8, upper=1.25)
     rows, limits = np.array([[0.0, 1.0, 1.0, 0.0]]), np.array([-0.3])  # x1 + x2 <= -0.3
     problem = one(
-        model, aim_at(model, np.array([0.5, -0.1, 0.05, -0.1]), 8), rows=rows, limits=limits
+        model,
+        aim_at(model, np.array([0.5, -0.1, 0.05, -0.1]), 8),
+        rows=rows,
+        limits=limits,
     )
     done = solve(problem, start=np.array([0.0, -0.16, -0.16, 0.0]))
     assert done.outcome is Outcome.CONVERGED
@@ -135,7 +158,10 @@ def test_bounds_and_linear_constraints_hold_and_the_rest_is_stationary() -> None
     assert (done.x <= high + 1e-9).all()
     assert done.x[0] == pytest.approx(high[0], abs=1e-9)
     assert float(rows[0] @ done.x) == pytest.approx(-0.3, abs=1e-7)
-    slope, start = 2 * problem.gradient(done.end), np.linalg.norm(slope_of_j(problem, np.zeros(4)))
+    slope, start = (
+        2 * problem.gradient(done.end),
+        np.linalg.norm(slope_of_j(problem, np.zeros(4))),
+    )
     assert slope[0] < 0  # J would fall further outside
     assert abs(slope[1] - slope[2]) < 1e-4 * start  # along the constraint
     assert done.x[3] == pytest.approx(high[3], abs=1e-9)
@@ -151,7 +177,9 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
     tie = np.array([[1.0, -1.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0]])
     problem = one(model, aim, rows=tie, limits=np.zeros(2))
     low, high = model.parameters.bounds()
-    ends = [solve(problem, start=y) for y in (np.zeros(4), np.array([3.0, -0.4, 0.3, -5.0]))]
+    ends = [
+        solve(problem, start=y) for y in (np.zeros(4), np.array([3.0, -0.4, 0.3, -5.0]))
+    ]
     for done in ends:
         assert done.outcome is Outcome.CONVERGED
         assert done.x[0] == pytest.approx(done.x[1], abs=1e-7)
@@ -161,7 +189,9 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
     inside = np.array([0.2, 0.2, 0.0, 0.0])
     np.testing.assert_array_equal(problem.nearest(inside), inside)
     np.testing.assert_allclose(
-        problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])), [0.2, 0.2, 0.1, 0.0], atol=1e-12
+        problem.nearest(np.array([0.4, 0.0, 0.1, 0.0])),
+        [0.2, 0.2, 0.1, 0.0],
+        atol=1e-12,
     )
     heavy = one(
         model,
@@ -172,7 +202,9 @@ def test_a_start_outside_of_the_constraints_is_taken_inside() -> None:
     for y in np.random.default_rng(2).uniform(
         -0.6, 0.6, (20, 4)
     ):  # terms in kg, say: the rounding of these is large
-        assert abs(heavy.rows[0] @ heavy.nearest(y)) < 1e-9 * np.abs(heavy.rows[0]).sum()
+        assert (
+            abs(heavy.rows[0] @ heavy.nearest(y)) < 1e-9 * np.abs(heavy.rows[0]).sum()
+        )
     with pytest.raises(ConfigError, match="no point fulfils"):
         solve(one(model, aim, rows=tie, limits=np.array([-0.1, -0.1])))
 
@@ -183,7 +215,9 @@ def test_a_constraint_on_parameters_that_are_held_does_not_stop_the_others() -> 
     """
     model = row(lower=0.5, upper=2.0)
     aim = aim_at(model, np.array([0.1, 0.3, 0.05, 0.1]), 8)
-    problem = one(model, aim, rows=np.array([[0.0, -1.0, 0.0, 0.0]]), limits=np.array([-0.2]))
+    problem = one(
+        model, aim, rows=np.array([[0.0, -1.0, 0.0, 0.0]]), limits=np.array([-0.2])
+    )
     done = solve(held_to(problem, ["p0"]))
     assert done.outcome is Outcome.CONVERGED
     assert done.x[1] == 0.0
@@ -196,7 +230,10 @@ def test_least_distance_meets_the_conditions_of_karush_kuhn_and_tucker() -> None
     for _ in range(20):
         q, c = 6, 15
         a = rng.standard_normal((q, q))
-        h, g = a @ a.T + 0.1 * np.eye(q), 10 ** rng.uniform(-6, 6) * rng.standard_normal(q)
+        h, g = (
+            a @ a.T + 0.1 * np.eye(q),
+            10 ** rng.uniform(-6, 6) * rng.standard_normal(q),
+        )
         rows, limits = rng.standard_normal((c, q)), rng.uniform(0, 1, c)
         d = least_distance(h, g, rows, limits)
         assert (rows @ d <= limits + 1e-8).all()
@@ -215,7 +252,10 @@ def test_no_unknown_moves_more_than_the_limit_in_a_step() -> None:
         Method(move=0.2),
     )
     steps = np.array(
-        [np.abs(b.y - a.y).max() for a, b in zip(done.history, done.history[1:], strict=False)]
+        [
+            np.abs(b.y - a.y).max()
+            for a, b in zip(done.history, done.history[1:], strict=False)
+        ]
     )
     assert steps.max() <= 0.2 + 1e-9
     np.testing.assert_allclose(done.x, [0.9, -0.8, 0.7, -0.8], atol=EXACT)
@@ -330,10 +370,13 @@ def test_a_point_that_cannot_be_solved_is_a_rejected_step(kind: str) -> None:
     aim = aim_at(inner, truth, 8)
     model = Fragile(inner, 0.65, [])
     done = solve(
-        Problem((Configuration(model, aim),)), Method(kind, radius=5.0, move=5.0, damping=1e-8)
+        Problem((Configuration(model, aim),)),
+        Method(kind, radius=5.0, move=5.0, damping=1e-8),
     )  # type: ignore[arg-type]
     np.testing.assert_allclose(done.x, truth, atol=EXACT)
-    walled = solve(Problem((Configuration(Fragile(inner, 0.3, []), aim),)), Method(kind))  # type: ignore[arg-type]
+    walled = solve(
+        Problem((Configuration(Fragile(inner, 0.3, []), aim),)), Method(kind)
+    )  # type: ignore[arg-type]
     assert walled.x.max() <= 0.3
     assert walled.outcome in (
         Outcome.STALLED,
@@ -346,10 +389,16 @@ def test_a_point_that_cannot_be_solved_is_a_rejected_step(kind: str) -> None:
 
 def test_an_interrupted_run_goes_on_from_its_last_point(tmp_path: Path) -> None:
     inner = row()
-    aim, file = aim_at(inner, np.array([0.9, -0.8, 0.7, -0.8]), 8), tmp_path / "point.json"
+    aim, file = (
+        aim_at(inner, np.array([0.9, -0.8, 0.7, -0.8]), 8),
+        tmp_path / "point.json",
+    )
     whole = solve(one(inner, aim))
     with pytest.raises(KeyboardInterrupt):
-        solve(Problem((Configuration(Fragile(inner, 9.0, [], stop=5), aim),)), checkpoint=file)
+        solve(
+            Problem((Configuration(Fragile(inner, 9.0, [], stop=5), aim),)),
+            checkpoint=file,
+        )
     resumed = solve(one(inner, aim), checkpoint=file)
     assert whole.history[-1].cost < resumed.history[0].cost < whole.history[0].cost
     assert resumed.evaluations < whole.evaluations
@@ -358,7 +407,9 @@ def test_an_interrupted_run_goes_on_from_its_last_point(tmp_path: Path) -> None:
         solve(one(inner, aim), checkpoint=file).evaluations == 1
     )  # finished: nothing is left to do
     with pytest.raises(DataError, match="other parameters"):
-        solve(one(row(groups=3), aim_at(row(groups=3), np.zeros(3), 8)), checkpoint=file)
+        solve(
+            one(row(groups=3), aim_at(row(groups=3), np.zeros(3), 8)), checkpoint=file
+        )
     file.write_text("{")
     with pytest.raises(DataError, match="not a checkpoint"):
         solve(one(inner, aim), checkpoint=file)
@@ -366,7 +417,9 @@ def test_an_interrupted_run_goes_on_from_its_last_point(tmp_path: Path) -> None:
 
 def test_limits_are_reached_and_said() -> None:
     model = row()
-    done = solve(one(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)), iterations=1)
+    done = solve(
+        one(model, aim_at(model, np.array([0.9, -0.8, 0.7, -0.8]), 8)), iterations=1
+    )
     assert done.outcome is Outcome.MAX_ITERATIONS
     with pytest.raises(ConfigError, match="did you mean 'trust-region'"):
         Method("trust region")  # type: ignore[arg-type]

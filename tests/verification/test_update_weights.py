@@ -37,13 +37,23 @@ def row(n: int = 12, std: float = 0.3, groups: int = 12) -> DenseModel:
         if i:
             v[i - 1] = -1
         parts[i * groups // n] += 4e4 * np.outer(v, v)
-    names = ParameterSet(tuple(Parameter(f"k{i}", (), 0.2, 5.0, "log", std) for i in range(groups)))
-    return DenseModel.springs(parts.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names)
+    names = ParameterSet(
+        tuple(Parameter(f"k{i}", (), 0.2, 5.0, "log", std) for i in range(groups))
+    )
+    return DenseModel.springs(
+        parts.sum(axis=0), np.diag(1 + 0.05 * np.arange(n)), parts, names
+    )
 
 
 def aim_at(model: DenseModel, x: np.ndarray, m: int, **more: object) -> Target:
     at = model.modes(x)
-    return Target(at.frequencies[:m], at.shapes[:, :m], np.zeros(m), np.ones(m, dtype=bool), **more)  # type: ignore[arg-type]
+    return Target(
+        at.frequencies[:m],
+        at.shapes[:, :m],
+        np.zeros(m),
+        np.ones(m, dtype=bool),
+        **more,
+    )  # type: ignore[arg-type]
 
 
 def test_gcv_is_leave_one_out_where_all_rows_have_equal_leverage() -> None:
@@ -61,7 +71,9 @@ def test_gcv_is_leave_one_out_where_all_rows_have_equal_leverage() -> None:
         error = []
         for i in range(n):
             keep = np.arange(n) != i
-            x = np.linalg.solve(g[keep].T @ g[keep] + factor * np.eye(n), g[keep].T @ b[keep])
+            x = np.linalg.solve(
+                g[keep].T @ g[keep] + factor * np.eye(n), g[keep].T @ b[keep]
+            )
             error.append(b[i] - g[i] @ x)
         return float(np.mean(np.square(error)))
 
@@ -78,10 +90,13 @@ def test_evidence_finds_the_ratio_of_the_variances() -> None:
         g = rng.standard_normal((80, 30))
         b = g @ (0.5 * rng.standard_normal(30)) + 2.0 * rng.standard_normal(80)
         found.append(np.log(evidence(standard(g, b, np.zeros(30), np.eye(30)))))
-    assert np.mean(found) == pytest.approx(np.log(16), abs=0.35)  # about three standard errors
+    # about three standard errors
+    assert np.mean(found) == pytest.approx(np.log(16), abs=0.35)
 
 
-@pytest.mark.parametrize(("rule", "near"), [("l-curve", 1.5), ("gcv", 1.2), ("evidence", 1.2)])
+@pytest.mark.parametrize(
+    ("rule", "near"), [("l-curve", 1.5), ("gcv", 1.2), ("evidence", 1.2)]
+)
 def test_each_rule_comes_near_the_best_factor(rule: str, near: float) -> None:
     """Decaying singular values, x from its prior: the error of x against the least there is; the
     L-curve knows no statistics.
@@ -94,7 +109,9 @@ def test_each_rule_comes_near_the_best_factor(rule: str, near: float) -> None:
     b = g @ x + 1e-4 * rng.standard_normal(n)
 
     def error(factor: float) -> float:
-        return float(np.linalg.norm(np.linalg.solve(g.T @ g + factor * np.eye(n), g.T @ b) - x))
+        return float(
+            np.linalg.norm(np.linalg.solve(g.T @ g + factor * np.eye(n), g.T @ b) - x)
+        )
 
     best = min(error(f) for f in np.logspace(-14, 2, 200))
     assert error(RULES[rule](standard(g, b, np.zeros(n), np.eye(n)))) < near * best
@@ -123,7 +140,8 @@ def test_chosen_prior_beats_too_weak_and_too_strong_ones(rule: str) -> None:
             error[f].append(float(np.linalg.norm(done.x - truth)))
     size = {k: np.sqrt(np.mean(np.square(v))) for k, v in error.items()}
     assert size[rule] < 1.02 * size[1e-6]
-    if rule != "l-curve":  # with so few data it has no corner and may leave the prior too weak
+    # with so few data it has no corner and may leave the prior too weak
+    if rule != "l-curve":
         assert size[rule] < size[1.0]
 
 
@@ -135,13 +153,17 @@ def test_evidence_finds_the_size_of_the_discrepancy_in_frequencies_and_shapes() 
     scale = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        clean = aim_at(model, 0.2 * rng.standard_normal(3), 9, weights=Weights(0.01, 0.05, 1.0))
+        clean = aim_at(
+            model, 0.2 * rng.standard_normal(3), 9, weights=Weights(0.01, 0.05, 1.0)
+        )
         shapes = clean.shapes / np.linalg.norm(clean.shapes, axis=0)
         shapes = shapes + np.sqrt(0.02 / 11) * rng.standard_normal(
             shapes.shape
         )  # one of 12 directions is scale
         f = clean.frequencies * (1 + 0.02 * rng.standard_normal(9))
-        problem = Problem((Configuration(model, replace(clean, frequencies=f, shapes=shapes)),))
+        problem = Problem(
+            (Configuration(model, replace(clean, frequencies=f, shapes=shapes)),)
+        )
         done = solve(problem)
         scale.append(discrepancy_by_evidence(done.end, problem))
     mean = np.exp(np.mean(np.log(scale), axis=0))

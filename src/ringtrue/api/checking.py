@@ -92,7 +92,9 @@ class DeckCheck(Displayed):
     @property
     def sound(self) -> bool:
         """Whether all is read and there is no error."""
-        return not self.unsupported and all(f.severity != "error" for f in self.findings)
+        return not self.unsupported and all(
+            f.severity != "error" for f in self.findings
+        )
 
 
 def check_deck(deck: str | Path, *, units: str = "") -> DeckCheck:
@@ -166,7 +168,9 @@ def _rigid_of_readable(
         place = f"{e.path}:{e.line}" if e.line else ""
         unsupported[e.card] = ": ".join(t for t in (place, e.why) if t)
         rest = {card: t for card, t in model.tables.items() if card != e.card}
-        return _rigid_of_readable(readable(replace(model, tables=rest)), findings, unsupported)
+        return _rigid_of_readable(
+            readable(replace(model, tables=rest)), findings, unsupported
+        )
     except RingtrueError as e:  # the rest of the check is worth more than the mass
         if not any(f.severity == "error" for f in findings):
             findings.append(Finding("error", str(e)))

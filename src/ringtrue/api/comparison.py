@@ -37,9 +37,20 @@ from ringtrue.correlation.sensor_mounting import (
     readings_by_name,
 )
 from ringtrue.correlation.table import CorrelationTable, correlation_table
-from ringtrue.errors import ConfigError, DataError, UnsupportedError, about, did_you_mean
+from ringtrue.errors import (
+    ConfigError,
+    DataError,
+    UnsupportedError,
+    about,
+    did_you_mean,
+)
 from ringtrue.identification.ambient.pipeline import AmbientSettings, identify_ambient
-from ringtrue.identification.common.tracking import Stretch, Tracked, track_modes, unseen
+from ringtrue.identification.common.tracking import (
+    Stretch,
+    Tracked,
+    track_modes,
+    unseen,
+)
 from ringtrue.io.recognition import Format, format_of
 from ringtrue.io.records import read_record, record_blocks, record_info
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
@@ -129,7 +140,9 @@ def track_records(
                 progress(i / len(records), f"{path.name}, {at:.4g} h")
                 at += length
                 if length < 0.5 * cut.hours:
-                    notes.append(f"{path.name}: the last {60 * length:.3g} min are too short")
+                    notes.append(
+                        f"{path.name}: the last {60 * length:.3g} min are too short"
+                    )
                     continue
                 try:
                     modes, why = _identified(part, cut.leave_out, settings, middle)
@@ -139,7 +152,9 @@ def track_records(
                 found.append(modes)
                 notes += [f"{middle:.4g} h: {sentence(note)}" for note in why]
     if not found:
-        raise DataError("; ".join(["no part of the records could be identified", *notes[:3]]))
+        raise DataError(
+            "; ".join(["no part of the records could be identified", *notes[:3]])
+        )
     tracked = track_modes(found)
     return tracked, [*notes, *_come_and_gone(tracked)]
 
@@ -162,7 +177,10 @@ def _parts(path: Path, cut: RecordParts) -> Iterator[TimeHistory]:
 
 
 def _identified(
-    part: TimeHistory, leave_out: Sequence[str], settings: AmbientSettings, middle: float
+    part: TimeHistory,
+    leave_out: Sequence[str],
+    settings: AmbientSettings,
+    middle: float,
 ) -> tuple[Stretch, tuple[Note, ...]]:
     """The modes of one part, and notes on its channels."""
     ids = [c.id for c in part.channels]
@@ -183,10 +201,14 @@ def _come_and_gone(tracked: Tracked) -> list[str]:
         before, after = unseen(tracked, t)
         if before:
             first = tracked.times[t.at[0]]
-            notes.append(f"mode {t.name}: not seen before {first:.4g} h, in {before} parts")
+            notes.append(
+                f"mode {t.name}: not seen before {first:.4g} h, in {before} parts"
+            )
         if after:
             last = tracked.times[t.at[-1]]
-            notes.append(f"mode {t.name}: not seen after {last:.4g} h, in {after} parts")
+            notes.append(
+                f"mode {t.name}: not seen after {last:.4g} h, in {after} parts"
+            )
     for t in tracked.rare:
         notes.append(
             f"seen in {t.at.size} of {tracked.times.size} parts only: a pole at "
@@ -196,7 +218,8 @@ def _come_and_gone(tracked: Tracked) -> list[str]:
 
 
 BY_FREQUENCY = (
-    "no shapes: modes are paired by frequency alone; lock or forbid pairs to decide otherwise"
+    "no shapes: modes are paired by frequency alone; lock or forbid pairs "
+    "to decide otherwise"
 )
 
 
@@ -266,7 +289,10 @@ class Correlation(Displayed):
     def displayed(self) -> Mapping[str, Any]:
         """What is shown, by name: the fields, and a row a pair."""
         columns = ("test_mode", "fe_mode", *self.UNITS)
-        return {**super().displayed(), **{name: getattr(self, name) for name in columns}}
+        return {
+            **super().displayed(),
+            **{name: getattr(self, name) for name in columns},
+        }
 
     def __len__(self) -> int:
         return len(self.table)
@@ -287,7 +313,8 @@ class Correlation(Displayed):
                 "plot(shapes=True): the places of the channels are not known; correlate test "
                 "shapes with a model, or with modes of rt.solve_modes"
             )
-        from ringtrue.plots.scene import pair_modes_view  # plotly loads when something is drawn
+        # plotly loads when something is drawn
+        from ringtrue.plots.scene import pair_modes_view
 
         return pair_modes_view(self.table, self.drawn)
 
@@ -377,7 +404,11 @@ def correlate(
         there, missing = at_common(modes_at(fe))
         held = _AtChannels(there, tuple(f"{names[1]}: {g}" for g in missing))
     one, two = _common(reference, held.modes)
-    tried = held.readings if isinstance(fe, FeModes | Model) else readings_by_name(one, held.modes)
+    tried = (
+        held.readings
+        if isinstance(fe, FeModes | Model)
+        else readings_by_name(one, held.modes)
+    )
     worth_trying = mountings and tried is not None and one.channels and not both
     mendings = find_mendings(tried, gates) if tried is not None and worth_trying else ()
     notes = (*(f"{names[0]}: {g}" for g in gaps), *held.notes)
@@ -390,7 +421,12 @@ def correlate(
     locks = Locks(positions(lock), positions(forbid))
     pairing = pair_modes(one, two, gates, names=names, locks=locks)
     table = correlation_table(one, two, pairing, names=names)
-    notes = (*filter(None, [first]), *notes, *pairing.doubts(names), *pairing.far(names))
+    notes = (
+        *filter(None, [first]),
+        *notes,
+        *pairing.doubts(names),
+        *pairing.far(names),
+    )
     full: CompleteCorrelation | None = None
     if evidence or mass is not None:
         if mass is not None and mass.shape != (len(one.channels),) * 2:
@@ -404,13 +440,17 @@ def correlate(
             one,
             two,
             table.pairing,
-            orthogonality=OrthogonalityTest(gate(asked), weight.matrix, name, weight.lift),
+            orthogonality=OrthogonalityTest(
+                gate(asked), weight.matrix, name, weight.lift
+            ),
             std=(_std(test), _std(fe)),
             settings=gates,
         )
         notes = (*notes, *filter(None, [weight.why]))
     drawn = held.drawn(one, two) if held.drawn is not None and one.channels else None
-    return Correlation(table, full, notes, seats=held.seats, mendings=tuple(mendings), drawn=drawn)
+    return Correlation(
+        table, full, notes, seats=held.seats, mendings=tuple(mendings), drawn=drawn
+    )
 
 
 def _std(modes: object) -> Float | float:
@@ -423,7 +463,8 @@ def _as_test(model: Model, progress: Progress) -> tuple[ModeSet, TestModel, str]
     name = model.files[0] if model.files else "the model"
     progress(0.0, name)
     opened = open_model(model)
-    found = opened.analysis.modes(ModesRequest(26)).modes  # modes of a model in the place of a test
+    # modes of a model in the place of a test
+    found = opened.analysis.modes(ModesRequest(26)).modes
     at = np.flatnonzero(elastic(found.frequencies))
     if not at.size:
         raise DataError(f"{name}: none of its {len(found)} lowest modes is elastic")
@@ -468,7 +509,9 @@ def _of_model(
         lost = [c for c in channels if of_sheet[c] in sensors.strain]
         if lost:
             channels = tuple(c for c in channels if c not in lost)
-            notes.append(f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}")
+            notes.append(
+                f"not compared, of strain: {' '.join(lost[:8])}{' ...' * (len(lost) > 8)}"
+            )
     if isinstance(sensors, TestModel):
         here, near = near_mesh(sensors, opened, asked.tolerance)
         channels = here.channels
@@ -478,14 +521,20 @@ def _of_model(
         )
     match = "rigid" if isinstance(sensors, TestModel) else asked.match
     given = here
-    found = alignment(here, opened, asked.align) if here is not None and asked.align else None
+    found = (
+        alignment(here, opened, asked.align)
+        if here is not None and asked.align
+        else None
+    )
     if here is not None and found is not None:
         here = found.move(here)
         notes.append(alignment_text(found))
 
     def bridge(there: TestModel) -> Observation:
         on_model = found.move(there) if found is not None else there
-        return placed(opened, there.channels, on_model, tolerance=asked.tolerance, method=match)
+        return placed(
+            opened, there.channels, on_model, tolerance=asked.tolerance, method=match
+        )
 
     look = placed(opened, channels, here, tolerance=asked.tolerance, method=match)
     if isinstance(fe, FeModes):

@@ -29,7 +29,11 @@ from ringtrue.reduction.parametric import modes_of
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.matrices import MatrixModel
 from ringtrue.solvers.observed import at_factors, reduced
-from ringtrue.study.config_sections import CorrelateSection, LocaliseSection, parse_target
+from ringtrue.study.config_sections import (
+    CorrelateSection,
+    LocaliseSection,
+    parse_target,
+)
 from ringtrue.study.config_update import UpdateSection
 from ringtrue.study.direct import (
     DirectProposal,
@@ -269,7 +273,9 @@ def _form(opened: Opened, at: _Placed) -> FormFindings:
     )
     request = ModesRequest(modes_of(mode_count(len(modes))))
     found = opened.analysis.modes(request).modes
-    return form_of(opened, found, modes, std=at.std, target=aim, observe=at.bridge.matrix)
+    return form_of(
+        opened, found, modes, std=at.std, target=aim, observe=at.bridge.matrix
+    )
 
 
 def _place(sensors: SensorSheet | str | Path | None) -> SensorSheet | Path | None:
@@ -476,7 +482,11 @@ def update(
     (array([0.7]), True)
     """
     u = settings or UpdateSection()
-    every = parameters if isinstance(parameters, ParameterSet) else ParameterSet(tuple(parameters))
+    every = (
+        parameters
+        if isinstance(parameters, ParameterSet)
+        else ParameterSet(tuple(parameters))
+    )
     if isinstance(model, Model | MatrixModel):
         if test is None:
             raise InputError("update: a model needs its test modes")
@@ -484,7 +494,9 @@ def update(
     else:
         tests = model
         if not tests or test is not None:
-            raise InputError("update: of several configurations each TestedModel has its own test")
+            raise InputError(
+                "update: of several configurations each TestedModel has its own test"
+            )
     scale = None if shape_std is None else np.asarray(shape_std, dtype=np.float64)
     configurations = []
     for k, one in enumerate(tests):
@@ -539,7 +551,9 @@ def update(
     )
 
 
-def _with_form_errors(one: TestedModel, problem: Problem, solution: Solution) -> FormPosterior:
+def _with_form_errors(
+    one: TestedModel, problem: Problem, solution: Solution
+) -> FormPosterior:
     """What errors of form leave open of the parameters of one model."""
     assert isinstance(one.model, Model)
     own = problem.configurations[0].model.parameters
@@ -565,7 +579,9 @@ def _configuration(
     count = len(modes)
     wrong = [i for i in leave_out if not 1 <= i <= count]
     if wrong or len(set(leave_out)) >= count:
-        raise InputError(f"leave_out {list(leave_out)}: some of the modes 1 to {count}, not all")
+        raise InputError(
+            f"leave_out {list(leave_out)}: some of the modes 1 to {count}, not all"
+        )
     relative = np.zeros(count)
     if isinstance(one.test, TestModes):
         relative = np.nan_to_num(one.test.std_frequency / modes.frequencies)
@@ -578,7 +594,9 @@ def _configuration(
         bridge = placed(opened, modes.channels, _place(one.sensors))
     if shape_std is not None:
         if shape_std.shape != (len(modes.channels),) or not (shape_std > 0).all():
-            raise InputError(f"shape_std {shape_std.shape}: one value > 0 for each channel")
+            raise InputError(
+                f"shape_std {shape_std.shape}: one value > 0 for each channel"
+            )
         weight = np.median(shape_std) / shape_std
         shapes = shapes * weight[:, None]
         bridge = replace(bridge, matrix=bridge.matrix.multiply(weight[:, None]).tocsr())
@@ -591,7 +609,9 @@ def _configuration(
         pairing=gates,
     )
     if isinstance(one.model, MatrixModel):
-        seen = one.model.reduced(bridge, min(2 * count, one.model.size), parameters=parameters)
+        seen = one.model.reduced(
+            bridge, min(2 * count, one.model.size), parameters=parameters
+        )
     else:
         top = highest(modes.frequencies, gates)
         seen = reduced(one.model, parameters, bridge, len(opened.modes(top).modes))
@@ -614,7 +634,9 @@ def _at_end(
     return at_factors(model, mine, values)
 
 
-def _table(problem: Problem, at: Evaluated, test: TestModes | ModeSet) -> CorrelationTable:
+def _table(
+    problem: Problem, at: Evaluated, test: TestModes | ModeSet
+) -> CorrelationTable:
     """The first configuration at a point, paired by the gates."""
     modes = modes_at(test)
     now = at.points[0].now
@@ -698,7 +720,11 @@ def tune_suspension(
     >>> rt.tune_suspension(model, true.at(["2+X", "3+X", "4+X"]), foot).factors.round(2)
     array([0.7])
     """
-    every = parameters if isinstance(parameters, ParameterSet) else ParameterSet(tuple(parameters))
+    every = (
+        parameters
+        if isinstance(parameters, ParameterSet)
+        else ParameterSet(tuple(parameters))
+    )
     modes = realise_modes(modes_at(test))
     std = np.full(len(modes), 1e-4)
     if isinstance(test, TestModes):

@@ -27,7 +27,13 @@ from ringtrue.decks.nastran.results.sensitivity import read_sensitivities
 from ringtrue.errors import DataError, InputError, UnsupportedError
 from ringtrue.io.campaign_tables import STATICS
 from ringtrue.io.files import FUNCTIONS
-from ringtrue.io.foreign.parsers import open_hdf5, read_json, read_npy, read_npz, read_toml
+from ringtrue.io.foreign.parsers import (
+    open_hdf5,
+    read_json,
+    read_npy,
+    read_npz,
+    read_toml,
+)
 from ringtrue.io.frfs import holds_frfs, read_frfs
 from ringtrue.io.matrices import read_matrices
 from ringtrue.io.modes import read_modes
@@ -132,13 +138,18 @@ def _deck(path: Path) -> list[FilePart]:
     found = survey(path)
     name = quote(str(path))
     values = _counts(found.cards) | {"not read": sorted(found.unsupported)}
-    commands = (f"ringtrue check {name} --units SI", f"ringtrue modes {name} --band 0 HZ")
+    commands = (
+        f"ringtrue check {name} --units SI",
+        f"ringtrue modes {name} --band 0 HZ",
+    )
     return [FilePart("deck", values, commands)]
 
 
 def _results(path: Path) -> list[FilePart]:
     """Modes, deflections, or the sensitivities of a SOL 200; the weight and the deck in an OP2."""
-    others = [*_weight(path), *_held_deck(path)] if format_of(path) is Format.OP2 else []
+    others = (
+        [*_weight(path), *_held_deck(path)] if format_of(path) is Format.OP2 else []
+    )
     try:
         return [*_solved(path, any(part.kind == "deck" for part in others)), *others]
     except DataError:
@@ -165,14 +176,18 @@ def _held_deck(path: Path) -> list[FilePart]:
     if not values["elements"]:
         return []
     values["not read"] = list(found.missing)
-    return [FilePart("deck", values, (f"ringtrue convert {quote(str(path))} model.bdf",))]
+    return [
+        FilePart("deck", values, (f"ringtrue convert {quote(str(path))} model.bdf",))
+    ]
 
 
 def _counts(cards: Mapping[str, int]) -> dict[str, Any]:
     """Nodes, elements and cards of a deck."""
     return {
         "nodes": cards.get("GRID", 0),
-        "elements": sum(n for card, n in cards.items() if card[0] == "C" and card[:4] != "CORD"),
+        "elements": sum(
+            n for card, n in cards.items() if card[0] == "C" and card[:4] != "CORD"
+        ),
         "cards": dict(sorted(cards.items(), key=lambda item: -item[1])),
     }
 
@@ -236,9 +251,13 @@ def _stored(path: Path) -> FilePart:
     table = raw_record(path)
     count, samples = table.data.shape
     if table.rate is None and samples < LONG:
-        return FilePart("table", {"columns": count, "rows": samples, "names": list(table.names)})
+        return FilePart(
+            "table", {"columns": count, "rows": samples, "names": list(table.names)}
+        )
     given = zip(table.names, table.units, table.quantities, strict=True)
-    rows = tuple(RecordChannel(name, quantity=to_si(u, q)[0], unit=u) for name, u, q in given)
+    rows = tuple(
+        RecordChannel(name, quantity=to_si(u, q)[0], unit=u) for name, u, q in given
+    )
     return _record(path, table.rate, samples, rows)
 
 
@@ -263,7 +282,8 @@ def _record(
 def _has_force(channels: tuple[Channel, ...]) -> bool:
     try:
         force_channel(
-            TimeHistory(np.zeros((len(channels), 2)), 1.0, channels), HammerSettings(force="")
+            TimeHistory(np.zeros((len(channels), 2)), 1.0, channels),
+            HammerSettings(force=""),
         )
     except InputError:
         return False
@@ -290,12 +310,17 @@ def _modes(path: Path, modes: ModeSet) -> FilePart:
         "band_hz": _band(modes.frequencies),
         "names": list(modes.channels),
     }
-    return FilePart("modes", values, (f"ringtrue correlate {quote(str(path))} MODEL.bdf",))
+    return FilePart(
+        "modes", values, (f"ringtrue correlate {quote(str(path))} MODEL.bdf",)
+    )
 
 
 def _sensors(path: Path) -> FilePart:
     model = read_sensor_sheet(path).model
-    values: dict[str, Any] = {"points": model.points.size, "channels": len(model.channels)}
+    values: dict[str, Any] = {
+        "points": model.points.size,
+        "channels": len(model.channels),
+    }
     values |= {"forces": len(model.forces)} if model.forces else {}
     values |= {"lines": len(model.lines)} if len(model.lines) else {}
     values |= {"names": list(model.channels)}
@@ -316,10 +341,13 @@ def _universal(path: Path) -> Iterator[FilePart]:
             yield _frfs(path, read_frfs(path))
         if FunctionType.TIME in kinds:
             yield _stored(path)
-        others = Counter(f.kind for f in functions if f.kind not in (*_OF_FRF, FunctionType.TIME))
+        others = Counter(
+            f.kind for f in functions if f.kind not in (*_OF_FRF, FunctionType.TIME)
+        )
         if others:
             yield FilePart(
-                "functions", {FUNCTIONS.get(k, f"type {k}"): n for k, n in others.items()}
+                "functions",
+                {FUNCTIONS.get(k, f"type {k}"): n for k, n in others.items()},
             )
     if held & {55, 2414}:
         yield _modes(path, read_modes(path))
@@ -334,7 +362,9 @@ def _table(path: Path) -> list[FilePart]:
     if format_of(path) is Format.TEXT:
         with path.open("rb") as file:
             if program := other_program(file.read(1 << 16)):
-                raise DataError(f"{path}: a deck of {program}; ringtrue reads Nastran's")
+                raise DataError(
+                    f"{path}: a deck of {program}; ringtrue reads Nastran's"
+                )
         if holds_frfs(path):
             return [_frfs(path, read_frfs(path))]
     try:
@@ -368,7 +398,9 @@ def _archive(path: Path) -> list[FilePart]:
         return [_frfs(path, read_frfs(path))]
     if {"format", "shape"} <= set(arrays):
         return _matrices(path)
-    return [FilePart("arrays", {"names": [f"{k} {v.shape}" for k, v in arrays.items()]})]
+    return [
+        FilePart("arrays", {"names": [f"{k} {v.shape}" for k, v in arrays.items()]})
+    ]
 
 
 def _matrices(path: Path) -> list[FilePart]:
@@ -389,7 +421,9 @@ def _settings(path: Path) -> list[FilePart]:
         counts = {f"{k}s": len(v) for k, v in value.items() if isinstance(v, list)}
         return [FilePart("choice", counts, (f"ringtrue oma RECORD --choice {name}",))]
     if is_json and "tests" in keys:
-        return [FilePart("log", {"tests": len(value["tests"])}, (f'test.log = "{path}"',))]
+        return [
+            FilePart("log", {"tests": len(value["tests"])}, (f'test.log = "{path}"',))
+        ]
     if not is_json and {"study", "model", "test"} & set(keys):
         return [FilePart("study", {"sections": list(keys)}, (f"ringtrue run {name}",))]
     return [FilePart("table", {"keys": list(keys)})]
@@ -399,7 +433,9 @@ _PARTS: Mapping[Format, Callable[[Path], Iterable[FilePart]]] = {
     Format.EMPTY: lambda path: (),
     Format.DECK: _deck,
     **dict.fromkeys(SOLVER_RESULTS, _results),
-    **dict.fromkeys((Format.OP4, Format.MATRIX_MARKET, Format.HARWELL_BOEING), _matrices),
+    **dict.fromkeys(
+        (Format.OP4, Format.MATRIX_MARKET, Format.HARWELL_BOEING), _matrices
+    ),
     Format.HDF5: _hdf5,
     Format.UFF: _universal,
     Format.NPY: _array,

@@ -25,7 +25,8 @@ from ringtrue.study.placing import alignment, alignment_text
 from ringtrue.updating.selection.candidates import CandidateSettings, Kind
 from ringtrue.updating.selection.generation import generate
 
-KINDS: tuple[Kind, ...] = ("material", "property", "spring", "mass")  # those that a deck can hold
+# those that a deck can hold
+KINDS: tuple[Kind, ...] = ("material", "property", "spring", "mass")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,9 @@ class RegionParameter(Displayed):
     inside: int
 
 
-def region_parameters(model: Model, elements: Collection[int]) -> tuple[RegionParameter, ...]:
+def region_parameters(
+    model: Model, elements: Collection[int]
+) -> tuple[RegionParameter, ...]:
     """The factors that change elements of a region: materials, properties, springs, masses.
 
     Parameters
@@ -150,9 +153,15 @@ class PlacedSensors(Displayed):
         ids, xyz = self._nodes
         row = np.flatnonzero(ids == node)
         if not row.size:
-            raise DataError(f"node {node}: not a node of the model that a sensor may be on")
+            raise DataError(
+                f"node {node}: not a node of the model that a sensor may be on"
+            )
         at = xyz[row[0]]
-        return at if self._fit is None else np.asarray((at - self._fit.shift) @ self._fit.rotation)
+        return (
+            at
+            if self._fit is None
+            else np.asarray((at - self._fit.shift) @ self._fit.rotation)
+        )
 
 
 def place_sensors(

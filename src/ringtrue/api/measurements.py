@@ -22,14 +22,22 @@ from ringtrue.core.signals import Channel, FrfSet, TimeHistory
 from ringtrue.decks.nastran.results.modes import is_solver_result, read_nastran_modes
 from ringtrue.errors import ConfigError, DataError, InputError, did_you_mean
 from ringtrue.identification.ambient.decay_band_fit import DecaySettings
-from ringtrue.identification.ambient.free_decays import DecayResult, free_decay_note, identify_decay
+from ringtrue.identification.ambient.free_decays import (
+    DecayResult,
+    free_decay_note,
+    identify_decay,
+)
 from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
     identify_stretches,
 )
 from ringtrue.identification.ambient.record_bands import SHORTEST
-from ringtrue.identification.ambient.setups import MergeMethod, SetupsResult, identify_setups
+from ringtrue.identification.ambient.setups import (
+    MergeMethod,
+    SetupsResult,
+    identify_setups,
+)
 from ringtrue.identification.common.diagram import (
     IdentificationDiagram,
     SpectrumAccount,
@@ -37,7 +45,11 @@ from ringtrue.identification.common.diagram import (
 )
 from ringtrue.identification.common.stabilisation import StableDiagram
 from ringtrue.identification.frf.local_fits import with_local_fits
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import (
+    HammerModes,
+    HammerResult,
+    identify_hammer,
+)
 from ringtrue.identification.frf.residues import driving_pairs
 from ringtrue.identification.methods import SecondOpinion, identify_ambient_by
 from ringtrue.io import frfs as frf_files
@@ -105,7 +117,9 @@ class TestModes(Displayed):
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     diagrams: tuple[StableDiagram, ...] = ()
-    result: AmbientResult | SetupsResult | DecayResult | HammerResult | SecondOpinion | None = None
+    result: (
+        AmbientResult | SetupsResult | DecayResult | HammerResult | SecondOpinion | None
+    ) = None
     frequencies: Float = field(init=False)
     std_frequency: Float = field(init=False)
     damping: Float = field(init=False)
@@ -139,7 +153,9 @@ class TestModes(Displayed):
     @property
     def others(self) -> OtherCandidates:
         """Doubtful modes and harmonics, which are not among the modes."""
-        if isinstance(self.result, AmbientResult | SetupsResult | DecayResult | HammerResult):
+        if isinstance(
+            self.result, AmbientResult | SetupsResult | DecayResult | HammerResult
+        ):
             return self.result.others
         return OtherCandidates.none(self.channels)
 
@@ -166,7 +182,8 @@ class TestModes(Displayed):
         """
         if sensors is None:
             return plot(self.diagram if self.diagrams else self.modes)
-        from ringtrue.plots.scene import test_modes  # plotly loads when something is drawn
+        # plotly loads when something is drawn
+        from ringtrue.plots.scene import test_modes
 
         return test_modes(sensors.model, self.modes)
 
@@ -203,9 +220,14 @@ def modes_of_test(
     unknown = np.full(f.size, np.nan)
     zeta = unknown if damping is None else np.asarray(damping, dtype=np.float64)
     modes = ModeSet(f, zeta, np.asarray(shapes), tuple(map(str, channels)))
-    std = unknown if std_frequency is None else np.asarray(std_frequency, dtype=np.float64)
+    std = (
+        unknown
+        if std_frequency is None
+        else np.asarray(std_frequency, dtype=np.float64)
+    )
     return TestModes(
-        modes, Uncertainty.independent(std, unknown, np.full(modes.shapes.shape, np.nan))
+        modes,
+        Uncertainty.independent(std, unknown, np.full(modes.shapes.shape, np.nan)),
     )
 
 
@@ -266,7 +288,9 @@ def merged_modes(path: Path) -> TestModes:
     """
     found = load_study(path).results.get("identify")
     if found is None:
-        raise DataError(f"{path}: the study has no test modes; run it to its stage `identify`")
+        raise DataError(
+            f"{path}: the study has no test modes; run it to its stage `identify`"
+        )
     best = found.ambient if found.hammer is None else found.hammer
     notes = found.merge_notes if found.hammer is None else found.frf_notes
     return TestModes(
@@ -275,7 +299,10 @@ def merged_modes(path: Path) -> TestModes:
 
 
 def write_modes(
-    path: str | Path, modes: ModeSet | FeModes | TestModes, *, sensors: SensorSheet | None = None
+    path: str | Path,
+    modes: ModeSet | FeModes | TestModes,
+    *,
+    sensors: SensorSheet | None = None,
 ) -> ModeSet:
     """Write modes as `.json`, `.h5`, `.uff` (translations of points only) or `.csv`.
 
@@ -300,16 +327,24 @@ def write_modes(
     found = modes_at(modes)
     kept = found
     if path.suffix.lower() in TRANSLATIONS_ONLY:
-        labels = found.labels if isinstance(found.labels, DofSet) else DofSet.parse(found.labels)
+        labels = (
+            found.labels
+            if isinstance(found.labels, DofSet)
+            else DofSet.parse(found.labels)
+        )
         translations = (np.abs(labels.direction) >= 1) & (np.abs(labels.direction) <= 3)
-        kept = found.rows([found.channels[i] for i in np.flatnonzero(translations).tolist()])
+        kept = found.rows(
+            [found.channels[i] for i in np.flatnonzero(translations).tolist()]
+        )
     spread = None
     reasons: tuple[str, ...] = ()
     others: OtherCandidates | None = None
     if isinstance(modes, TestModes):
         reasons = modes.reasons
         others = modes.others
-        known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(modes.uncertainty.damping)
+        known = np.isfinite(modes.uncertainty.frequency) | np.isfinite(
+            modes.uncertainty.damping
+        )
         spread = modes.uncertainty if known.any() else None
     if sensors is not None:
         if path.suffix.lower() not in TRANSLATIONS_ONLY:
@@ -380,7 +415,9 @@ def record_with_notes(
     leave_out: Sequence[str],
 ) -> tuple[TimeHistory, tuple[str, ...]]:
     """A record as `read_record` gives it, and the notes of its sheet."""
-    history = records.read_record(path, rate, check=not leave_out, group=group, gaps=True)
+    history = records.read_record(
+        path, rate, check=not leave_out, group=group, gaps=True
+    )
     history, notes = sensors.scaled(history) if sensors else (history, ())
     if leave_out:
         history = history.pick(kept_channels(path, history.channels, leave_out))
@@ -388,7 +425,9 @@ def record_with_notes(
     return history, notes
 
 
-def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[str]) -> list[str]:
+def kept_channels(
+    path: Path, channels: Sequence[Channel], leave_out: Sequence[str]
+) -> list[str]:
     """Ids of the channels but for those left out, each of which must be there."""
     ids = [c.id for c in channels]
     for name in leave_out:
@@ -403,7 +442,10 @@ def kept_channels(path: Path, channels: Sequence[Channel], leave_out: Sequence[s
 
 
 def read_frfs(
-    path: str | Path, *, leave_out: Sequence[str] = (), window_decay: float | None = None
+    path: str | Path,
+    *,
+    leave_out: Sequence[str] = (),
+    window_decay: float | None = None,
 ) -> FrfSet:
     """Read measured FRFs: `.uff` (data set 58), `.h5`, `.npz`, `.csv` or `.mat`.
 
@@ -520,7 +562,9 @@ def estimate_frfs(
     )
     columns, setups, gains = with_equal_gains(forced.columns)
     joined = join_frfs(columns)
-    said = _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
+    said = (
+        _frf_notes(joined, forced) if forced.hits else (*forced.notes, *forced.clipped)
+    )
     return MeasuredFrfs(
         _windowed(joined, window_decay),
         forced.hits,
@@ -534,7 +578,9 @@ def _of_setups(gains: Sequence[SetupGain], setups: Sequence[FrfSet]) -> list[str
     return [sentence(g.note(setups[g.setup].source or str(g.setup + 1))) for g in gains]
 
 
-def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | None) -> MeasuredFrfs:
+def _given_frfs(
+    paths: Sequence[Path], how: ForceRecordFormat, decay: float | None
+) -> MeasuredFrfs:
     if how.channels:
         raise ConfigError(
             f"channels: they name the channels of time records; {paths[0]} holds FRFs, which have "
@@ -542,8 +588,12 @@ def _given_frfs(paths: Sequence[Path], how: ForceRecordFormat, decay: float | No
         )
     if how.leave_out:
         known = dict.fromkeys(c for f in paths for c in frf_files.frf_ids(f))
-        kept_channels(paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out)
-    found = of_one_kind([read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths])
+        kept_channels(
+            paths[0], [Channel(c, "unknown", "") for c in known], how.leave_out
+        )
+    found = of_one_kind(
+        [read_frfs(f, leave_out=how.leave_out, window_decay=decay) for f in paths]
+    )
     if len(found) == 1:
         return MeasuredFrfs(found[0])
     columns, setups, gains = with_equal_gains(found)
@@ -556,7 +606,9 @@ def _frf_notes(frfs: FrfSet, forced: Forced) -> tuple[str, ...]:
     known = frfs.coherence[np.isfinite(frfs.coherence)]
     notes = [accepted_hits(forced.hits), *rejected_hits(forced.hits), *forced.notes]
     if frfs.window_decay > 0:
-        notes.append(f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping")
+        notes.append(
+            f"exponential window of {frfs.window_decay:.3g} 1/s, taken out of the damping"
+        )
     if known.size:
         notes.append(f"coherence {np.median(known):.3f} at the typical line")
     else:
@@ -704,19 +756,27 @@ def identify_ambient(
     settings = AmbientSettings(fmin=fmin, fmax=fmax)
     parts = [record] if isinstance(record, TimeHistory) else record
     if decay and (method != AMBIENT or choice is not None):
-        raise ConfigError(f"decay goes with the method {AMBIENT} and without a choice by hand")
+        raise ConfigError(
+            f"decay goes with the method {AMBIENT} and without a choice by hand"
+        )
     if decay is not False and method == AMBIENT and choice is None:
         coming = iter(parts)
         first = list(islice(coming, 2))
-        found_decay = _of_decays(first, decay, DecaySettings(fmin=fmin, fmax=fmax), progress)
+        found_decay = _of_decays(
+            first, decay, DecaySettings(fmin=fmin, fmax=fmax), progress
+        )
         if found_decay is not None:
             return found_decay
         parts = chain(first, coming)
     if method != AMBIENT:
         refuse_choice(method, AMBIENT, choice)
         one = next(iter(parts))
-        return _of_result(identify_ambient_by(method, one, settings, near=near, progress=progress))
-    return _of_result(identify_stretches(iter(parts), settings, choice=choice, progress=progress))
+        return _of_result(
+            identify_ambient_by(method, one, settings, near=near, progress=progress)
+        )
+    return _of_result(
+        identify_stretches(iter(parts), settings, choice=choice, progress=progress)
+    )
 
 
 def identify_ambient_setups(
@@ -837,7 +897,10 @@ def references_of(files: Sequence[WiredFile]) -> tuple[str, ...]:
 
 
 def _of_decays(
-    parts: Sequence[TimeHistory], asked: bool | None, settings: DecaySettings, progress: Progress
+    parts: Sequence[TimeHistory],
+    asked: bool | None,
+    settings: DecaySettings,
+    progress: Progress,
 ) -> TestModes | None:
     """Modes of the free decays of one record; None where it holds none and none were asked for."""
     if len(parts) != 1:

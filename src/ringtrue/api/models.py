@@ -111,7 +111,11 @@ class FeModes(Displayed):
         Translations that are held because nothing stiffens them.
     """
 
-    UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz", "damping": "-", "residuals": "-"}
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "frequencies": "Hz",
+        "damping": "-",
+        "residuals": "-",
+    }
 
     model: Model | MatrixModel
     frequencies: Float
@@ -142,7 +146,9 @@ class FeModes(Displayed):
     def opened(self) -> Opened:
         """The model with its analysis."""
         if isinstance(self.model, MatrixModel):
-            raise UnsupportedError("a MatrixModel has no nodes: give its modes, `fe.at(channels)`")
+            raise UnsupportedError(
+                "a MatrixModel has no nodes: give its modes, `fe.at(channels)`"
+            )
         return open_model(self.model)
 
     def plot(self) -> Any:
@@ -227,7 +233,9 @@ def solve_modes(
     if isinstance(model, MatrixModel):
         found = model.open(progress=progress).modes(ModesRequest(count or 20, band))
         return _fe_modes(model, found)
-    made = solver(engine, ranks=ranks, launcher=launcher, timeout=time_limit, progress=progress)
+    made = solver(
+        engine, ranks=ranks, launcher=launcher, timeout=time_limit, progress=progress
+    )
     with made.open(model) as analysis:
         solve = analysis.modes
         if damped:
@@ -368,11 +376,15 @@ class FrfRequest:
 
     def __post_init__(self) -> None:
         if self.quantity not in FRF_KIND:
-            raise ConfigError(f"quantity {self.quantity!r}{did_you_mean(self.quantity, FRF_KIND)}")
+            raise ConfigError(
+                f"quantity {self.quantity!r}{did_you_mean(self.quantity, FRF_KIND)}"
+            )
         if self.damping is None:
             return
         if self.direct:
-            raise ConfigError("direct has the damping of the deck; damping is for modes")
+            raise ConfigError(
+                "direct has the damping of the deck; damping is for modes"
+            )
         if not 0 < self.damping < 1:
             raise ConfigError(
                 f"damping {self.damping:g}: must be a ratio between 0 and 1, such as 0.01"
@@ -394,7 +406,9 @@ def responses_of(
     if modal:
         modal = replace(modal, frequencies=modal.frequencies / unit.time)
     kind = FRF_KIND[asked.quantity]
-    with EmbeddedSolver(progress=part(progress, 0.2, 1.0)).open(responding(model)) as analysis:
+    with EmbeddedSolver(progress=part(progress, 0.2, 1.0)).open(
+        responding(model)
+    ) as analysis:
         _check_damping(analysis, damping, modal, direct)
         held = held_points(analysis, out, into)
         if direct:
@@ -404,7 +418,10 @@ def responses_of(
             request = ModesRequest(band=(0.0, 2.0 * float(lines[-1])))
             ratio = modal if damping is None else damping
             h = analysis.frf(out, into, lines, request, damping=ratio, kind=kind)
-    scale = np.outer(out.per_length(unit.length), into.per_length(unit.length)) / unit.kilograms
+    scale = (
+        np.outer(out.per_length(unit.length), into.per_length(unit.length))
+        / unit.kilograms
+    )
     found = FrfSet(
         h * scale,
         lines,
@@ -418,7 +435,10 @@ def responses_of(
 
 
 def _check_damping(
-    analysis: EmbeddedAnalysis, damping: float | None, modal: ModalDamping | None, direct: bool
+    analysis: EmbeddedAnalysis,
+    damping: float | None,
+    modal: ModalDamping | None,
+    direct: bool,
 ) -> None:
     if damping is not None or analysis.has_damping or (modal and not direct):
         return
@@ -511,13 +531,17 @@ def static(
     """
     given = dict(forces or {})
     if responses is None and not given:
-        raise ConfigError("responses: name the points whose deflections are wanted, such as 101+Z")
+        raise ConfigError(
+            "responses: name the points whose deflections are wanted, such as 101+Z"
+        )
     into = parse_points(list(given), "force")
     out = parse_points(responses or list(given), "response")
     cases: tuple[Any, ...] = ()
     if not isinstance(model, Model):
         path = Path(model)
-        model, cases = (reader.read_deck(path), ()) if given else reader.read_loaded_deck(path)
+        model, cases = (
+            (reader.read_deck(path), ()) if given else reader.read_loaded_deck(path)
+        )
         model = replace(model, units=units)
     unit = UNIT_SYSTEMS[model.units]
     progress(0.3, "solving")
@@ -535,7 +559,11 @@ def static(
         f"{p}={n:g}" for p, n in zip(into.labels(), given.values(), strict=True)
     ) or tuple(c.name for c in cases)
     return Deflections(
-        names, out.labels(), moved * (unit.length * out.per_length(unit.length)), model, held
+        names,
+        out.labels(),
+        moved * (unit.length * out.per_length(unit.length)),
+        model,
+        held,
     )
 
 
@@ -574,7 +602,9 @@ def read_deflections(
     )
 
 
-def _under_loads(model: Model, cases: Sequence[Any], out: DofSet) -> tuple[Float, tuple[str, ...]]:
+def _under_loads(
+    model: Model, cases: Sequence[Any], out: DofSet
+) -> tuple[Float, tuple[str, ...]]:
     """Motions (case, point) under the load cases of a deck, and the points that move in none."""
     moved = np.zeros((len(cases), len(out)))
     held: set[str] = set(out.labels())
@@ -631,7 +661,9 @@ def write_deck(model: Model, folder: str | Path) -> tuple[Path, ...]:
     ['example.bdf']
     """
     if not model.files:
-        raise InputError("the model was not read from a file: there is no deck to write")
+        raise InputError(
+            "the model was not read from a file: there is no deck to write"
+        )
     before = reader.read_deck(Path(model.files[0]))
     changes = [c for card in model.tables for c in _changes(before, model, card)]
     target = Path(folder)
@@ -643,7 +675,9 @@ def _changes(before: Model, after: Model, card: str) -> list[FieldChange]:
     """The fields of a card that differ, but those that follow from the dimensions of a section."""
     new = after[card]
     if card not in before or len(before[card]) != len(new):
-        raise UnsupportedError(f"{card}: the model has other cards than its files; write its deck")
+        raise UnsupportedError(
+            f"{card}: the model has other cards than its files; write its deck"
+        )
     old = before[card]
     derived = [name for name, made in MADE.items() if made == card and name in after]
     free = np.ones(len(new), dtype=bool)
@@ -666,16 +700,22 @@ def _column_changes(old: Table, new: Table, name: str, free: Any_) -> list[Field
         numbers = at - b.offsets[rows] + 1
         return [
             FieldChange(new.card, int(new.ids[r]), f"{name}{k}", b.values[i].item())
-            for i, r, k in zip(at.tolist(), rows.tolist(), numbers.tolist(), strict=True)
+            for i, r, k in zip(
+                at.tolist(), rows.tolist(), numbers.tolist(), strict=True
+            )
             if free[r]
         ]
     assert not isinstance(a, Ragged)
     assert not isinstance(b, Ragged)
     rows = np.flatnonzero(_differ(a, b) & free)
-    return [FieldChange(new.card, int(new.ids[r]), name, b[r].item()) for r in rows.tolist()]
+    return [
+        FieldChange(new.card, int(new.ids[r]), name, b[r].item()) for r in rows.tolist()
+    ]
 
 
-def _matrix_changes(new: Table, old_terms: Ragged, new_terms: Ragged) -> list[FieldChange]:
+def _matrix_changes(
+    new: Table, old_terms: Ragged, new_terms: Ragged
+) -> list[FieldChange]:
     """The factors on the matrices whose terms differ."""
     found = []
     for row, number in enumerate(new.ids.tolist()):

@@ -23,7 +23,12 @@ from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.io.files import atomic_write, writes
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest
-from ringtrue.planning.plan_files import NAMES, PlannedExcitation, reach_of, write_test_sheet
+from ringtrue.planning.plan_files import (
+    NAMES,
+    PlannedExcitation,
+    reach_of,
+    write_test_sheet,
+)
 from ringtrue.report.build import ReportFormat as ReportFormat
 from ringtrue.report.build import deliver, write_report
 from ringtrue.solvers.embedded import EmbeddedSolver
@@ -35,7 +40,12 @@ from ringtrue.study.session import Session
 from ringtrue.study.stages import predict as predict_stage
 from ringtrue.study.store import STORE, Store
 from ringtrue.study.summary import finite, summarise
-from ringtrue.study.synthesis import final_modes, initial_modes, measured_frfs, model_frfs
+from ringtrue.study.synthesis import (
+    final_modes,
+    initial_modes,
+    measured_frfs,
+    model_frfs,
+)
 from ringtrue.virtual.sensors import ICP
 
 # a plan of its own, without ambient tests
@@ -98,7 +108,9 @@ class Study:
         """
         found = self.run.results.get(name)
         if found is None:
-            raise DataError(f"{self.folder}: no stage {name!r}{did_you_mean(name, self.stages)}")
+            raise DataError(
+                f"{self.folder}: no stage {name!r}{did_you_mean(name, self.stages)}"
+            )
         return found
 
     @property
@@ -126,7 +138,11 @@ class Study:
 
     def pairs(self, of: Stage = "final") -> CorrelationTable:
         """The mode pairs of the initial or the final deck with the test."""
-        table = self.stage("final").table if of == "final" else self.stage("correlate").initial
+        table = (
+            self.stage("final").table
+            if of == "final"
+            else self.stage("correlate").initial
+        )
         assert isinstance(table, CorrelationTable)
         return table
 
@@ -149,8 +165,14 @@ class Study:
         own = self.run.session.own
         measured = measured_frfs(own)
         if measured is None:
-            raise DataError(f"{self.folder}: the study has no FRFs at the channels of its sheet")
-        modes = initial_modes(own) if of == "initial" else final_modes(own, self.stage("final"))
+            raise DataError(
+                f"{self.folder}: the study has no FRFs at the channels of its sheet"
+            )
+        modes = (
+            initial_modes(own)
+            if of == "initial"
+            else final_modes(own, self.stage("final"))
+        )
         return model_frfs(own, modes, measured)
 
     @property
@@ -176,7 +198,9 @@ class Study:
         assert isinstance(value, dict)
         return value
 
-    def report(self, target: str | Path | None = None, form: ReportFormat = "html") -> Path:
+    def report(
+        self, target: str | Path | None = None, form: ReportFormat = "html"
+    ) -> Path:
         """Write the report anew; in the folder of the store if no file is named.
 
         Parameters
@@ -192,7 +216,9 @@ class Study:
         SolverMissing
             If Chromium or python-docx is not installed.
         """
-        return write_report(self.run, Path(target or self.folder / f"report.{form}"), form=form)
+        return write_report(
+            self.run, Path(target or self.folder / f"report.{form}"), form=form
+        )
 
     def plot(self) -> Any:
         """The MAC matrix of the last correlation, a plotly figure."""
@@ -201,7 +227,8 @@ class Study:
     def _repr_html_(self) -> str:
         table = self.pairs("final" if "final" in self.stages else "initial")
         return (
-            f"<b>{self.run.config.study.title}</b>: {', '.join(self.stages)}<br>{len(table)} pairs"
+            f"<b>{self.run.config.study.title}</b>: "
+            f"{', '.join(self.stages)}<br>{len(table)} pairs"
         )
 
 
@@ -263,7 +290,12 @@ def run_study(
     """
     folder = None if out is None else Path(out)
     run = runs.run_study(
-        Path(path), out=folder, first=first, until=until, workers=workers, progress=progress
+        Path(path),
+        out=folder,
+        first=first,
+        until=until,
+        workers=workers,
+        progress=progress,
     )
     deliver(run)
     return Study(run.folder, run)
@@ -311,11 +343,18 @@ def predict(
     asked = settings or config.predict
     if asked == config.predict and seed is None:
         done = runs.run_study(
-            path, out=None if out is None else Path(out), until="predict", progress=progress
+            path,
+            out=None if out is None else Path(out),
+            until="predict",
+            progress=progress,
         )
         found = done.results["predict"]
     else:
-        info = config.study if seed is None else config.study.model_copy(update={"seed": seed})
+        info = (
+            config.study
+            if seed is None
+            else config.study.model_copy(update={"seed": seed})
+        )
         changed = config.model_copy(update={"predict": asked, "study": info})
         found = predict_stage.run(Session(changed, path.parent, where, held), progress)
     assert isinstance(found, PredictStage)
@@ -402,10 +441,14 @@ def plan_test(
     deck = Path(deck)
     folder = deck.with_name(f"{deck.stem}-test") if folder is None else Path(folder)
     if (folder / "study.toml").exists():
-        raise ConfigError(f"{folder}: holds a study.toml; name a folder for the plan alone")
+        raise ConfigError(
+            f"{folder}: holds a study.toml; name a folder for the plan alone"
+        )
     writes(*(folder / name for name in ("plan.toml", *NAMES)))
     asked = (
-        settings.model_dump(exclude_unset=True) if isinstance(settings, PlanSection) else settings
+        settings.model_dump(exclude_unset=True)
+        if isinstance(settings, PlanSection)
+        else settings
     )
     section = ALONE | dict(asked or {})
     progress(0.0, f"reading {deck}")
@@ -449,7 +492,8 @@ def _band(
     model = read_deck(deck, units=units)
     if band is None:
         with EmbeddedSolver().open(model) as analysis:
-            count = max([21, *(m + 1 for m in modes)])  # modes of a deck that a band is taken from
+            # modes of a deck that a band is taken from
+            count = max([21, *(m + 1 for m in modes)])
             f = analysis.modes(ModesRequest(count)).modes.frequencies
         flexible = f[elastic(f)]
         if not flexible.size:
@@ -474,7 +518,11 @@ def _write_study(
     # 1.3: modes up to here over the band take part in virtual tests
     tables: dict[str, Mapping[str, Any]] = {
         "study": {"title": f"Test plan of {deck.name}", "seed": seed},
-        "model": {"deck": place, "units": units, "fmax": float(f"{1.3 * section['fmax']:.6g}")},
+        "model": {
+            "deck": place,
+            "units": units,
+            "fmax": float(f"{1.3 * section['fmax']:.6g}"),
+        },
         "plan": section,
     }
     lines = [
@@ -489,14 +537,18 @@ def _write_study(
 def _toml(value: Any) -> str:
     """JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
+        )
     return json.dumps(value, ensure_ascii=False)
 
 
 def _reach(run: runs.StudyRun) -> Float:
     """Driving-point residue of each reference over the best of all channels, (r, target)."""
     stage: PlanStage = run.results["plan"]
-    found = run.session.initial.modes(run.session.first_fmax).modes.take(stage.target_modes)
+    found = run.session.initial.modes(run.session.first_fmax).modes.take(
+        stage.target_modes
+    )
     test = stage.sensors.test
     seen = run.session.initial.observation(test)(found.shapes)
     at = [test.channels.index(r) for r in stage.excitation.references]

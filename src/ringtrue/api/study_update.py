@@ -232,7 +232,9 @@ def _refuse(config: StudyConfig, asked: UpdateRequest, engine: str) -> None:
     if config.update.starts > 1:
         raise ConfigError("a checkpoint keeps one iterate: it needs one start")
     if config.update.prior != "study":
-        raise ConfigError('a checkpoint keeps no weight of the prior: it needs prior = "study"')
+        raise ConfigError(
+            'a checkpoint keeps no weight of the prior: it needs prior = "study"'
+        )
 
 
 def _left_out(text: str, count: int) -> list[int]:
@@ -240,7 +242,9 @@ def _left_out(text: str, count: int) -> list[int]:
     numbers = [t.strip() for t in text.split(",") if t.strip()]
     wrong = [t for t in numbers if not t.isdigit() or not 1 <= int(t) <= count]
     if wrong or len(set(numbers)) >= count:
-        raise ConfigError(f"leave out {text}: must name some of the modes 1 to {count}, not all")
+        raise ConfigError(
+            f"leave out {text}: must name some of the modes 1 to {count}, not all"
+        )
     return [int(t) - 1 for t in numbers]
 
 
@@ -259,7 +263,9 @@ def _write(
     factors = np.where(np.isin(names, list(dropped)), 1.0, done.solution.factors)
     moved = np.flatnonzero(factors != 1.0)
     parameters = config.candidates().take(moved.tolist())
-    return tuple(edit_fields(model, field_changes(model, parameters, factors[moved]), folder))
+    return tuple(
+        edit_fields(model, field_changes(model, parameters, factors[moved]), folder)
+    )
 
 
 def update_json(found: FittedStudy) -> dict[str, Any]:
@@ -274,9 +280,19 @@ def update_json(found: FittedStudy) -> dict[str, Any]:
     x = end.x[free]
     factors = end.factors[free]
     std = end.std * parameters.derivative(x) / factors
-    columns = (parameters.names, factors.tolist(), std.tolist(), end.identifiability.tolist())
+    columns = (
+        parameters.names,
+        factors.tolist(),
+        std.tolist(),
+        end.identifiability.tolist(),
+    )
     table = [
-        {"name": name, "factor": factor, "relative_std": deviation, "posterior_over_prior": ratio}
+        {
+            "name": name,
+            "factor": factor,
+            "relative_std": deviation,
+            "posterior_over_prior": ratio,
+        }
         for name, factor, deviation, ratio in zip(*columns, strict=True)
     ]
     discrepancy = (100 * kept(found.done.problem)).tolist()
@@ -286,7 +302,9 @@ def update_json(found: FittedStudy) -> dict[str, Any]:
         "outcome": end.outcome.value,
         "why": end.why if end.outcome.ok else f"{end.outcome.value} ({end.why})",
         "objective": [before.cost, after.cost],
-        "discrepancy_percent": dict(zip(("frequency", "mac"), discrepancy, strict=True)),
+        "discrepancy_percent": dict(
+            zip(("frequency", "mac"), discrepancy, strict=True)
+        ),
         "solver": found.engine,
         "basis_error": found.done.error,
         "full_solutions": found.done.full_solutions,
@@ -306,7 +324,9 @@ def update_json(found: FittedStudy) -> dict[str, Any]:
     return result
 
 
-def _measured(data: Sequence[Data], points: tuple[Point, Point]) -> list[dict[str, Any]]:
+def _measured(
+    data: Sequence[Data], points: tuple[Point, Point]
+) -> list[dict[str, Any]]:
     """What was measured besides the modes, by the model before and after."""
     found = []
     for d in data:
@@ -317,7 +337,9 @@ def _measured(data: Sequence[Data], points: tuple[Point, Point]) -> list[dict[st
     return found
 
 
-def _modes(target: Target, points: tuple[Point, Point], *, shapes: bool) -> list[dict[str, Any]]:
+def _modes(
+    target: Target, points: tuple[Point, Point], *, shapes: bool
+) -> list[dict[str, Any]]:
     """Deviation and MAC of each test mode, before and after; NaN where it is unpaired, or no shapes
     were measured.
     """
@@ -331,9 +353,13 @@ def _modes(target: Target, points: tuple[Point, Point], *, shapes: bool) -> list
         columns: Float = np.full((3, frequencies.size), np.nan)
         columns[0, test] = 100 * (at.now.frequencies[fe] / frequencies[test] - 1)
         if shapes:
-            columns[1, test] = 100 * paired_mac(target.shapes[:, test], at.now.shapes[:, fe])
+            columns[1, test] = 100 * paired_mac(
+                target.shapes[:, test], at.now.shapes[:, fe]
+            )
             columns[2, test] = 100 * at.mac
         for row, values in zip(table, columns.T.tolist(), strict=True):
-            for name, value in zip(("deviation", "mac", "subspace_mac"), values, strict=True):
+            for name, value in zip(
+                ("deviation", "mac", "subspace_mac"), values, strict=True
+            ):
                 row[f"{name}{when}_percent"] = value
     return table

@@ -134,7 +134,10 @@ class TrialModel:
         lam, y = model.coordinates(x)
         rows = [self._session.own.rows([c]) for c in (output, input_)]
         out, into = (model.basis.observe[r] @ y for r in rows)
-        rest = flexibility(self._responding, x, *rows) - (out / (lam - model.shift)) @ into.T
+        rest = (
+            flexibility(self._responding, x, *rows)
+            - (out / (lam - model.shift)) @ into.T
+        )
         stored: CorrelateStage = self._session.get("correlate")
         trial = self.at(factors)
         pairings = trial.pairs.pairing, stored.rigid_initial.pairing
@@ -158,7 +161,9 @@ class TrialModel:
         """The reduced model with the static responses to what was excited in its basis."""
         own = self._session.own
         measured = measured_frfs(own)
-        inputs = own.rows([c.id for c in measured.inputs] if measured is not None else [])
+        inputs = own.rows(
+            [c.id for c in measured.inputs] if measured is not None else []
+        )
         nominal = np.zeros(len(self.parameters))
         return with_responses(self._model.model, inputs, nominal)[0]
 
@@ -173,14 +178,18 @@ class TrialModel:
         outputs = [c.id for c in every.outputs] if every is not None else []
         inputs = [c.id for c in every.inputs] if every is not None else []
         if every is None or output not in outputs or input_ not in inputs:
-            raise DataError(f"no FRF {output} / {input_} at channels of the sheet was measured")
+            raise DataError(
+                f"no FRF {output} / {input_} at channels of the sheet was measured"
+            )
         at = np.array([outputs.index(output)]), np.array([inputs.index(input_)])
         return every.part(np.arange(every.freqs.size), *at)
 
     def _point(self, factors: Mapping[str, float]) -> Float:
         names = self.parameters.names
         if wrong := [n for n in factors if n not in names]:
-            raise ConfigError(f"no candidate {wrong[0]!r}{did_you_mean(wrong[0], names)}")
+            raise ConfigError(
+                f"no candidate {wrong[0]!r}{did_you_mean(wrong[0], names)}"
+            )
         for p in self.parameters.parameters:
             if not p.lower <= factors.get(p.name, 1.0) <= p.upper:
                 raise ConfigError(
@@ -225,7 +234,9 @@ def trial_model(study: str | Path, *, progress: Progress = quiet) -> TrialModel:
     path = Path(study)
     session = Session.of(path)
     if "correlate" not in session.store.stages():
-        raise DataError(f"{session.store.path}: no correlation in it: run the study as far")
+        raise DataError(
+            f"{session.store.path}: no correlation in it: run the study as far"
+        )
     if not len(session.parameters):
         raise ConfigError(f"{path}: no [[candidate]] whose factor could be tried")
     return TrialModel(session, session.own.model(progress))
@@ -311,7 +322,9 @@ class TrialPlan:
         ConfigError
             If no candidate is left, or a fixed node is not in the deck.
         """
-        return TrialPlan(plan_problem(self._problem.session, settings, stored=True), self._edge)
+        return TrialPlan(
+            plan_problem(self._problem.session, settings, stored=True), self._edge
+        )
 
     def at(self, points: Sequence[int | str]) -> PlanTrial:
         """What some points see.
@@ -355,7 +368,9 @@ class TrialPlan:
         sensor = {c: k // able.each for k, c in enumerate(labels)}
         lost += [c for c in channels if c not in sensor]
         if lost:
-            raise ConfigError(f"{lost[0]}: no candidate of the plan; it is held, excluded or named")
+            raise ConfigError(
+                f"{lost[0]}: no candidate of the plan; it is held, excluded or named"
+            )
         named = np.array([sensor[c] for c in channels], dtype=np.int64)
         return np.union1d(np.flatnonzero(np.isin(able.node, nodes)), named)
 
@@ -383,6 +398,8 @@ def trial_plan(study: str | Path) -> TrialPlan:
     if plan is None:
         raise ConfigError(f"{path}: no [plan] whose points could be tried")
     if "model" not in session.store.stages():
-        raise DataError(f"{session.store.path}: no modes of the deck in it: run the study as far")
+        raise DataError(
+            f"{session.store.path}: no modes of the deck in it: run the study as far"
+        )
     problem = plan_problem(session, plan, stored=True)
     return TrialPlan(problem, elastic_edge(problem.frequencies, session.config))

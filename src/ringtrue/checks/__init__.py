@@ -27,11 +27,19 @@ class Finding:
 
     def __str__(self) -> str:
         """`warning: model.bdf:31: what`."""
-        place = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
+        place = (
+            f"{self.file}:{self.line}: "
+            if self.line
+            else f"{self.file}: "
+            if self.file
+            else ""
+        )
         return f"{self.severity}: {place}{self.text}"
 
 
-def at_rows(model: Model, card: str, rows: Int, severity: Severity, what: str) -> list[Finding]:
+def at_rows(
+    model: Model, card: str, rows: Int, severity: Severity, what: str
+) -> list[Finding]:
     """One finding for rows (k,) of a table, at the place of the first: `CQUAD4 7 and 3 more: what`;
     none without rows.
     """

@@ -18,7 +18,12 @@ from ringtrue.checks.elements import (
     hinge_findings,
     stiff_findings,
 )
-from ringtrue.checks.materials import body_findings, check_materials, check_units, wide_findings
+from ringtrue.checks.materials import (
+    body_findings,
+    check_materials,
+    check_units,
+    wide_findings,
+)
 from ringtrue.core.arrays import Int
 from ringtrue.decks.nastran.case import empty_choices
 from ringtrue.decks.nastran.loads import STATIC_LOADS
@@ -35,7 +40,14 @@ from ringtrue.model.case_control import (
 )
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
-from ringtrue.model.references import FRAMES, NODES, REFERENCES, known_ids, missing, unused
+from ringtrue.model.references import (
+    FRAMES,
+    NODES,
+    REFERENCES,
+    known_ids,
+    missing,
+    unused,
+)
 
 _NOT_ELEMENTS = frozenset(("GRID", "SPC", "SPC1"))
 
@@ -101,7 +113,9 @@ def check_deck(model: Model, units: str = "", *, partial: bool = False) -> DeckR
         checks.append(Finding("error", "the deck has no GRID"))
     elif not partial:
         alone = np.flatnonzero(~np.isin(model["GRID"].ids, _used_nodes(model)))
-        checks += at_rows(model, "GRID", alone, "warning", "no element is connected to it")
+        checks += at_rows(
+            model, "GRID", alone, "warning", "no element is connected to it"
+        )
     checks += _shared_numbers(model)
     lost = [missing_one.reference for missing_one in missing(model)]
     if not any(r.of == FRAMES or r.card in FRAMES for r in lost):  # positions are known
@@ -122,7 +136,9 @@ def check_deck(model: Model, units: str = "", *, partial: bool = False) -> DeckR
     checks += double_findings(model)
     order = {"error": 0, "warning": 1, "info": 2}
     found = tuple(sorted(checks, key=lambda f: order[f.severity]))
-    return DeckReport({n: len(t) for n, t in model.tables.items()}, dict(model.kept), found)
+    return DeckReport(
+        {n: len(t) for n, t in model.tables.items()}, dict(model.kept), found
+    )
 
 
 def _missing(model: Model) -> Iterator[Finding]:
@@ -146,7 +162,9 @@ def _used_nodes(model: Model) -> Int:
 
 def _shared_numbers(model: Model) -> Iterator[Finding]:
     """Elements whose number one of another card has, too."""
-    cards = sorted(c for c, t in model.tables.items() if len(t) and columns(c)[0].name == "EID")
+    cards = sorted(
+        c for c, t in model.tables.items() if len(t) and columns(c)[0].name == "EID"
+    )
     for i, card in enumerate(cards):
         for other in cards[:i]:
             rows = np.flatnonzero(np.isin(model[card].ids, model[other].ids))
@@ -189,7 +207,9 @@ def _coincident(model: Model) -> list[Finding]:
     names = [f"{a} and {b}" for a, b in grid.ids[free[:5]].tolist()]
     if len(free) > 5:
         names.append("...")
-    what = f"at one place with another node that nothing joins it to: {', '.join(names)}"
+    what = (
+        f"at one place with another node that nothing joins it to: {', '.join(names)}"
+    )
     return at_rows(model, "GRID", np.unique(free[:, 0]), "warning", what)
 
 
@@ -211,7 +231,8 @@ def _joined(model: Model, pairs: Int) -> np.ndarray[tuple[int], np.dtype[np.bool
                 joined.add((a, b))
     edges = np.array(sorted(joined), dtype=np.int64).reshape(-1, 2)
     graph = sparse.coo_array(
-        (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(wanted.size, wanted.size)
+        (np.ones(len(edges)), (edges[:, 0], edges[:, 1])),
+        shape=(wanted.size, wanted.size),
     )
     label = connected_components(graph, directed=False)[1]
     return np.asarray(label[at[:, 0]] == label[at[:, 1]])
@@ -228,14 +249,17 @@ def _unchosen(model: Model) -> Iterator[Finding]:
             f"SUBCASE {numbers}: not taken; the modes are those of the first subcase with a METHOD",
         )
     yield from (
-        Finding("warning", f"case control asks for {text}") for text in empty_choices(model)
+        Finding("warning", f"case control asks for {text}")
+        for text in empty_choices(model)
     )
     for name, (_, cards) in CONSTRAINTS.items():
         if getattr(model.case, name.lower()):
             continue
         what = f"it holds nothing: case control chooses no {name}"
         for card in (c for c in cards if c in model):
-            yield from at_rows(model, card, np.arange(len(model[card])), "warning", what)
+            yield from at_rows(
+                model, card, np.arange(len(model[card])), "warning", what
+            )
 
 
 def _lost_sets(model: Model) -> Iterator[Finding]:
@@ -276,7 +300,10 @@ _KEPT = (  # cards that are kept and what becomes of them
         ("DESVAR",),
         "kept, not applied: the fields of the cards count as they stand, not the start XINIT",
     ),
-    (("TF",), "kept, not applied: transfer functions act in the solutions of responses only"),
+    (
+        ("TF",),
+        "kept, not applied: transfer functions act in the solutions of responses only",
+    ),
 )
 
 
@@ -286,7 +313,11 @@ def unapplied(model: Model) -> Iterator[Finding]:
         found = [card for card in cards if card in model.kept]
         if found:
             yield Finding("info", f"{', '.join(found)}: {what}")
-    loads = [c for c in sorted(model.kept) if c.startswith(PRELOADS) and c not in STATIC_LOADS]
+    loads = [
+        c
+        for c in sorted(model.kept)
+        if c.startswith(PRELOADS) and c not in STATIC_LOADS
+    ]
     if loads:
         what = "loads that are not read: ringtrue static refuses a set with them; no mode changes"
         yield Finding("info", f"{', '.join(loads)}: {what}")
@@ -294,7 +325,9 @@ def unapplied(model: Model) -> Iterator[Finding]:
         yield Finding("info", condensation(model))
     for name in ("K2PP", "M2PP", "B2PP"):
         if getattr(model.case, name.lower()):
-            yield Finding("info", f"{name} acts on responses (ringtrue frf), not on modes")
+            yield Finding(
+                "info", f"{name} acts on responses (ringtrue frf), not on modes"
+            )
     for text in left_out(model):
         yield Finding("warning", text)
     yield from _idle_matrices(model)

@@ -131,7 +131,9 @@ def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]
         edge = q - p
         length = np.einsum("ij,ij->i", edge, edge)
         along = np.einsum("ij,ij->i", mid - p, edge) / np.where(length > 0, length, 1.0)
-        wrong[rows] |= (length > 0) & ((along < QUALITY.middle) | (along > 1 - QUALITY.middle))
+        wrong[rows] |= (length > 0) & (
+            (along < QUALITY.middle) | (along > 1 - QUALITY.middle)
+        )
     return at_rows(
         model,
         card,
@@ -141,7 +143,9 @@ def _middles(model: Model, xyz: Float, card: str, corners: int) -> list[Finding]
     )
 
 
-def _points(model: Model, xyz: Float, card: str, names: tuple[str, ...]) -> tuple[Float, Int]:
+def _points(
+    model: Model, xyz: Float, card: str, names: tuple[str, ...]
+) -> tuple[Float, Int]:
     """Corners (e, k, 3) and rows (e,) of the elements with all their nodes present."""
     at = model["GRID"].find(model[card].stack(*names))
     rows = np.flatnonzero((at >= 0).all(axis=1))
@@ -164,12 +168,20 @@ def _surface(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     area = np.linalg.norm(normal, axis=1) / 2
     flat = (area <= QUALITY.flat * longest**2) | (shortest == 0)
     found = at_rows(
-        model, card, rows[flat], "error", "is collapsed: no area, or two corners at one place"
+        model,
+        card,
+        rows[flat],
+        "error",
+        "is collapsed: no area, or two corners at one place",
     )
     good = ~flat
     slender = good & (longest > QUALITY.aspect * np.where(good, shortest, 1.0))
     found += at_rows(
-        model, card, rows[slender], "warning", f"has an aspect ratio over {QUALITY.aspect:g}"
+        model,
+        card,
+        rows[slender],
+        "warning",
+        f"has an aspect ratio over {QUALITY.aspect:g}",
     )
     if x.shape[1] == 4:
         found += _quads(model, card, x=x, rows=rows, normal=normal, good=good)
@@ -193,7 +205,11 @@ def _quads(
     after = np.roll(x, -1, axis=1) - x
     # Jacobian at the corners, times 4
     turn = np.einsum("ekj,ej->ek", np.cross(after, before), unit)
-    skew = good & (turn > 0).all(axis=1) & (turn.min(axis=1) < QUALITY.jacobian * turn.max(axis=1))
+    skew = (
+        good
+        & (turn > 0).all(axis=1)
+        & (turn.min(axis=1) < QUALITY.jacobian * turn.max(axis=1))
+    )
     found += at_rows(
         model,
         card,
@@ -215,7 +231,11 @@ def _solid(model: Model, card: str, x: Float, rows: Int) -> list[Finding]:
     found = at_rows(model, card, rows[flat], "error", "is collapsed: no volume")
     good = ~flat & (volume > 0)
     found += at_rows(
-        model, card, rows[~flat & (volume < 0)], "error", "is inside out: negative volume"
+        model,
+        card,
+        rows[~flat & (volume < 0)],
+        "error",
+        "is inside out: negative volume",
     )
     return found + _corners(model, card, x, rows, good)
 
@@ -228,7 +248,11 @@ def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[F
     size = np.ptp(x, axis=1).max(axis=1)
     folded = good & (corner.min(axis=1) <= QUALITY.flat * size**3)
     found = at_rows(
-        model, card, rows[folded], "error", "is folded: no positive Jacobian at a corner"
+        model,
+        card,
+        rows[folded],
+        "error",
+        "is folded: no positive Jacobian at a corner",
     )
     skew = good & ~folded & (corner.min(axis=1) < QUALITY.jacobian * corner.max(axis=1))
     found += at_rows(
@@ -241,7 +265,11 @@ def _corners(model: Model, card: str, x: Float, rows: Int, good: Bool) -> list[F
     length = np.linalg.norm(edges, axis=3).reshape(len(x), spokes.size)
     slender = good & (length.max(axis=1) > QUALITY.aspect * length.min(axis=1))
     return found + at_rows(
-        model, card, rows[slender], "warning", f"has an aspect ratio over {QUALITY.aspect:g}"
+        model,
+        card,
+        rows[slender],
+        "warning",
+        f"has an aspect ratio over {QUALITY.aspect:g}",
     )
 
 
@@ -254,7 +282,11 @@ def _middle(x: Float) -> Float:
     if x.shape[1] == 5:
         base = x[:, :4]
         return np.stack(
-            [base[:, 1] - base[:, 3], base[:, 2] - base[:, 0], 2 * (x[:, 4] - base.mean(axis=1))],
+            [
+                base[:, 1] - base[:, 3],
+                base[:, 2] - base[:, 0],
+                2 * (x[:, 4] - base.mean(axis=1)),
+            ],
             axis=1,
         )
     if x.shape[1] == 6:
@@ -262,14 +294,17 @@ def _middle(x: Float) -> Float:
         high = x[:, 3:]
         mid = (low + high) / 2
         return np.stack(
-            [mid[:, 1] - mid[:, 0], mid[:, 2] - mid[:, 0], (high - low).mean(axis=1)], axis=1
+            [mid[:, 1] - mid[:, 0], mid[:, 2] - mid[:, 0], (high - low).mean(axis=1)],
+            axis=1,
         )
     pairs = (
         ([1, 2, 5, 6], [0, 3, 4, 7]),
         ([2, 3, 6, 7], [0, 1, 4, 5]),
         ([4, 5, 6, 7], [0, 1, 2, 3]),
     )
-    return np.stack([x[:, a].mean(axis=1) - x[:, b].mean(axis=1) for a, b in pairs], axis=1)
+    return np.stack(
+        [x[:, a].mean(axis=1) - x[:, b].mean(axis=1) for a, b in pairs], axis=1
+    )
 
 
 CORNERS = {card: count for card, count in _SURFACES.items() if card != "CSHEAR"}
@@ -303,7 +338,9 @@ def shell_edges(model: Model) -> ShellEdges:
     for card, corners in CORNERS.items():
         if card in model:
             ids = model[card].stack(*_corner_fields(corners))
-            found.append(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2))
+            found.append(
+                np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2)
+            )
     directed = np.concatenate(found)
     directed = directed[directed[:, 0] != directed[:, 1]]
     edges, which, count = np.unique(
@@ -313,13 +350,17 @@ def shell_edges(model: Model) -> ShellEdges:
         which.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(edges)
     )
     free = edges[count == 1]
-    return ShellEdges(len(edges), free, _parts(free), edges[(count == 2) & (forward != 1)])
+    return ShellEdges(
+        len(edges), free, _parts(free), edges[(count == 2) & (forward != 1)]
+    )
 
 
 def _parts(edges: Int) -> Int:
     nodes, at = np.unique(edges, return_inverse=True)
     at = at.reshape(-1, 2)
-    graph = coo_array((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(nodes.size, nodes.size))
+    graph = coo_array(
+        (np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(nodes.size, nodes.size)
+    )
     label = (
         connected_components(graph, directed=False)[1]
         if nodes.size
@@ -355,13 +396,17 @@ def edge_findings(model: Model) -> Iterator[Finding]:
     if len(edges.flipped):
         count = _count_words(len(edges.flipped), "shell edge")
         where = _node_names(edges.flipped)
-        yield Finding("info", f"{count} between elements of opposite normals, at nodes {where}")
+        yield Finding(
+            "info", f"{count} between elements of opposite normals, at nodes {where}"
+        )
     # an edge as one number
     many = int(edges.free.max(initial=0)) + 1
     free = edges.free @ [many, 1]
     for card in (c for c in ("CQUAD4", "CQUADR") if c in model):
         corners = model[card].stack(*_corner_fields(4))
-        sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2)
+        sides = np.sort(
+            np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2
+        )
         ends = np.isin(sides @ [many, 1], free) & (sides < many).all(axis=2)
         between = ends[:, :2] & ends[:, 2:]
         strips = np.flatnonzero(between.any(axis=1) & ~between.all(axis=1))
@@ -389,7 +434,9 @@ def double_findings(model: Model) -> Iterator[Finding]:
     for card in (c for c in ends if c in model):
         table = model[card]
         nodes = np.sort(table.stack(*ends[card]), axis=1)
-        offsets = [np.nan_to_num(table[name]) for name in _OFFSETS if name in table.columns]
+        offsets = [
+            np.nan_to_num(table[name]) for name in _OFFSETS if name in table.columns
+        ]
         key = np.column_stack([table["PID"], nodes, *offsets])
         first = np.unique(key, axis=0, return_index=True)[1]
         rows = np.setdiff1d(np.arange(len(table)), first)
@@ -397,7 +444,8 @@ def double_findings(model: Model) -> Iterator[Finding]:
         yield from at_rows(model, card, rows, "warning", what)
 
 
-_STRAIGHT = frozenset(("CROD", "CTUBE", "CONROD", "CVISC", "CBUSH1D"))  # along themselves alone
+# along themselves alone
+_STRAIGHT = frozenset(("CROD", "CTUBE", "CONROD", "CVISC", "CBUSH1D"))
 _MASSES = frozenset(("CONM1", "CONM2", "CMASS1", "CMASS2"))
 _BEAMS = ("CBAR", "CBEAM", "CBEND")
 
@@ -410,7 +458,9 @@ def hinge_findings(model: Model) -> Iterator[Finding]:
         return
     free = _hinges(model)
     for card in (c for c in _BEAMS if c in model):
-        rows = np.flatnonzero(free[_rows(model, card, "GA")] | free[_rows(model, card, "GB")])
+        rows = np.flatnonzero(
+            free[_rows(model, card, "GA")] | free[_rows(model, card, "GB")]
+        )
         what = (
             "hinged where it ends on a node of solids, which take no moment; RBE3 or a beam "
             "inside them would"
@@ -445,7 +495,9 @@ def _hinges(model: Model) -> Bool:
     solid, other = np.zeros((2, len(model["GRID"]) + 1), dtype=np.int64)
     for r in _turning(model):
         if r.field not in ("G0", "SA", "SB"):
-            np.add.at(solid if r.card in _SOLIDS else other, _rows(model, r.card, r.field), 1)
+            np.add.at(
+                solid if r.card in _SOLIDS else other, _rows(model, r.card, r.field), 1
+            )
     solid[-1] = 0
     return np.asarray((solid > 0) & (other == 1))
 
@@ -457,7 +509,9 @@ def _edges_on_solids(model: Model) -> Iterator[tuple[str, Int]]:
     solid, turned = np.zeros((2, len(model["GRID"]) + 1), dtype=bool)
     for r in _turning(model):
         if r.card not in SHELLS:
-            (solid if r.card in _SOLIDS else turned)[_rows(model, r.card, r.field)] = True
+            (solid if r.card in _SOLIDS else turned)[_rows(model, r.card, r.field)] = (
+                True
+            )
     solid[-1] = False
     corners = {}
     for card in (c for c in SHELLS if c in model):
@@ -484,11 +538,15 @@ def _idle_bushes(model: Model, free: Bool) -> Bool:
     stiff = np.zeros(len(t), dtype=bool)
     if "PBUSH" in model:
         at = model["PBUSH"].find(t["PID"])
-        stiff = (at >= 0) & ((model["PBUSH"].stack("K1", "K2", "K3")[at] != 0).sum(axis=1) > 1)
+        stiff = (at >= 0) & (
+            (model["PBUSH"].stack("K1", "K2", "K3")[at] != 0).sum(axis=1) > 1
+        )
     return np.asarray(free[a] & free[b] & long & stiff & (a >= 0) & (b >= 0))
 
 
-_LINEAR = "has four nodes and constant strain, too stiff in bending: ten nodes bend well"
+_LINEAR = (
+    "has four nodes and constant strain, too stiff in bending: ten nodes bend well"
+)
 
 
 def stiff_findings(model: Model) -> Iterator[Finding]:

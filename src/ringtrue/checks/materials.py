@@ -82,10 +82,16 @@ def from_rigid_body_mass(rigid: Float) -> MassProperties:
     directional = np.diag(rigid)[:3]
     mass = float(directional.mean())
     if not mass > 0:
-        raise NumericalError(f"the model has no mass: {mass:g}; is RHO, NSM or a CONM2 missing?")
+        raise NumericalError(
+            f"the model has no mass: {mass:g}; is RHO, NSM or a CONM2 missing?"
+        )
     moment = rigid[:3, 3:]
     cg = np.array(
-        [moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]
+        [
+            moment[1, 2] - moment[2, 1],
+            moment[2, 0] - moment[0, 2],
+            moment[0, 1] - moment[1, 0],
+        ]
     ) / (2 * mass)
     inertia = rigid[3:, 3:] - mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
     return MassProperties(mass, directional, cg, (inertia + inertia.T) / 2)
@@ -93,7 +99,11 @@ def from_rigid_body_mass(rigid: Float) -> MassProperties:
 
 def unconstrained(model: Model) -> Model:
     """The model without its single-point constraints; rigid elements and MPCs stay."""
-    tables = {name: t for name, t in model.tables.items() if name not in ("SPC", "SPC1", "SPCADD")}
+    tables = {
+        name: t
+        for name, t in model.tables.items()
+        if name not in ("SPC", "SPC1", "SPCADD")
+    }
     if "GRID" in tables and "PS" in tables["GRID"].columns:
         grid = tables["GRID"]
         tables["GRID"] = grid.with_column("PS", np.full(len(grid), ""))
@@ -120,7 +130,11 @@ def body_findings(model: Model) -> Iterator[Finding]:
             continue
         table = model[card]
         negative = np.zeros(len(table), dtype=bool)
-        for m in _conm2_matrices(table) if card == "CONM2" else [_symmetric(table, "M", 6, 1)]:
+        for m in (
+            _conm2_matrices(table)
+            if card == "CONM2"
+            else [_symmetric(table, "M", 6, 1)]
+        ):
             # 1e-9: rounding of what is written in eight characters
             negative |= np.linalg.eigvalsh(m)[:, 0] < -1e-9 * np.abs(m).max(axis=(1, 2))
         yield from at_rows(model, card, np.flatnonzero(negative), "warning", what)
@@ -147,7 +161,9 @@ def wide_findings(model: Model) -> Iterator[Finding]:
 
 def _conm2_matrices(t: Table) -> tuple[Float, Float]:
     """Mass (e, 1, 1) and inertia about the centre (e, 3, 3)."""
-    return np.asarray(t["M"], dtype=np.float64)[:, None, None], _symmetric(t, "I", 3, -1)
+    return np.asarray(t["M"], dtype=np.float64)[:, None, None], _symmetric(
+        t, "I", 3, -1
+    )
 
 
 def _symmetric(t: Table, letter: str, n: int, sign: int) -> Float:
@@ -197,7 +213,9 @@ def ground_check(system: System) -> GroundCheck:
     motions = _centred(system)
     force = system.stiffness @ motions
     energy = np.einsum("ij,ij->j", motions, force) / 2
-    whole = np.einsum("ij,ij->j", abs(motions), abs(system.stiffness) @ abs(motions)) / 2
+    whole = (
+        np.einsum("ij,ij->j", abs(motions), abs(system.stiffness) @ abs(motions)) / 2
+    )
     # a direction that nothing stiffens holds only the rounding of the others
     if system.stiffness.nnz:
         rounding = 1e-15 * abs(system.stiffness).max() * (motions**2).sum(axis=0)
@@ -320,23 +338,29 @@ def _poisson(model: Model) -> Iterator[Finding]:
     if "MAT1" not in model:
         return
     table = model["MAT1"]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a blank or zero G gives no ratio
+    # a blank or zero G gives no ratio
+    with np.errstate(divide="ignore", invalid="ignore"):
         implied = table["E"] / (2 * table["G"]) - 1
     ratio = np.where(np.isnan(table["NU"]), implied, table["NU"])
     rows = np.flatnonzero((ratio <= -1) | (ratio > 0.5))
     if rows.size:
         taken = np.isin(table.ids[rows], _continua(model))
         made_of = ~np.isin(rows, unused(model).get("MAT1", ()))
-        taken |= made_of & np.isnan(table["G"][rows]) & (ratio[rows] <= -1)  # G has no value then
+        # G has no value then
+        taken |= made_of & np.isnan(table["G"][rows]) & (ratio[rows] <= -1)
         wrong = rows[taken]
         harmless = rows[~taken]
         if wrong.size:
             what = f"Poisson's ratio {ratio[wrong[0]]:g}"
             yield from at_rows(model, "MAT1", wrong, "error", what)
         if harmless.size:
-            what = f"Poisson's ratio {ratio[harmless[0]]:g}, which no shell or solid takes"
+            what = (
+                f"Poisson's ratio {ratio[harmless[0]]:g}, which no shell or solid takes"
+            )
             yield from at_rows(model, "MAT1", harmless, "warning", what)
-    one = np.flatnonzero(np.isnan(table["NU"]) & (np.isnan(table["E"]) ^ np.isnan(table["G"])))
+    one = np.flatnonzero(
+        np.isnan(table["NU"]) & (np.isnan(table["E"]) ^ np.isnan(table["G"]))
+    )
     what = "NU and one of E and G are blank: both are 0 then, as in Nastran"
     yield from at_rows(model, "MAT1", one, "info", what)
     # E, G and NU are given and do not fit, by the limit of Nastran's warning
@@ -374,7 +398,9 @@ def _orthotropic(model: Model) -> Iterator[Finding]:
         return
     t = model["MAT8"]
     soft = np.flatnonzero((t["E1"] == 0) | (t["E2"] == 0))
-    wrong = np.flatnonzero((t["E1"] > 0) & (t["E2"] > 0) & (t["NU12"] ** 2 * t["E2"] >= t["E1"]))
+    wrong = np.flatnonzero(
+        (t["E1"] > 0) & (t["E2"] > 0) & (t["NU12"] ** 2 * t["E2"] >= t["E1"])
+    )
     yield from at_rows(model, "MAT8", soft, "error", "E1 and E2 must not be 0")
     if wrong.size:
         limit = np.sqrt(t["E1"][wrong[0]] / t["E2"][wrong[0]])
@@ -400,7 +426,9 @@ def check_units(model: Model, units: str = "") -> list[Finding]:
         If the unit system is not known.
     """
     if units and units not in UNIT_SYSTEMS:
-        raise InputError(f"unit system {units!r} is not known{did_you_mean(units, UNIT_SYSTEMS)}")
+        raise InputError(
+            f"unit system {units!r} is not known{did_you_mean(units, UNIT_SYSTEMS)}"
+        )
     return [*_material_units(model, units), *(_size(model, units) if units else [])]
 
 
@@ -416,7 +444,9 @@ def _material_units(model: Model, units: str) -> list[Finding]:
         weight = model.param("WTMASS", 1.0) / model.time**2
         modulus = table[name]
         density = table["RHO"] * weight
-        fits = {system: _fits(modulus, density, s) for system, s in UNIT_SYSTEMS.items()}
+        fits = {
+            system: _fits(modulus, density, s) for system, s in UNIT_SYSTEMS.items()
+        }
         for row, number in enumerate(table.ids.tolist()):  # few next to the elements
             mine = {system for system, f in fits.items() if f[row]}
             if not mine or (units and units not in mine):
@@ -431,7 +461,9 @@ def _material_units(model: Model, units: str) -> list[Finding]:
                 first.setdefault(_words(mine), f"{card} {number}")
                 common &= mine
     if not common:
-        each = "; ".join(f"{material} fits {systems}" for systems, material in first.items())
+        each = "; ".join(
+            f"{material} fits {systems}" for systems, material in first.items()
+        )
         text = f"the deck mixes unit systems, its materials fit no one of them: {each}"
         found.append(Finding("warning", text))
     return found

@@ -45,7 +45,8 @@ class MeshErrors:
         """(m,) float64, f / f_fine - 1, positive where the mesh is too stiff; extrapolated
         (Richardson 1911).
         """
-        order = 2  # of the error in the size of elements: linear shapes, and lumped masses of any
+        # of the error in the size of elements: linear shapes, and lumped masses of any
+        order = 2
         fine = self.refined - (self.frequencies - self.refined) / (2**order - 1)
         return np.asarray(self.frequencies / fine - 1)
 
@@ -98,7 +99,9 @@ def mesh_errors(model: Model, modes: ModeSet, solver: ModalSolver) -> MeshErrors
     f = modes.frequencies
     nodes = model["GRID"].ids
     xyz = positions(model)
-    rigid = _rigid(_translations(modes, nodes).shapes, xyz) | (f <= 1e-4 * f.max(initial=0.0))
+    rigid = _rigid(_translations(modes, nodes).shapes, xyz) | (
+        f <= 1e-4 * f.max(initial=0.0)
+    )
     out = np.full(f.size, np.nan)
     moving = np.flatnonzero(~rigid)
     if moving.size:
@@ -115,11 +118,14 @@ def _rigid(shapes: Any_, xyz: Float) -> Bool:
     """Which translations (3n, m) of points (n, 3) are those of one rigid body: t + ω × r."""
     basis = arm(xyz - xyz.mean(axis=0))[:, :3].reshape(-1, 6)
     u, size, _ = np.linalg.svd(
-        basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny), full_matrices=False
+        basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny),
+        full_matrices=False,
     )
     u = u[:, size > RIGID]  # points in a line turn about it in vain
     rest = shapes - u @ (u.T @ shapes)
-    return np.asarray(np.linalg.norm(rest, axis=0) < RIGID * np.linalg.norm(shapes, axis=0))
+    return np.asarray(
+        np.linalg.norm(rest, axis=0) < RIGID * np.linalg.norm(shapes, axis=0)
+    )
 
 
 def _translations(modes: ModeSet, nodes: Int) -> ModeSet:

@@ -50,7 +50,9 @@ def convert(
     ] = None,
     sensors: Annotated[
         Path | None,
-        typer.Option(help="Sensor sheet: its points and lines go into a .uff with the modes."),
+        typer.Option(
+            help="Sensor sheet: its points and lines go into a .uff with the modes."
+        ),
     ] = None,
 ) -> int:
     """Modes from one format to another: results of Nastran or MYSTRAN to a mode set; or the deck
@@ -63,7 +65,9 @@ def convert(
         raise InputError(f"--deck {deck}: {source} is no results file of a solver")
     if target.suffix.lower() in DECKS:
         if deck is not None or sensors is not None:
-            raise InputError(f"{target}: --deck and --sensors belong to modes, and this is a deck")
+            raise InputError(
+                f"{target}: --deck and --sensors belong to modes, and this is a deck"
+            )
         return _deck(source, target)
     model = read_deck(deck) if deck else None
     try:
@@ -78,16 +82,23 @@ def convert(
         raise
     if not len(found):
         raise DataError(f"{source}: no modes")
-    modes = write_modes(target, found, sensors=read_sensors(sensors) if sensors else None)
+    modes = write_modes(
+        target, found, sensors=read_sensors(sensors) if sensors else None
+    )
     f = modes.frequencies
     span = f"{f.min():.5g} to {f.max():.5g} Hz"
-    out.print(f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}")
+    out.print(
+        f"{target}: {len(modes)} modes, {span}, {len(modes.labels)} rows, scale {modes.norm}"
+    )
     return 0
 
 
 def _deflections(source: Path, target: Path, deck: Model | None) -> int:
     found = read_deflections(source, deck=deck)
-    with atomic_write(target) as new, new.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic_write(target) as new,
+        new.open("w", newline="", encoding="utf-8") as file,
+    ):
         table = writer(file)
         table.writerow(("case", "at", "deflection"))
         for case, values in zip(found.cases, found.values, strict=True):
@@ -96,12 +107,17 @@ def _deflections(source: Path, target: Path, deck: Model | None) -> int:
                 for at, moved in zip(found.points, values.tolist(), strict=True)
             )
     cases = len(found.cases)
-    out.print(f"{target}: {cases} case{'s' * (cases > 1)}, {len(found.points)} deflections each")
+    out.print(
+        f"{target}: {cases} case{'s' * (cases > 1)}, {len(found.points)} deflections each"
+    )
     return 0
 
 
 def _responses(found: Sequence[NastranResponse], target: Path) -> int:
-    with atomic_write(target) as new, new.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic_write(target) as new,
+        new.open("w", newline="", encoding="utf-8") as file,
+    ):
         table = writer(file)
         table.writerow(("case", "quantity", "frequency", "at", "real", "imaginary"))
         for one in found:

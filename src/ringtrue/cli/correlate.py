@@ -50,11 +50,15 @@ from ringtrue.study.summary import correlation_json, finite
 ON_SHEET = "of the places of a sheet on a deck; give --sensors"
 
 
-def _decks(a: Path, b: Path, sensors: Path | None, align: str | None) -> tuple[bool, bool]:
+def _decks(
+    a: Path, b: Path, sensors: Path | None, align: str | None
+) -> tuple[bool, bool]:
     """Whether A and B are decks; what cannot be held against each other is refused."""
     first, second = (format_of(x) is Format.DECK for x in (a, b))
     if sensors is not None and not second:
-        raise ConfigError(f"--sensors is for a deck; {b} holds modes at channels already")
+        raise ConfigError(
+            f"--sensors is for a deck; {b} holds modes at channels already"
+        )
     if first and not second:
         raise ConfigError(f"{a} is a deck: name the modes of the test first, `{b} {a}`")
     if first and (sensors is not None or align):
@@ -86,7 +90,10 @@ def _reasons(unpaired: Sequence[dict[str, Any]]) -> list[str]:
     for u in unpaired:
         reason = u["reason"] if u["set"] == "A" else u["reason"].split(": best")[0]
         by_reason.setdefault((u["set"], reason), []).append(u["mode"])
-    return [f"{name} {listed(modes)}: {reason}" for (name, reason), modes in by_reason.items()]
+    return [
+        f"{name} {listed(modes)}: {reason}"
+        for (name, reason), modes in by_reason.items()
+    ]
 
 
 def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
@@ -98,20 +105,32 @@ def _show_pairs(title: str, pairs: Sequence[dict[str, Any]]) -> None:
             f"{p['frequency_fe_hz']:.4g}",
             f"{round(p['deviation_percent'], 2) + 0.0:+.2f}",
             "-" if p["mac_percent"] is None else f"{p['mac_percent']:.1f}",
-            "-" if p["subspace_mac_percent"] is None else f"{p['subspace_mac_percent']:.1f}",
+            "-"
+            if p["subspace_mac_percent"] is None
+            else f"{p['subspace_mac_percent']:.1f}",
         )
         for p in pairs
     ]
     rows(
         title,
-        ("A", "B", "f A [Hz]", "f B [Hz]", "deviation [%]", "MAC [%]", "subspace MAC [%]"),
+        (
+            "A",
+            "B",
+            "f A [Hz]",
+            "f B [Hz]",
+            "deviation [%]",
+            "MAC [%]",
+            "subspace MAC [%]",
+        ),
         body,
     )
 
 
 def _show_complete(c: CompleteCorrelation) -> None:
     for check in c.checks:
-        out.print(f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}")
+        out.print(
+            f"{check.name}: {'' if c.judges(check) else 'not to be judged, '}{check.verdict}"
+        )
     if unfit := list(dict.fromkeys(k.mass for k in c.checks if not c.judges(k))):
         tell(
             [
@@ -127,10 +146,14 @@ def _show_complete(c: CompleteCorrelation) -> None:
         worst = c.by_channel.comac.argsort(kind="stable")[:5].tolist()
         out.print(
             "lowest CoMAC: "
-            + ", ".join(f"{c.channels[i]} {100 * c.by_channel.comac[i]:.1f} %" for i in worst)
+            + ", ".join(
+                f"{c.channels[i]} {100 * c.by_channel.comac[i]:.1f} %" for i in worst
+            )
         )
     left_out = zip(
-        c.by_channel.elimination.order[:5].tolist(), c.by_channel.elimination.mac[1:6], strict=True
+        c.by_channel.elimination.order[:5].tolist(),
+        c.by_channel.elimination.mac[1:6],
+        strict=True,
     )
     for i, (channel, mac) in enumerate(left_out):
         out.print(
@@ -140,7 +163,9 @@ def _show_complete(c: CompleteCorrelation) -> None:
     for group in c.subspaces:
         modes = (" ".join(str(i + 1) for i in side) for side in (group.a, group.b))
         angles = " ".join(f"{degrees(x):.1f}" for x in group.angles)
-        out.print("close modes A {} and B {}: principal angles {}°".format(*modes, angles))
+        out.print(
+            "close modes A {} and B {}: principal angles {}°".format(*modes, angles)
+        )
     # a mode that was not seen at these channels has none
     if (seen := c.complexity.mpc[c.complexity.mpc > 0]).size:
         out.print(f"lowest phase collinearity of A: {100 * seen.min():.1f} %")
@@ -159,10 +184,15 @@ def _show_complete(c: CompleteCorrelation) -> None:
 def correlate(
     a: Annotated[
         Path,
-        typer.Argument(help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck"),
+        typer.Argument(
+            help="Reference modes (test): .json, .h5, .uff, .csv or .xlsx; or a deck"
+        ),
     ],
     b: Annotated[
-        Path, typer.Argument(help="Modes to judge: such a file, or a Nastran deck, which is solved")
+        Path,
+        typer.Argument(
+            help="Modes to judge: such a file, or a Nastran deck, which is solved"
+        ),
     ],
     sensors: Annotated[
         Path | None,
@@ -176,7 +206,9 @@ def correlate(
     tolerance: Tolerance = None,
     match: Annotated[
         str | None,
-        one_of("--match", get_args(Method), "What a sensor off the nodes reads", "nearest"),
+        one_of(
+            "--match", get_args(Method), "What a sensor off the nodes reads", "nearest"
+        ),
     ] = None,
     align: Annotated[
         str | None,
@@ -207,16 +239,21 @@ def correlate(
     ] = None,
     lock: Annotated[
         list[str] | None,
-        typer.Option("--lock", metavar="A:B", help="Modes that belong together, such as 3:4."),
+        typer.Option(
+            "--lock", metavar="A:B", help="Modes that belong together, such as 3:4."
+        ),
     ] = None,
     forbid: Annotated[
         list[str] | None,
-        typer.Option("--forbid", metavar="A:B", help="Modes that do not belong together."),
+        typer.Option(
+            "--forbid", metavar="A:B", help="Modes that do not belong together."
+        ),
     ] = None,
     everything: Annotated[
         bool,
         typer.Option(
-            "--complete", help="Orthogonality, CoMAC, channels, complexity, significance."
+            "--complete",
+            help="Orthogonality, CoMAC, channels, complexity, significance.",
         ),
     ] = False,
     json: Json = None,
@@ -242,7 +279,9 @@ def correlate(
         "frequency_gate": None if frequency_gate is None else frequency_gate / 100,
         "tolerance": tolerance,
     }
-    settings = CorrelateSection.model_validate({k: v for k, v in given.items() if v is not None})
+    settings = CorrelateSection.model_validate(
+        {k: v for k, v in given.items() if v is not None}
+    )
     with progress("correlate") as show:
         show(0.0, f"reading {a} and {b}")
         found = compare(
@@ -271,7 +310,9 @@ def _show(title: str, found: Correlation, json: str | None) -> None:
     if json == "-":
         return
     _show_pairs(title, value["pairs"])
-    tell([*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes])
+    tell(
+        [*(m.text for m in found.mendings), *_reasons(value["unpaired"]), *found.notes]
+    )
     if found.complete is not None:
         _show_complete(found.complete)
 
@@ -290,9 +331,12 @@ HEADS = (
 
 def track(
     records: Annotated[
-        list[Path], typer.Argument(help="Records in order of time: .h5, .npy, .csv, .mat or .uff")
+        list[Path],
+        typer.Argument(help="Records in order of time: .h5, .npy, .csv, .mat or .uff"),
     ],
-    hours: Annotated[float, typer.Option("--hours", metavar="H", help="Length of a part.")] = 1.0,
+    hours: Annotated[
+        float, typer.Option("--hours", metavar="H", help="Length of a part.")
+    ] = 1.0,
     starts: Annotated[
         str | None,
         typer.Option(
@@ -326,11 +370,15 @@ def track(
         raise ConfigError(f"--starts {starts!r}: hours, separated by commas") from e
     cut = RecordParts(hours, begins, rate, leave_out or ())
     with progress("modes through time") as show:
-        tracked, notes = track_records(records, cut, fmin=fmin, fmax=fmax, progress=show)
+        tracked, notes = track_records(
+            records, cut, fmin=fmin, fmax=fmax, progress=show
+        )
     if table:
         _write(table, _csv(tracked))
     if plot:
-        title = " ".join(p.name for p in records[:3]) + (" ..." if len(records) > 3 else "")
+        title = " ".join(p.name for p in records[:3]) + (
+            " ..." if len(records) > 3 else ""
+        )
         _write(plot, tracking_page(title, tracked, notes))
     if json:
         write_json(finite(_json(tracked, notes)), json)

@@ -37,7 +37,11 @@ from ringtrue.identification.ambient.pipeline import AmbientResult, AmbientSetti
 from ringtrue.identification.ambient.setups import SetupsResult
 from ringtrue.identification.common.diagram import shape_collinearity
 from ringtrue.identification.common.manual_selection import as_choice
-from ringtrue.identification.methods import AMBIENT_METHODS, AUTOMATIC_AMBIENT, PeakMethod
+from ringtrue.identification.methods import (
+    AMBIENT_METHODS,
+    AUTOMATIC_AMBIENT,
+    PeakMethod,
+)
 from ringtrue.io.campaign_tables import WiredFile, read_setup_table
 from ringtrue.io.choices import read_choice, write_choice
 from ringtrue.io.files import atomic_write
@@ -50,24 +54,31 @@ from ringtrue.signal.spectra import check_band
 from ringtrue.study.hammer_records import ForceRecordFormat
 
 Fmin = Annotated[
-    float | None, typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest.")
+    float | None,
+    typer.Option("--fmin", metavar="HZ", help="Lowest frequency of interest."),
 ]
 Fmax = Annotated[
-    float | None, typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest.")
+    float | None,
+    typer.Option("--fmax", metavar="HZ", help="Highest frequency of interest."),
 ]
 Rate = Annotated[
-    float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none.")
+    float | None,
+    typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file has none."),
 ]
 Group = Annotated[
     str,
     typer.Option(
-        "--group", metavar="NAME", help="Group of a .tdms or HDF5 file, where its rates differ."
+        "--group",
+        metavar="NAME",
+        help="Group of a .tdms or HDF5 file, where its rates differ.",
     ),
 ]
 LeaveOut = Annotated[
     list[str] | None,
     typer.Option(
-        "--leave-out", metavar="CHANNEL", help="Do not use this channel; may be repeated."
+        "--leave-out",
+        metavar="CHANNEL",
+        help="Do not use this channel; may be repeated.",
     ),
 ]
 Sensors = Annotated[
@@ -81,19 +92,29 @@ Sensors = Annotated[
 ]
 ChoiceFile = Annotated[
     Path | None,
-    typer.Option("--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json)."),
+    typer.Option(
+        "--choice", metavar="FILE", help="Apply a choice by hand (.toml, .json)."
+    ),
 ]
 WriteChoice = Annotated[
     Path | None,
-    file_to("--write-choice", "Write the modes as a choice to be edited", ".toml", ".json"),
+    file_to(
+        "--write-choice", "Write the modes as a choice to be edited", ".toml", ".json"
+    ),
 ]
 Diagram = Annotated[
     Path | None,
-    file_to("--diagram", "Write the diagram as a page: a click takes a mode or pole up", ".html"),
+    file_to(
+        "--diagram",
+        "Write the diagram as a page: a click takes a mode or pole up",
+        ".html",
+    ),
 ]
 
 
-Why = Annotated[bool, typer.Option("--why", help="All evidence for and against each mode.")]
+Why = Annotated[
+    bool, typer.Option("--why", help="All evidence for and against each mode.")
+]
 HEADS = "  #    f [Hz]       ±   damping [%]   ±    MPC  conf.  class     remark"
 
 
@@ -114,7 +135,10 @@ def mode_lines(found: TestModes) -> list[str]:
     ]
     frequency = np.concatenate([found.frequencies, found.others.modes.frequencies])
     ordered = [both[k] for k in np.argsort(frequency, kind="stable").tolist()]
-    return [f"{name} {line}  {kind:8}  {text}".rstrip() for line, name, kind, text in ordered]
+    return [
+        f"{name} {line}  {kind:8}  {text}".rstrip()
+        for line, name, kind, text in ordered
+    ]
 
 
 def _lines(modes: ModeSet, std: Uncertainty) -> list[str]:
@@ -151,7 +175,9 @@ def write_pages(
         write_choice(choice_to, replace(modes, hits=hits))
     if diagram_to:
         with atomic_write(diagram_to) as part:
-            page = picker_page(str(record), found.diagram, sheet.model if sheet else None)
+            page = picker_page(
+                str(record), found.diagram, sheet.model if sheet else None
+            )
             part.write_text(page, encoding="utf-8")
 
 
@@ -161,7 +187,11 @@ def choice_of(path: Path | None, record: Path) -> Choice | None:
         return None
     choice = read_choice(path)
     if (part := choice.of(record.stem)) is None:
-        listed = f"; it has {', '.join(choice.records)}" if choice.records else ": it is empty"
+        listed = (
+            f"; it has {', '.join(choice.records)}"
+            if choice.records
+            else ": it is empty"
+        )
         raise ConfigError(f"{path}: no entry for the record {record.stem!r}{listed}")
     return part
 
@@ -208,7 +238,9 @@ def oma(
     ] = AUTOMATIC_AMBIENT,
     near: Annotated[
         list[float] | None,
-        typer.Option("--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."),
+        typer.Option(
+            "--near", metavar="HZ", help="Peak of the FDD methods; may be repeated."
+        ),
     ] = None,
     decay: Annotated[
         bool | None,
@@ -245,7 +277,9 @@ def oma(
     }
     if setups is not None:
         if given := [name for name, value in by_setup.items() if value]:
-            raise ConfigError(f"{given[0]} is of one record and does not go with --setups")
+            raise ConfigError(
+                f"{given[0]} is of one record and does not go with --setups"
+            )
         sheet = read_sensors(sensors) if sensors else None
         reading = _SetupReading(rate, group, sheet, tuple(leave_out or ()))
         settings = AmbientSettings(fmin=fmin, fmax=fmax)
@@ -254,7 +288,9 @@ def oma(
         write_pages(setups, found, choice_to, diagram, sheet)
         return print_result(str(setups), found, json, more=_setups_json(found), why=why)
     if not records:
-        raise ConfigError("a record is missing; several setups are given by --setups table.csv")
+        raise ConfigError(
+            "a record is missing; several setups are given by --setups table.csv"
+        )
     check_each_once(records)
     record = records[0]
     more = f" .. {records[-1].name} ({len(records)} files)" if len(records) > 1 else ""
@@ -276,7 +312,10 @@ def oma(
         return history
 
     parts = ambient_parts(records, map(read, records), notes)
-    with progress("ambient modes") as show, about(record) if len(records) == 1 else nullcontext():
+    with (
+        progress("ambient modes") as show,
+        about(record) if len(records) == 1 else nullcontext(),
+    ):
         found = identify_ambient(
             parts,
             fmin=fmin,
@@ -340,7 +379,9 @@ def _setups_json(found: TestModes) -> dict[str, Any]:
     if not isinstance(found.result, SetupsResult):
         return {}
     result = found.result
-    rows = zip(result.setups, result.frequency.tolist(), result.damping.tolist(), strict=True)
+    rows = zip(
+        result.setups, result.frequency.tolist(), result.damping.tolist(), strict=True
+    )
     return {
         "setups": [
             {
@@ -355,7 +396,9 @@ def _setups_json(found: TestModes) -> dict[str, Any]:
 
 def check_each_once(files: Sequence[Path]) -> None:
     """Refuse a file that is given twice: it would count as a measurement of its own."""
-    if twice := [str(f) for f, n in Counter(p.resolve() for p in files).items() if n > 1]:
+    if twice := [
+        str(f) for f, n in Counter(p.resolve() for p in files).items() if n > 1
+    ]:
         raise ConfigError(f"{twice[0]} is given twice")
 
 
@@ -384,7 +427,9 @@ def print_result(
 ) -> int:
     """Print the identified modes with their notes, write them with `more`; the exit status."""
     if json:
-        value = modes_to_json(found.modes, found.uncertainty, found.reasons, found.others)
+        value = modes_to_json(
+            found.modes, found.uncertainty, found.reasons, found.others
+        )
         write_json(value | (more or {}), json)
     if json != "-":
         count = f"{len(found)} mode{'s' if len(found) != 1 else ''}"
@@ -451,7 +496,9 @@ def ema(
     diagram: Diagram = None,
     frfs_to: Annotated[
         Path | None,
-        file_to("--write-frfs", "Write the FRFs with their coherence", ".h5", ".uff", ".csv"),
+        file_to(
+            "--write-frfs", "Write the FRFs with their coherence", ".h5", ".uff", ".csv"
+        ),
     ] = None,
     why: Why = False,
     json: Json = None,
@@ -473,12 +520,16 @@ def ema(
     if setups is not None:
         given = {"FILES": files, "--force": force, "--struck": struck}
         if twice := [name for name, value in given.items() if value]:
-            raise ConfigError(f"{twice[0]} does not go with --setups, whose table says it")
+            raise ConfigError(
+                f"{twice[0]} does not go with --setups, whose table says it"
+            )
         wiring = read_setup_table(setups)
         files = [file.path for file in wiring]
         force = ["F:*"]
     if not files:
-        raise ConfigError("a file is missing; several setups are given by --setups table.csv")
+        raise ConfigError(
+            "a file is missing; several setups are given by --setups table.csv"
+        )
     check_each_once(files)
     by_hand, hits = _by_hand(choice, files)
     sheet = read_sensors(sensors) if sensors else None
@@ -492,24 +543,37 @@ def ema(
     )
     settings = HammerSettings(keep_to=fmax, hits=hits)
     with progress("modes from FRFs") as show, about(files[0]):
-        measured = estimate_frfs(files, reading=reading, settings=settings, progress=show)
+        measured = estimate_frfs(
+            files, reading=reading, settings=settings, progress=show
+        )
         if frfs_to:
             write_frfs(frfs_to, measured.frfs)
-        found = identify_frfs(measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show)
+        found = identify_frfs(
+            measured, fmin=fmin, fmax=fmax, choice=by_hand, progress=show
+        )
     write_pages(files[0], found, choice_to, diagram, sheet, hits)
-    none = ("no mode of this band has a confidence above the limit", *found.others.sentences())
+    none = (
+        "no mode of this band has a confidence above the limit",
+        *found.others.sentences(),
+    )
     title = " ".join(map(str, files))
-    return print_result(title, found, json, more=_hits_json(measured.hits), if_none=none, why=why)
+    return print_result(
+        title, found, json, more=_hits_json(measured.hits), if_none=none, why=why
+    )
 
 
-def _by_hand(path: Path | None, files: Sequence[Path]) -> tuple[Choice | None, tuple[Hit, ...]]:
+def _by_hand(
+    path: Path | None, files: Sequence[Path]
+) -> tuple[Choice | None, tuple[Hit, ...]]:
     """The choice of modes for the first of the files, and of hits of all of them."""
     if path is None:
         return None, ()
     whole = read_choice(path)
     names = {f.stem for f in files}
     hits = tuple(h for h in whole.hits if h.record.partition(" #")[0] in names)
-    modes = None if hits and whole.of(files[0].stem) is None else choice_of(path, files[0])
+    modes = (
+        None if hits and whole.of(files[0].stem) is None else choice_of(path, files[0])
+    )
     return modes, hits
 
 

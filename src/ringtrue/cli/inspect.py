@@ -16,7 +16,8 @@ SHOWN = 8  # names on a line
 
 def inspect(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Files of any format and any name.")
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Files of any format and any name."),
     ],
     json: Json = None,
 ) -> int:
@@ -67,7 +68,9 @@ def _lines(part: FilePart) -> list[str]:
             figures += ["no rate in the file"] if name == "rate_hz" else []
         elif isinstance(value, float):
             quantity, _, unit = name.partition("_")
-            figures.append(f"{quantity} {value:.6g} {unit.replace('hz', 'Hz')}".rstrip())
+            figures.append(
+                f"{quantity} {value:.6g} {unit.replace('hz', 'Hz')}".rstrip()
+            )
         else:
             what = name.removesuffix("s") if value == 1 else name
             figures.append(f"{value} {what}" if isinstance(value, int) else str(value))
@@ -79,7 +82,8 @@ def _as_json(contents: FileContents) -> dict[str, Any]:
         "path": contents.path,
         "format": contents.format,
         "parts": [
-            {"kind": p.kind, **p.values, "commands": list(p.commands)} for p in contents.parts
+            {"kind": p.kind, **p.values, "commands": list(p.commands)}
+            for p in contents.parts
         ],
         "problem": contents.problem or None,
     }

@@ -143,7 +143,9 @@ def _words(module: str, function: str) -> str:
     paragraph.
     """
     tree = ast.parse(files("ringtrue.cli").joinpath(f"{module}.py").read_text("utf-8"))
-    (found,) = (f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == function)
+    (found,) = (
+        f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == function
+    )
     return re.sub(r"(?<!\n)\n(?!\n)", " ", ast.get_docstring(found) or "")
 
 
@@ -156,7 +158,13 @@ def _careful(body: Callable[..., Any], parameters: Sequence[Any]) -> Callable[..
         for name, value in given.items():
             several = value if isinstance(value, list | tuple) else (value,)
             if name in outputs:
-                writes(*(Path(v) for v in several if v is not None and not Path(v).is_dir()))
+                writes(
+                    *(
+                        Path(v)
+                        for v in several
+                        if v is not None and not Path(v).is_dir()
+                    )
+                )
             else:
                 reads(*(v for v in several if isinstance(v, Path) and v.is_file()))
         return body(**given)
@@ -178,7 +186,9 @@ def run(arguments: list[str] | None = None) -> int:
         for asked in command.commands.values():
             asked.callback = _careful(asked.callback, asked.params)
         with one_run():
-            status = command.main(args=given, standalone_mode=False, prog_name="ringtrue")
+            status = command.main(
+                args=given, standalone_mode=False, prog_name="ringtrue"
+            )
         return int(status or 0)
     except typer.Exit as e:
         return int(e.exit_code)
@@ -235,6 +245,7 @@ def main() -> NoReturn:
     signal(SIGTERM, default_int_handler)
     try:
         status = run()
-    except Exception as fault:  # the outermost border: whatever arrives here no one has foreseen
+    # the outermost border: whatever arrives here no one has foreseen
+    except Exception as fault:
         status = report_fault(fault, sys.argv[1:])
     sys.exit(status)

@@ -14,7 +14,16 @@ from ringtrue.api.reduction import reduce_model
 from ringtrue.checks import Finding
 from ringtrue.checks.materials import DIRECTIONS
 from ringtrue.checks.mesh import MeshErrors, mesh_errors
-from ringtrue.cli.show import Json, file_to, json_file, one_of, out, progress, rows, write_json
+from ringtrue.cli.show import (
+    Json,
+    file_to,
+    json_file,
+    one_of,
+    out,
+    progress,
+    rows,
+    write_json,
+)
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import part
 from ringtrue.core.units import UNIT_SYSTEMS
@@ -36,7 +45,9 @@ TimeLimit = Annotated[
         metavar="SECONDS",
         help="Longest run of a --solver that is another program.",
         min=1e-3,
-        show_default=", ".join(f"{name} {limit:g}" for name, limit in time_limits().items()),
+        show_default=", ".join(
+            f"{name} {limit:g}" for name, limit in time_limits().items()
+        ),
     ),
 ]
 
@@ -46,7 +57,9 @@ def modes(
     n: Annotated[
         int | None,
         typer.Option(
-            "-n", help="The lowest N modes; else what EIGRL or EIGR asks for, else 20.", min=1
+            "-n",
+            help="The lowest N modes; else what EIGRL or EIGR asks for, else 20.",
+            min=1,
         ),
     ] = None,
     band: Annotated[
@@ -55,11 +68,14 @@ def modes(
     solver_name: Annotated[
         str,
         typer.Option(
-            "--solver", help="The engine: embedded, mystran, nastran, slepc or a plug-in."
+            "--solver",
+            help="The engine: embedded, mystran, nastran, slepc or a plug-in.",
         ),
     ] = "embedded",
     time_limit: TimeLimit = None,
-    ranks: Annotated[int | None, typer.Option(help="Processes of the slepc engine.", min=1)] = None,
+    ranks: Annotated[
+        int | None, typer.Option(help="Processes of the slepc engine.", min=1)
+    ] = None,
     launcher: Annotated[
         str,
         typer.Option(
@@ -70,16 +86,20 @@ def modes(
     damped: Annotated[
         bool,
         typer.Option(
-            "--complex", help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck."
+            "--complex",
+            help="Complex modes, by the dashpots, GE, PARAM G and DMIG of the deck.",
         ),
     ] = False,
     mesh: Annotated[
         bool,
         typer.Option(
-            "--mesh-error", help="How far the mesh puts each frequency off, by refining it once."
+            "--mesh-error",
+            help="How far the mesh puts each frequency off, by refining it once.",
         ),
     ] = False,
-    target: Annotated[Path | None, file_to("--out", "Write the modes", *WRITTEN)] = None,
+    target: Annotated[
+        Path | None, file_to("--out", "Write the modes", *WRITTEN)
+    ] = None,
     json: Json = None,
 ) -> int:
     """Natural modes of a deck, with the proof that none is missing; or its complex modes
@@ -117,7 +137,9 @@ def modes(
         extra: dict[str, Any] = {"complete": result.complete, "proof": result.proof}
         extra["autospc"] = result.autospc.by_components()
         if errors:
-            extra["mesh_error"] = [None if np.isnan(e) else e for e in errors.relative.tolist()]
+            extra["mesh_error"] = [
+                None if np.isnan(e) else e for e in errors.relative.tolist()
+            ]
         with json_file(json) as file:
             dump_modes(file, result.modes, more=extra)
     if target:
@@ -129,13 +151,17 @@ def modes(
         _print_modes(deck, result, damped, errors)
         if loose := found.loose:
             more = f" and {len(loose) - 6} more" if len(loose) > 6 else ""
-            out.print(f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}")
+            out.print(
+                f"held by AUTOSPC, without stiffness: {' '.join(loose[:6])}{more}"
+            )
     # a program that hands back no matrices, and may count nothing
     unproved = bool(np.isnan(result.residuals).all())
     return 0 if result.complete or unproved else 1
 
 
-def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErrors | None) -> None:
+def _print_modes(
+    deck: Path, result: ModesResult, damped: bool, errors: MeshErrors | None
+) -> None:
     """A line a mode, of complex ones with the damping ratio, and with the error of the mesh where
     it was asked for.
     """
@@ -148,10 +174,16 @@ def _print_modes(deck: Path, result: ModesResult, damped: bool, errors: MeshErro
         ]
     columns["residual"] = ["-" if np.isnan(r) else f"{r:.1e}" for r in result.residuals]
     body = [(i + 1, *row) for i, row in enumerate(zip(*columns.values(), strict=True))]
-    rows(f"{deck}: {len(body)} {'complex ' if damped else ''}modes", ("#", *columns), body)
+    rows(
+        f"{deck}: {len(body)} {'complex ' if damped else ''}modes",
+        ("#", *columns),
+        body,
+    )
     out.print(result.proof)
     if damped:
-        out.print("motions that do not oscillate, rigid-body ones among them, are not listed")
+        out.print(
+            "motions that do not oscillate, rigid-body ones among them, are not listed"
+        )
     if errors:
         out.print(errors.in_words())
 
@@ -250,7 +282,8 @@ def reduce(
         ),
     ],
     below: Annotated[
-        float, typer.Option(metavar="HZ", help="The error is stated for modes up to here.")
+        float,
+        typer.Option(metavar="HZ", help="The error is stated for modes up to here."),
     ],
     target: Annotated[
         Path, typer.Option("--out", metavar="STEM", help="Write STEM.asm and STEM.pch.")
@@ -260,15 +293,22 @@ def reduce(
     ] = "craig-bampton",
     n: Annotated[
         int | None,
-        typer.Option("-n", help="Component modes; else all up to twice --below.", min=0),
+        typer.Option(
+            "-n", help="Component modes; else all up to twice --below.", min=0
+        ),
     ] = None,
     at: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Frequency of the dynamic condensation.")
+        float | None,
+        typer.Option(metavar="HZ", help="Frequency of the dynamic condensation."),
     ] = None,
-    number: Annotated[int, typer.Option(help="Of the superelement.", min=1, max=999)] = 1,
+    number: Annotated[
+        int, typer.Option(help="Of the superelement.", min=1, max=999)
+    ] = 1,
     op4: Annotated[
         bool,
-        typer.Option("--op4", help="The matrices in STEM.op4, in full precision, not as DMIG."),
+        typer.Option(
+            "--op4", help="The matrices in STEM.op4, in full precision, not as DMIG."
+        ),
     ] = False,
     json: Json = None,
 ) -> int:
@@ -295,7 +335,13 @@ def reduce(
         body = [
             (i + 1, f"{f:.5g}", _text(r, ".5g"), _text(d, ".2g"), f"{100 * c:.4g}")
             for i, (f, r, d, c) in enumerate(
-                zip(part.frequencies, part.reduced, part.deviations, part.captured, strict=True)
+                zip(
+                    part.frequencies,
+                    part.reduced,
+                    part.deviations,
+                    part.captured,
+                    strict=True,
+                )
             )
         ]
         heads = ("#", "f [Hz]", "reduced [Hz]", "off [%]", "energy captured [%]")
@@ -307,7 +353,10 @@ def reduce(
         out.print(f"written: {' '.join(map(str, written))}", soft_wrap=True)
         if op4:
             unit = part.external.unit
-            out.print(f"above SOL: ASSIGN INPUTT4='{written[-1]}', UNIT={unit}", soft_wrap=True)
+            out.print(
+                f"above SOL: ASSIGN INPUTT4='{written[-1]}', UNIT={unit}",
+                soft_wrap=True,
+            )
     return 0
 
 

@@ -10,7 +10,15 @@ import numpy as np
 import typer
 
 from ringtrue.api.studies import ALONE, TestPlan, plan_test
-from ringtrue.cli.show import Json, one_of, progress, rows, tell, warn_of_units, write_json
+from ringtrue.cli.show import (
+    Json,
+    one_of,
+    progress,
+    rows,
+    tell,
+    warn_of_units,
+    write_json,
+)
 from ringtrue.core.units import UNIT_SYSTEMS
 from ringtrue.errors import ConfigError
 from ringtrue.io.foreign.parsers import read_toml
@@ -24,7 +32,8 @@ from ringtrue.study.summary import setups_json
 def plan(
     deck: Annotated[Path, typer.Argument(help="Nastran bulk data, with its includes.")],
     folder: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where the test sheet goes.")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where the test sheet goes."),
     ] = None,
     settings: Annotated[
         Path | None,
@@ -37,7 +46,8 @@ def plan(
         tuple[float, float] | None, typer.Option(help="Target modes from F0 to F1, Hz.")
     ] = None,
     modes: Annotated[
-        str, typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15.")
+        str,
+        typer.Option(metavar="LIST", help="Target modes by number, such as 7-12,15."),
     ] = "",
     points: Annotated[
         int | None,
@@ -58,7 +68,10 @@ def plan(
         ),
     ] = None,
     strike_at: Annotated[
-        str, typer.Option(metavar="LIST", help="Nodes that can be hit; any point if not given.")
+        str,
+        typer.Option(
+            metavar="LIST", help="Nodes that can be hit; any point if not given."
+        ),
     ] = "",
     damping: Annotated[
         float | None,
@@ -73,7 +86,9 @@ def plan(
     trials: Annotated[
         int | None, typer.Option(metavar="N", help="Virtual tests of the plan.", min=0)
     ] = None,
-    units: Annotated[str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")] = "SI",
+    units: Annotated[
+        str, one_of("--units", UNIT_SYSTEMS, "Unit system of the deck")
+    ] = "SI",
     json: Json = None,
 ) -> int:
     """Plan a modal test of a deck: a test sheet as CSV, universal file and HTML.
@@ -91,7 +106,9 @@ def plan(
     }
     section = plan_of(settings) | {k: v for k, v in given.items() if v is not None}
     with progress("test plan") as show:
-        done = plan_test(deck, folder, band=band, units=units, settings=section, progress=show)
+        done = plan_test(
+            deck, folder, band=band, units=units, settings=section, progress=show
+        )
     warn_of_units(done.model, units)
     summary = _summary(done)
     if json:
@@ -159,7 +176,9 @@ def _summary(plan: TestPlan) -> dict[str, Any]:
         ],
         "reciprocity": [
             list(p)
-            for p in reciprocity_pairs(stage.excitation.references, stage.sensors.test.channels)
+            for p in reciprocity_pairs(
+                stage.excitation.references, stage.sensors.test.channels
+            )
         ],
         "rule": stage.rule,
         "modes": _modes(stage),
@@ -193,7 +212,10 @@ def _summary(plan: TestPlan) -> dict[str, Any]:
         }
     if (r := stage.virtual_ambient_test) is not None:
         names = [str(k + 1) for k in stage.acquisition.modes.tolist()]
-        columns = {"mode": stage.acquisition.modes + 1, "frequency_hz": r.frequencies} | _found(r)
+        columns = {
+            "mode": stage.acquisition.modes + 1,
+            "frequency_hz": r.frequencies,
+        } | _found(r)
         document["virtual_ambient_test"] = {
             "trials": r.trials,
             "force_n_per_sqrt_hz": r.force,
@@ -206,7 +228,11 @@ def _summary(plan: TestPlan) -> dict[str, Any]:
 
 def _found(r: VirtualTest) -> dict[str, Any]:
     """What virtual tests found, by column."""
-    found = {"found": r.found, "found_at_least": r.at_least, "frequency_std": r.frequency_std}
+    found = {
+        "found": r.found,
+        "found_at_least": r.at_least,
+        "frequency_std": r.frequency_std,
+    }
     return found | {"damping_std": r.damping_std, "mac": r.mac}
 
 
@@ -215,7 +241,8 @@ def _table(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
     lists = {k: v.tolist() for k, v in columns.items()}
     count = len(lists["mode"])
     return [
-        {k: (v[i] if np.isfinite(v[i]) else None) for k, v in lists.items()} for i in range(count)
+        {k: (v[i] if np.isfinite(v[i]) else None) for k, v in lists.items()}
+        for i in range(count)
     ]
 
 
@@ -248,7 +275,10 @@ HEADS = {
 
 def _print_modes(title: str, modes: list[dict[str, Any]]) -> None:
     here = [k for k in HEADS if k in modes[0]]
-    body = [[HEADS[k][1].format(r[k]) if r[k] is not None else "-" for k in here] for r in modes]
+    body = [
+        [HEADS[k][1].format(r[k]) if r[k] is not None else "-" for k in here]
+        for r in modes
+    ]
     rows(title, [HEADS[k][0] for k in here], body)
 
 
@@ -257,7 +287,9 @@ def _best(stage: PlanStage) -> dict[int, float]:
     least = {
         len(s): r
         for s, r in zip(
-            stage.excitation.sets[::-1], stage.excitation.least_reach[::-1].tolist(), strict=True
+            stage.excitation.sets[::-1],
+            stage.excitation.least_reach[::-1].tolist(),
+            strict=True,
         )
     }
     return dict(sorted(least.items()))  # of sets of one size the first is the best

@@ -11,10 +11,25 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from ringtrue.api.models import Deflections, FrfRequest, in_units, parse_points, responses_of
+from ringtrue.api.models import (
+    Deflections,
+    FrfRequest,
+    in_units,
+    parse_points,
+    responses_of,
+)
 from ringtrue.api.models import static as deflect
 from ringtrue.cli.model import Deck
-from ringtrue.cli.show import Json, Units, err, file_to, progress, rows, warn_of_units, write_json
+from ringtrue.cli.show import (
+    Json,
+    Units,
+    err,
+    file_to,
+    progress,
+    rows,
+    warn_of_units,
+    write_json,
+)
 from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.signals import Channel, FrfSet
@@ -38,11 +53,15 @@ class Motion(StrEnum):
 
 def frf(
     deck: Deck,
-    fmax: Annotated[float, typer.Option("--fmax", metavar="HZ", help="The highest line.")],
+    fmax: Annotated[
+        float, typer.Option("--fmax", metavar="HZ", help="The highest line.")
+    ],
     force: Annotated[
         list[str],
         typer.Option(
-            "--force", metavar="POINT", help="Node and direction (3+Z) of a force; repeat it."
+            "--force",
+            metavar="POINT",
+            help="Node and direction (3+Z) of a force; repeat it.",
         ),
     ],
     at: Annotated[
@@ -56,19 +75,27 @@ def frf(
     fmin: Annotated[
         float | None,
         typer.Option(
-            "--fmin", metavar="HZ", help="The lowest line; if not given: one step above 0."
+            "--fmin",
+            metavar="HZ",
+            help="The lowest line; if not given: one step above 0.",
         ),
     ] = None,
     lines: Annotated[int, typer.Option(help="Lines, in equal steps.", min=3)] = 800,
     damping: Annotated[
         float | None,
         typer.Option(
-            metavar="RATIO", help="Of all modes (0.01), in place of the damping of the deck."
+            metavar="RATIO",
+            help="Of all modes (0.01), in place of the damping of the deck.",
         ),
     ] = None,
-    quantity: Annotated[Motion, typer.Option(help="Of the responses.")] = Motion.ACCELERATION,
+    quantity: Annotated[
+        Motion, typer.Option(help="Of the responses.")
+    ] = Motion.ACCELERATION,
     direct: Annotated[
-        bool, typer.Option("--direct", help="Solve the full model at each line, without modes.")
+        bool,
+        typer.Option(
+            "--direct", help="Solve the full model at each line, without modes."
+        ),
     ] = False,
     units: Units = "SI",
     target: Annotated[
@@ -92,7 +119,9 @@ def frf(
     """
     lowest = fmax / lines if fmin is None else fmin
     if not 0 <= lowest < fmax:
-        raise ConfigError(f"--fmin {lowest:g} --fmax {fmax:g}: must be 0 <= fmin < fmax")
+        raise ConfigError(
+            f"--fmin {lowest:g} --fmax {fmax:g}: must be 0 <= fmin < fmax"
+        )
     asked = FrfRequest(
         frequencies=np.linspace(lowest, fmax, lines),
         forces=parse_points(force, "--force"),
@@ -106,7 +135,9 @@ def frf(
         model, modal = read_damped_deck(deck)
         warn_of_units(model, units)
         if direct and modal:
-            err.print("warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does")
+            err.print(
+                "warning: SDAMPING is of modes: --direct leaves it out, as SOL 108 does"
+            )
         found, held = responses_of(in_units(model, units), modal, asked, show)
     _warn_of_held(held)
     if target:
@@ -123,7 +154,9 @@ def frf(
 
 def _warn_of_held(held: Sequence[str]) -> None:
     for c in held:
-        err.print(f"warning: {c} is held: it does not move, and a force there moves nothing")
+        err.print(
+            f"warning: {c} is held: it does not move, and a force there moves nothing"
+        )
 
 
 def _print_frfs(deck: Path, found: FrfSet) -> None:
@@ -140,7 +173,11 @@ def _print_frfs(deck: Path, found: FrfSet) -> None:
         for i, c in enumerate(found.outputs)
     ]
     heads = ("response", "force", "largest", "unit", "at Hz")
-    rows(f"{deck}: {found.kind}, {found.freqs[0]:.4g} to {found.freqs[-1]:.4g} Hz", heads, body)
+    rows(
+        f"{deck}: {found.kind}, {found.freqs[0]:.4g} to {found.freqs[-1]:.4g} Hz",
+        heads,
+        body,
+    )
 
 
 def _unit(response: Channel, force: Channel) -> str:
@@ -151,7 +188,9 @@ def _unit(response: Channel, force: Channel) -> str:
 def _frf_json(found: FrfSet) -> dict[str, object]:
     return {
         "kind": found.kind,
-        "unit": ", ".join(dict.fromkeys(_unit(c, f) for c in found.outputs for f in found.inputs)),
+        "unit": ", ".join(
+            dict.fromkeys(_unit(c, f) for c in found.outputs for f in found.inputs)
+        ),
         "frequencies_hz": found.freqs.tolist(),
         "frfs": [
             {
@@ -204,7 +243,9 @@ def static(
     Example: ringtrue static frame.bdf --force 101-Z=1000 --at 101+Z --at 205+X --units mm-t-s
     """
     if not (at or force):
-        raise ConfigError("--at: name the points whose deflections are wanted, such as 101+Z")
+        raise ConfigError(
+            "--at: name the points whose deflections are wanted, such as 101+Z"
+        )
     if table and not force:
         raise ConfigError("--csv: a static test has forces at points; give --force")
     given = dict(_load(text) for text in force or [])
@@ -217,7 +258,8 @@ def static(
     if table:
         _write_static(table, given, found)
     load_cases = [
-        _case_json(name, found.points, u) for name, u in zip(found.cases, found.values, strict=True)
+        _case_json(name, found.points, u)
+        for name, u in zip(found.cases, found.values, strict=True)
     ]
     if json:
         write_json({"deck": str(deck), "cases": load_cases}, json)
@@ -230,7 +272,9 @@ def static(
         ]
         heads = ("case", "at", "deflection", "unit")
         rows(
-            f"{deck}: {len(load_cases)} load case{'s' if len(load_cases) > 1 else ''}", heads, every
+            f"{deck}: {len(load_cases)} load case{'s' if len(load_cases) > 1 else ''}",
+            heads,
+            every,
         )
     return 0
 
@@ -239,7 +283,9 @@ def _case_json(case: str, points: Sequence[str], moved: Float) -> dict[str, Any]
     """A load case with the deflections at translations and at rotations."""
     about = np.abs(DofSet.parse(points).direction) > 3
     found = list(zip(points, moved.tolist(), about.tolist(), strict=True))
-    sides = {side: {p: x for p, x, a in found if a == (side == "radian")} for side in _SIDES}
+    sides = {
+        side: {p: x for p, x, a in found if a == (side == "radian")} for side in _SIDES
+    }
     return {"case": case, **sides}
 
 
@@ -251,17 +297,24 @@ def _load(text: str) -> tuple[str, float]:
     except ValueError:
         size = 0.0
     if not (np.isfinite(size) and size):
-        raise ConfigError(f"--force {text}: the form is 101+Z or 101+Z=250, with a force in N")
+        raise ConfigError(
+            f"--force {text}: the form is 101+Z or 101+Z=250, with a force in N"
+        )
     return point, size
 
 
 def _write_static(path: Path, forces: Mapping[str, float], found: Deflections) -> None:
     """A row a case and channel, as `io.campaign_tables.read_statics` reads them."""
-    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic_write(path) as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
         sheet = writer(file)
         sheet.writerow(STATICS)
         labels = DofSet.parse(forces).labels()
-        for point, newton, values in zip(labels, forces.values(), found.values, strict=True):
+        for point, newton, values in zip(
+            labels, forces.values(), found.values, strict=True
+        ):
             load = f"{newton:.9g}"
             if point not in found.points:
                 sheet.writerow((point, point, load, ""))

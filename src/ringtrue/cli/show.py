@@ -131,7 +131,10 @@ def json_target(value: str | None) -> str | None:
 Json = Annotated[
     str | None,
     typer.Option(
-        "--json", metavar="FILE", help="Write JSON; - is standard output.", callback=json_target
+        "--json",
+        metavar="FILE",
+        help="Write JSON; - is standard output.",
+        callback=json_target,
     ),
 ]
 

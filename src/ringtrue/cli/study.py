@@ -30,7 +30,13 @@ from ringtrue.cli.show import (
 from ringtrue.errors import ConfigError, SolverMissing
 from ringtrue.io.files import atomic_write
 from ringtrue.io.foreign.parsers import read_json
-from ringtrue.study.acceptance import AcceptanceCheck, adequacy, limits, missed_words, settles
+from ringtrue.study.acceptance import (
+    AcceptanceCheck,
+    adequacy,
+    limits,
+    missed_words,
+    settles,
+)
 from ringtrue.study.config import read_config
 from ringtrue.study.config_sections import PredictSection
 from ringtrue.study.messages import run_messages, validity_sentence
@@ -67,7 +73,9 @@ def demo(
     ] = Path("lsf"),
     seed: Annotated[
         int,
-        typer.Option(metavar="N", help="Draws which regions are wrong, by how much, all noise."),
+        typer.Option(
+            metavar="N", help="Draws which regions are wrong, by how much, all noise."
+        ),
     ] = 0,
     hard: Annotated[
         bool,
@@ -105,11 +113,14 @@ def run(
         Path | None, typer.Option("--out", metavar="DIR", help="Where results go.")
     ] = None,
     first: Annotated[
-        str | None, typer.Option("--from", metavar="STAGE", help="Run anew from this stage on.")
+        str | None,
+        typer.Option("--from", metavar="STAGE", help="Run anew from this stage on."),
     ] = None,
     until: Annotated[
         str | None,
-        typer.Option("--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}."),
+        typer.Option(
+            "--until", metavar="STAGE", help=f"The last stage to run. Stages: {ORDER}."
+        ),
     ] = None,
     workers: SideBySide = None,
     json: Json = None,
@@ -127,10 +138,17 @@ def run(
     try:
         with progress("study") as show:
             done = run_study(
-                study, out=folder, first=first, until=until, workers=workers, progress=show
+                study,
+                out=folder,
+                first=first,
+                until=until,
+                workers=workers,
+                progress=show,
             )
     except KeyboardInterrupt:
-        err.print("stopped: the stages that were finished are stored, the same command resumes")
+        err.print(
+            "stopped: the stages that were finished are stored, the same command resumes"
+        )
         return ExitStatus.STOPPED
     result = done.run
     if result.config.model is not None:
@@ -157,7 +175,9 @@ def run(
 
 
 def report(
-    store: Annotated[Path, typer.Argument(help="study.h5, its study.toml, or their folder.")],
+    store: Annotated[
+        Path, typer.Argument(help="study.h5, its study.toml, or their folder.")
+    ],
     target: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file to write.")
     ] = None,
@@ -198,12 +218,16 @@ def studio(
     ] = None,
     demo: Annotated[
         bool,
-        typer.Option("--demo", help="A worked example, in a folder that is named, or in ./frame."),
+        typer.Option(
+            "--demo", help="A worked example, in a folder that is named, or in ./frame."
+        ),
     ] = False,
     port: Annotated[
         int, typer.Option(metavar="N", help="0: any that is free.", min=0, max=65535)
     ] = 0,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page.")
+    ] = True,
 ) -> int:
     """A study in the browser, on this machine alone: poles, pairs, updating and report.
 
@@ -216,7 +240,9 @@ def studio(
         from ringtrue.studio.launch import serve
         from ringtrue.studio.session import opened
     except ModuleNotFoundError as e:
-        raise SolverMissing(f"{e.name} is missing: pip install 'ringtrue[studio]'") from e
+        raise SolverMissing(
+            f"{e.name} is missing: pip install 'ringtrue[studio]'"
+        ) from e
     if demo:
         # here, so that no other study needs the worked example
         from ringtrue.api.studies import run_study, store_of
@@ -253,30 +279,44 @@ def _stated(
 
 
 def predict(
-    study: Annotated[Path, typer.Argument(help="study.toml of a study that has been run.")],
+    study: Annotated[
+        Path, typer.Argument(help="study.toml of a study that has been run.")
+    ],
     folder: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where its results are.")
     ] = None,
     rotor: Annotated[
-        int | None, typer.Option(metavar="NODE", help="Node that the unbalance acts on.")
+        int | None,
+        typer.Option(metavar="NODE", help="Node that the unbalance acts on."),
     ] = None,
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="Mass of the rotor.")] = None,
+    mass: Annotated[
+        float | None, typer.Option(metavar="KG", help="Mass of the rotor.")
+    ] = None,
     axis: Annotated[str | None, one_of("--axis", PLANE, "Axis of the rotor")] = None,
     grade: Annotated[
         float | None, _stated("--grade", "Balance grade G (ISO 21940-11)", "MM/S")
     ] = None,
-    service: Annotated[float | None, _stated("--service", "Service speed", "HZ")] = None,
+    service: Annotated[
+        float | None, _stated("--service", "Service speed", "HZ")
+    ] = None,
     fmax: Annotated[float | None, _stated("--to", "Highest speed", "HZ")] = None,
     springs: Annotated[
         list[str] | None,
         typer.Option(
-            "--springs", metavar="NAME=PID[,PID]", help="PBUSH whose forces are wanted; repeat it."
+            "--springs",
+            metavar="NAME=PID[,PID]",
+            help="PBUSH whose forces are wanted; repeat it.",
         ),
     ] = None,
-    lines: Annotated[int | None, _stated("--lines", "Number of speeds", least=2)] = None,
-    draws: Annotated[int | None, _stated("--draws", "Draws of the posterior", least=20)] = None,
+    lines: Annotated[
+        int | None, _stated("--lines", "Number of speeds", least=2)
+    ] = None,
+    draws: Annotated[
+        int | None, _stated("--draws", "Draws of the posterior", least=20)
+    ] = None,
     level: Annotated[
-        float | None, _stated("--level", "Probability of the bands", least=0.5, most=0.95)
+        float | None,
+        _stated("--level", "Probability of the bands", least=0.5, most=0.95),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the draws.", min=0)] = None,
     table: Annotated[
@@ -335,14 +375,18 @@ def settings(
     held |= {k: v for k, v in stated.items() if v is not None}
     lost = [n for n in ("rotor", "mass") if n not in held]
     if lost:
-        raise ConfigError(f"--{lost[0]}: give it here, or as {lost[0]} in [predict] of the study")
+        raise ConfigError(
+            f"--{lost[0]}: give it here, or as {lost[0]} in [predict] of the study"
+        )
     if springs:
         held["springs"] = {}
     for text in springs:
         name, _, ids = text.partition("=")
         numbers = [i.strip() for i in ids.split(",")]
         if not name or not all(i.isdigit() for i in numbers):
-            raise ConfigError(f"--springs {text!r}: the form is NAME=PID[,PID], as in bearings=58")
+            raise ConfigError(
+                f"--springs {text!r}: the form is NAME=PID[,PID], as in bearings=58"
+            )
         held["springs"][name] = [int(i) for i in numbers]
     try:
         return PredictSection.model_validate(held)
@@ -366,7 +410,8 @@ def _prediction_json(found: PredictStage) -> dict[str, Any]:
                 "unit": unit,
                 "peak": [float(b[i]) for b in (r.peak.low, r.peak.median, r.peak.high)],
                 "peak_speed_hz": [
-                    float(b[i]) for b in (r.peak_speed.low, r.peak_speed.median, r.peak_speed.high)
+                    float(b[i])
+                    for b in (r.peak_speed.low, r.peak_speed.median, r.peak_speed.high)
                 ],
                 "low": r.amplitude.low[i].tolist(),
                 "median": r.amplitude.median[i].tolist(),
@@ -392,7 +437,11 @@ def _print_prediction(found: PredictStage) -> None:
         for i, (name, unit) in enumerate(zip(r.names, r.units, strict=True))
     ]
     heads = ("what", "unit", "peak", f"{level} band", "at Hz", "validated")
-    rows(f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m", heads, body)
+    rows(
+        f"Run-up to {r.freqs[-1]:g} Hz, unbalance {found.unbalance.moment:.4g} kg m",
+        heads,
+        body,
+    )
     out.print(validity_sentence(r.validated))
     for flag in found.flags:
         err.print(f"warning: {flag}")
@@ -400,7 +449,10 @@ def _print_prediction(found: PredictStage) -> None:
 
 def _write_run_up(r: RunUp, path: Path) -> None:
     """Speed, whether it is validated, and low, median, high of each output."""
-    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic_write(path) as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
         sheet = writer(file)
         names = [
             f"{n} [{u}] {q}"
@@ -408,7 +460,11 @@ def _write_run_up(r: RunUp, path: Path) -> None:
             for q in ("low", "median", "high")
         ]
         sheet.writerow(["speed [Hz]", "validated", *names])
-        parts = np.stack([r.amplitude.low, r.amplitude.median, r.amplitude.high], axis=1)
+        parts = np.stack(
+            [r.amplitude.low, r.amplitude.median, r.amplitude.high], axis=1
+        )
         values = parts.reshape(-1, r.freqs.size).T
-        for f, ok, line in zip(r.freqs.tolist(), r.checked.tolist(), values.tolist(), strict=True):
+        for f, ok, line in zip(
+            r.freqs.tolist(), r.checked.tolist(), values.tolist(), strict=True
+        ):
             sheet.writerow([f"{f:.6g}", int(ok), *(f"{v:.6g}" for v in line)])

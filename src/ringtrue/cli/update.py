@@ -33,7 +33,11 @@ from ringtrue.io.files import atomic_write
 from ringtrue.solvers.registry import EMBEDDED
 from ringtrue.study.config_sections import LocaliseSection, target_words
 from ringtrue.study.direct import DirectProposal
-from ringtrue.study.messages import discrepancy_sentence, misfit_sentence, worse_frequencies
+from ringtrue.study.messages import (
+    discrepancy_sentence,
+    misfit_sentence,
+    worse_frequencies,
+)
 from ringtrue.study.placing import seats_json
 from ringtrue.updating.selection.candidates import CandidateSettings
 from ringtrue.updating.selection.form import FormFindings
@@ -49,11 +53,15 @@ def localise(
     ],
     sensors: Annotated[
         Path | None,
-        typer.Option(help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z."),
+        typer.Option(
+            help="Sensor sheet; without it, channels are DOFs of the deck such as 101+Z."
+        ),
     ] = None,
     units: Units = "SI",
     tolerance: Tolerance = None,
-    most: Annotated[int, typer.Option(help="Most parameters that are proposed.", min=1)] = 8,
+    most: Annotated[
+        int, typer.Option(help="Most parameters that are proposed.", min=1)
+    ] = 8,
     pool: Annotated[
         int,
         typer.Option(
@@ -125,7 +133,9 @@ def _table(localised: DirectProposal) -> dict[str, Any]:
             }
             for m in found.members
         ],
-        "aicc": dict(zip(map(str, found.sizes.tolist()), found.criteria.tolist(), strict=True)),
+        "aicc": dict(
+            zip(map(str, found.sizes.tolist()), found.criteria.tolist(), strict=True)
+        ),
         "mean_deviation_percent": [100 * found.before, 100 * found.after],
         "mean_mac_percent": (100 * found.mac).tolist() if found.seen else [None, None],
         "pairs": found.paired.tolist(),
@@ -175,7 +185,9 @@ def _tables(found: DirectProposal) -> list[str]:
     out += ["as candidates of study.toml:"] if factors else []
     for p in (by[m.name] for m in factors):
         if not (words := target_words(p)):
-            out.append(f'# {p.name}: by [update] propose = true and [localise] kinds = ["region"]')
+            out.append(
+                f'# {p.name}: by [update] propose = true and [localise] kinds = ["region"]'
+            )
             continue
         listed = ", ".join(f'"{w}"' for w in words)
         out += ["[[candidate]]", f'name = "{p.name}"', f"targets = [{listed}]"]
@@ -188,8 +200,17 @@ def _print(deck: Path, found: DirectProposal, unit: str) -> None:
         (i, m.name, *m.digits(), f"{m.worth:.1f}", len(m.collinear) + len(m.rivals))
         for i, m in enumerate(found.proposal.members, start=1)
     ]
-    heads = ("#", "parameter", "factor, or added", "±", "worth (AICc)", "not distinguishable")
-    remaining = f", {len(found.screened)} are not looked at closely" if found.screened else ""
+    heads = (
+        "#",
+        "parameter",
+        "factor, or added",
+        "±",
+        "worth (AICc)",
+        "not distinguishable",
+    )
+    remaining = (
+        f", {len(found.screened)} are not looked at closely" if found.screened else ""
+    )
     rows(
         f"{deck}: {found.made} candidates, {len(found.dropped)} of them change no mode{remaining}",
         heads,
@@ -197,7 +218,9 @@ def _print(deck: Path, found: DirectProposal, unit: str) -> None:
     )
     out.print(found.proposal.text())
     if found.members:
-        out.print("members that the deck may lack, each judged by itself (--members writes cards):")
+        out.print(
+            "members that the deck may lack, each judged by itself (--members writes cards):"
+        )
     for i, m in enumerate(found.members, start=1):
         out.print(f"{i}. {m.text(unit)}")
 
@@ -228,11 +251,17 @@ def show_summary(study: Path, summary: dict[str, Any]) -> None:
         factor, _ = with_error(p["factor"], p["factor"] * std)
         ratio = f"{p['posterior_over_prior']:.2f}"
         body.append((p["name"], factor, number(100 * std, 2), ratio))
-    rows(f"{study}: parameters", ("parameter", "factor", "± [%]", "posterior/prior"), body)
+    rows(
+        f"{study}: parameters",
+        ("parameter", "factor", "± [%]", "posterior/prior"),
+        body,
+    )
     body = []
     for i, m in enumerate(summary["modes"], start=1):
         cells = [_cell(m[name], ".2f") for name in COLUMNS]
-        body.append((i, f"{m['frequency_hz']:.5g}", *cells, "" if m["used"] else "left out"))
+        body.append(
+            (i, f"{m['frequency_hz']:.5g}", *cells, "" if m["used"] else "left out")
+        )
     rows("modes", HEADS, body)
     if measured := summary.get("measured"):
         body = []
@@ -271,7 +300,9 @@ def _cell(value: float | None, form: str) -> str:
 
 
 def update(
-    study: Annotated[Path, typer.Argument(help="study.toml with a deck and candidates.")],
+    study: Annotated[
+        Path, typer.Argument(help="study.toml with a deck and candidates.")
+    ],
     test: Annotated[
         Path,
         typer.Argument(
@@ -280,16 +311,20 @@ def update(
         ),
     ],
     folder: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where the updated deck goes.")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where the updated deck goes."),
     ] = None,
     leave_out: Annotated[
         str, typer.Option(metavar="LIST", help="Test modes to judge by, from 1: 3,7.")
     ] = "",
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of starts.", min=0)] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Seed of starts.", min=0)
+    ] = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Keep the last iterate here; go on from it if it is there."
+            metavar="FILE",
+            help="Keep the last iterate here; go on from it if it is there.",
         ),
     ] = None,
     solver_name: Annotated[

@@ -17,7 +17,11 @@ from ringtrue.core.signals import Channel, FrfKind, Quantity
 
 Motion = Literal["displacement", "velocity", "acceleration"]
 DERIVATIVE: dict[str, int] = {"displacement": 0, "velocity": 1, "acceleration": 2}
-SI_UNIT: dict[str, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
+SI_UNIT: dict[str, str] = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+}
 FRF_KIND: dict[str, FrfKind] = {
     "displacement": "receptance",
     "velocity": "mobility",
@@ -65,7 +69,9 @@ def base_motion(name: str) -> Channel:
     return Channel(BASE + name, "acceleration", SI_UNIT["acceleration"])
 
 
-def as_motion(h: Complex, freqs: Float, motion: str, wanted: str, decay: float = 0.0) -> Complex:
+def as_motion(
+    h: Complex, freqs: Float, motion: str, wanted: str, decay: float = 0.0
+) -> Complex:
     """FRFs of one motion as those of another; the line at 0 Hz becomes 0 without a window.
 
     Parameters
@@ -110,7 +116,11 @@ def other_names(
     does.
     """
     pairs = zip(given, known, map(float, sign), strict=True)
-    renamed = [f"{one} is {two}{' turned' * (way < 0)}" for one, two, way in pairs if one != two]
+    renamed = [
+        f"{one} is {two}{' turned' * (way < 0)}"
+        for one, two, way in pairs
+        if one != two
+    ]
     renamed = list(dict.fromkeys(renamed))
     if not renamed:
         return ()

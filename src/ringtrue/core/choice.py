@@ -146,5 +146,9 @@ class Choice:
     @property
     def records(self) -> tuple[str, ...]:
         """The records whose modes are named."""
-        every: tuple[Pick | Reject | Merge, ...] = (*self.picks, *self.rejects, *self.merges)
+        every: tuple[Pick | Reject | Merge, ...] = (
+            *self.picks,
+            *self.rejects,
+            *self.merges,
+        )
         return tuple(dict.fromkeys(x.record for x in every if x.record))

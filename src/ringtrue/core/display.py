@@ -35,7 +35,9 @@ def number(value: float | None, digits: int = 3) -> str:
     power = _power(value, digits)
     if power < -4 or power > 6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        raised = str(int(exponent)).translate(
+            str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+        )
         return f"{mantissa.replace('-', '−')} × 10{raised}"
     text = f"{value:.{max(digits - 1 - power, 0)}f}"
     if abs(value) >= 10000:
@@ -48,7 +50,9 @@ def _power(value: float, digits: int) -> int:
     return math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
 
 
-def with_error(value: float | None, std: float | None, digits: int = 4) -> tuple[str, str]:
+def with_error(
+    value: float | None, std: float | None, digits: int = 4
+) -> tuple[str, str]:
     """A value and its standard deviation, the two to the same place.
 
     Two digits of the standard deviation are kept (JCGM 100:2008, 7.2.6): a third one says nothing
@@ -119,7 +123,9 @@ def plot(result: object) -> Any:
     for kind in type(result).__mro__:
         if kind in _DRAWINGS:
             return _DRAWINGS[kind](result)
-    raise UnsupportedError(f"{type(result).__name__}: there is no drawing of it; see its fields")
+    raise UnsupportedError(
+        f"{type(result).__name__}: there is no drawing of it; see its fields"
+    )
 
 
 class Displayed:
@@ -171,17 +177,23 @@ def _table(result: Displayed) -> _Table:
         if name not in columns and _is_shown(value)
     }
     shown = min(length, MOST_ROWS)
-    rows = [[str(i + 1), *(_cell(c[i]) for c in columns.values())] for i in range(shown)]
+    rows = [
+        [str(i + 1), *(_cell(c[i]) for c in columns.values())] for i in range(shown)
+    ]
     more = f"and {length - shown} more rows" if length > shown else ""
     return _Table(single, ["#", *(_head(name, units) for name in columns)], rows, more)
 
 
 def _html(result: Displayed) -> str:
     table = _table(result)
-    lines = [f"<div>{escape(f'{name}: {value}')}</div>" for name, value in table.single.items()]
+    lines = [
+        f"<div>{escape(f'{name}: {value}')}</div>"
+        for name, value in table.single.items()
+    ]
     head = "".join(f"<th>{escape(name)}</th>" for name in table.heads)
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in table.rows
     )
     title = f"<b>{escape(type(result).__name__)}</b>"
     more = f"<div>{table.more}</div>" if table.more else ""
@@ -190,9 +202,15 @@ def _html(result: Displayed) -> str:
 
 def _text(result: Displayed) -> str:
     table = _table(result)
-    lines = [type(result).__name__, *(f"{name}: {value}" for name, value in table.single.items())]
+    lines = [
+        type(result).__name__,
+        *(f"{name}: {value}" for name, value in table.single.items()),
+    ]
     if table.rows:
-        widths = [max(map(len, column)) for column in zip(table.heads, *table.rows, strict=True)]
+        widths = [
+            max(map(len, column))
+            for column in zip(table.heads, *table.rows, strict=True)
+        ]
         for row in (table.heads, *table.rows):
             cells = (cell.rjust(width) for cell, width in zip(row, widths, strict=True))
             lines.append("  ".join(cells))
@@ -203,7 +221,11 @@ def _is_column(value: Any) -> bool:
     if isinstance(value, np.ndarray):
         return value.ndim == 1
     plain = (str, int, float)
-    return isinstance(value, tuple) and bool(value) and all(isinstance(v, plain) for v in value)
+    return (
+        isinstance(value, tuple)
+        and bool(value)
+        and all(isinstance(v, plain) for v in value)
+    )
 
 
 def _is_shown(value: Any) -> bool:

@@ -52,7 +52,9 @@ class DofSet:
                 f"node {self.node.shape} and direction {self.direction.shape} must be equal (n,)"
             )
         if self.direction.size and np.abs(self.direction).max() > 6:
-            raise InputError(f"direction {int(np.abs(self.direction).max())}: allowed are -6..6")
+            raise InputError(
+                f"direction {int(np.abs(self.direction).max())}: allowed are -6..6"
+            )
         key = self.key
         if np.unique(key).size != key.size:
             values, count = np.unique(key, return_counts=True)
@@ -112,14 +114,17 @@ class DofSet:
         kinds, of = np.unique(has, axis=0, return_inverse=True)
         names = ["".join(map(str, np.flatnonzero(kind).tolist())) for kind in kinds]
         return {
-            name: node[of == k].tolist() for k, name in sorted(enumerate(names), key=lambda x: x[1])
+            name: node[of == k].tolist()
+            for k, name in sorted(enumerate(names), key=lambda x: x[1])
         }
 
     def find(self, node: Int, direction: Int) -> Int:
         """Positions of (node, |direction|) in this set, (k,) int64, -1 where absent."""
         key = self.key
         order = np.argsort(key, kind="stable")
-        want = np.asarray(node, dtype=np.int64) * 8 + np.abs(np.asarray(direction, dtype=np.int64))
+        want = np.asarray(node, dtype=np.int64) * 8 + np.abs(
+            np.asarray(direction, dtype=np.int64)
+        )
         at = np.searchsorted(key[order], want).clip(max=max(len(self) - 1, 0))
         if not len(self):
             return np.full(want.shape, -1, dtype=np.int64)
@@ -147,9 +152,13 @@ class DofSet:
         """
         index = self.find(node, direction)
         if (lost := np.flatnonzero(index < 0)).size:
-            named = " ".join(map(_label, node[lost[:5]].tolist(), direction[lost[:5]].tolist()))
+            named = " ".join(
+                map(_label, node[lost[:5]].tolist(), direction[lost[:5]].tolist())
+            )
             raise InputError(f"{lost.size} DOFs are not in the set, first {named}")
-        sign = np.where(np.sign(self.direction[index]) * np.sign(direction) < 0, -1.0, 1.0)
+        sign = np.where(
+            np.sign(self.direction[index]) * np.sign(direction) < 0, -1.0, 1.0
+        )
         return index, sign
 
     def per_length(self, unit: float) -> Float:
@@ -179,7 +188,9 @@ def parsed(labels: Iterable[str]) -> tuple[Int, Int]:
     for text in labels:
         m = _TEXT.fullmatch(text.strip().upper())
         if not m:
-            raise InputError(f"{text!r} is not a DOF; allowed are forms like 101+Z, 101-RX, 7")
+            raise InputError(
+                f"{text!r} is not a DOF; allowed are forms like 101+Z, 101-RX, 7"
+            )
         node.append(int(m[1]))
         direction.append((-1 if m[2] == "-" else 1) * NAMES.index(m[3] or ""))
     return np.array(node, dtype=np.int64), np.array(direction, dtype=np.int8)

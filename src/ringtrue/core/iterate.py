@@ -38,7 +38,8 @@ class Outcome(StrEnum):
     CONVERGED = "converged: the gradient or step is below its tolerance"
     STALLED = "stalled: no step lowers the objective; the start or the bounds may be the reason"
     MAX_ITERATIONS = (
-        "stopped at the iteration limit: raise it, or look at the history for oscillation"
+        "stopped at the iteration limit: raise it, or look at the history for "
+        "oscillation"
     )
     NOT_FINITE = "stopped: the objective is not finite"
 
@@ -91,7 +92,9 @@ class Iteration(Generic[S]):
         return self.states[-1]
 
 
-def iterate(algorithm: Algorithm[S], *, limit: int, progress: Progress = quiet) -> Iteration[S]:
+def iterate(
+    algorithm: Algorithm[S], *, limit: int, progress: Progress = quiet
+) -> Iteration[S]:
     """Run `algorithm` until it terminates, at most `limit` steps.
 
     Raises

@@ -12,7 +12,15 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ringtrue.core.arrays import Any_, Bool, Complex, Float, FrozenArrays, Int, freeze_fields
+from ringtrue.core.arrays import (
+    Any_,
+    Bool,
+    Complex,
+    Float,
+    FrozenArrays,
+    Int,
+    freeze_fields,
+)
 from ringtrue.core.channels import POWER
 from ringtrue.core.display import Displayed
 from ringtrue.core.dofs import DofSet
@@ -20,7 +28,8 @@ from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import Channel, FrfKind
 from ringtrue.errors import InputError
 
-RIGID = 1e-3  # of the highest frequency: below is a rigid-body motion, whose frequency is round-off
+# of the highest frequency: below is a rigid-body motion, whose frequency is round-off
+RIGID = 1e-3
 
 
 def rigid_below(frequencies: Float) -> float:
@@ -61,7 +70,11 @@ class ModeSet(Displayed):
         What made it: a deck and solver, a record and method.
     """
 
-    UNITS: ClassVar[Mapping[str, str]] = {"frequencies": "Hz", "damping": "-", "confidence": "0..1"}
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "frequencies": "Hz",
+        "damping": "-",
+        "confidence": "0..1",
+    }
 
     frequencies: Float
     damping: Float
@@ -122,7 +135,9 @@ class ModeSet(Displayed):
 
     def band(self, low: float, high: float) -> ModeSet:
         """The modes with low <= f <= high, Hz."""
-        return self.take(np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high)))
+        return self.take(
+            np.flatnonzero((self.frequencies >= low) & (self.frequencies <= high))
+        )
 
     def rows(self, channels: Sequence[str]) -> ModeSet:
         """The chosen rows by label, in the given order; the set itself where these are all of its
@@ -178,11 +193,16 @@ class Uncertainty(FrozenArrays):
         at = np.asarray(modes, dtype=np.int64)
         both = np.concatenate([at, at + self.frequency.size])
         return Uncertainty(
-            self.frequency[at], self.damping[at], self.shape[:, at], self.factor[:, both]
+            self.frequency[at],
+            self.damping[at],
+            self.shape[:, at],
+            self.factor[:, both],
         )
 
 
-def joined_modes(parts: Sequence[tuple[ModeSet, Uncertainty]]) -> tuple[ModeSet, Uncertainty]:
+def joined_modes(
+    parts: Sequence[tuple[ModeSet, Uncertainty]],
+) -> tuple[ModeSet, Uncertainty]:
     """The modes of one or more sets, one behind the other; those of different sets are not
     correlated.
 
@@ -249,7 +269,9 @@ class OtherCandidates:
         nothing = np.empty(0)
         shapes = np.empty((len(channels), 0), dtype=np.complex128)
         modes = ModeSet(nothing, nothing, shapes, tuple(channels), confidence=nothing)
-        return cls(modes, Uncertainty.independent(nothing, nothing, shapes.real), (), ())
+        return cls(
+            modes, Uncertainty.independent(nothing, nothing, shapes.real), (), ()
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,7 +58,9 @@ class Shape:
     vectors: tuple[tuple[float, float, float], ...]
 
     def __post_init__(self) -> None:
-        if len(self.nodes) != len(self.vectors) or len(set(self.nodes)) != len(self.nodes):
+        if len(self.nodes) != len(self.vectors) or len(set(self.nodes)) != len(
+            self.nodes
+        ):
             raise InputError(
                 f"shape: {len(self.vectors)} vectors for {len(set(self.nodes))} different nodes"
             )
@@ -125,7 +127,11 @@ class Parameter:
         parameter.
         """
         one = self.targets[0] if len(self.targets) == 1 else None
-        return one.step if one is not None and (one.card, one.field) == ("CONM2", "M") else 0.0
+        return (
+            one.step
+            if one is not None and (one.card, one.field) == ("CONM2", "M")
+            else 0.0
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,8 @@ from ringtrue.errors import ConfigError, InputError, SolverError, SolverMissing
 Workers = int | str  # processes of this machine, or the address of a dask scheduler
 Case = TypeVar("Case")
 Result = TypeVar("Result")
-Pool = tuple[Executor, Callable[[bytes], Any]]  # and what takes shared bytes to the workers
+# and what takes shared bytes to the workers
+Pool = tuple[Executor, Callable[[bytes], Any]]
 
 
 def checked_workers(given: Workers) -> Workers:
@@ -116,7 +117,12 @@ def side_by_side(
     local = isinstance(workers, int)
     where = f"on {workers} workers" if local else f"at {workers}"
     progress(0.0, f"side by side {where}: {', '.join(cases)}")
-    with _processes(min(int(workers), count)) if local else _cluster(str(workers)) as (pool, share):
+    with (
+        _processes(min(int(workers), count)) if local else _cluster(str(workers)) as (
+            pool,
+            share,
+        )
+    ):
         held = share(known)
         futures = [pool.submit(work_on, held, task) for task in tasks]
         for i, (name, future) in enumerate(zip(cases, futures, strict=True), start=1):
@@ -136,7 +142,9 @@ def _processes(count: int) -> Iterator[Pool]:
     """Processes that begin anew, with the environment of this one and so as many threads of BLAS;
     an error or an interrupt ends them at once.
     """
-    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(
+        count, get_context("spawn"), initializer=_end_with_parent
+    )
     try:
         yield pool, bytes
     except BrokenExecutor as e:
@@ -181,7 +189,9 @@ def _cluster(address: str) -> Iterator[Pool]:
     try:
         client: Any = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as e:
-        raise ConfigError(f"workers {address}: no dask scheduler answers there: {e}") from e
+        raise ConfigError(
+            f"workers {address}: no dask scheduler answers there: {e}"
+        ) from e
     with client:
         try:
             client.wait_for_workers(1, timeout=30)  # s
@@ -223,7 +233,9 @@ def _written(value: object, shared: Sequence[object], what: str) -> bytes:
     try:
         _Writer(file, shared).dump(value)
     except (pickle.PicklingError, TypeError, AttributeError) as e:
-        raise InputError(f"{what} cannot be sent between processes: {e}; try workers = 1") from e
+        raise InputError(
+            f"{what} cannot be sent between processes: {e}; try workers = 1"
+        ) from e
     return file.getvalue()
 
 

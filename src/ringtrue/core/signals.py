@@ -79,7 +79,9 @@ class Impacts(FrozenArrays):
 
     def spread(self, outputs: int) -> Impacts:
         """Of one input, weights (impact, 1, 1) of any sum, for the FRFs of so many outputs."""
-        return replace(self, weight=np.repeat(self.weight / self.weight.sum(), outputs, axis=1))
+        return replace(
+            self, weight=np.repeat(self.weight / self.weight.sum(), outputs, axis=1)
+        )
 
     def take(self, outputs: Int, inputs: Int) -> Impacts:
         """Of some of the FRFs."""
@@ -90,7 +92,9 @@ class Impacts(FrozenArrays):
         return replace(self, weight=self.weight.swapaxes(1, 2))
 
 
-def join_impacts(parts: Sequence[Impacts | None], weights: Sequence[Float]) -> Impacts | None:
+def join_impacts(
+    parts: Sequence[Impacts | None], weights: Sequence[Float]
+) -> Impacts | None:
     """Of FRFs joined from parts with the same lines, `weights` (impact, out, in) each; None if one
     part has none.
     """
@@ -195,7 +199,9 @@ class TimeHistory(Displayed):
                 f"{' '.join(list(here)[:40])}"
             )
         at = [here[i] for i in ids]
-        return replace(self, data=self.data[at], channels=tuple(self.channels[i] for i in at))
+        return replace(
+            self, data=self.data[at], channels=tuple(self.channels[i] for i in at)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,7 +295,9 @@ class FrfSet(Displayed):
         lost = set(ids)
         sides = (self.outputs, self.inputs)
         o, i = (
-            np.array([k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64)
+            np.array(
+                [k for k, c in enumerate(side) if c.id not in lost], dtype=np.int64
+            )
             for side in sides
         )
         if not o.size or not i.size:
@@ -324,7 +332,9 @@ def shared_lines(axes: Sequence[Float]) -> list[Int] | None:
     fewest = min(distinct.values(), key=lambda a: a.size)
     near = {k: _nearest(a, fewest) for k, a in distinct.items()}
     limit = 1e-6 * max(float(fewest[-1]), 1.0)  # of the last line
-    shared = np.all([np.abs(a[near[k]] - fewest) <= limit for k, a in distinct.items()], axis=0)
+    shared = np.all(
+        [np.abs(a[near[k]] - fewest) <= limit for k, a in distinct.items()], axis=0
+    )
     # 0.5: of the lines of the shortest axis, that must be shared
     if np.count_nonzero(shared) <= 0.5 * fewest.size:
         return None

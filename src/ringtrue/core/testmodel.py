@@ -69,16 +69,23 @@ class TestModel:
         freeze_fields(self, force_at=np.int64, force_axes=np.float64)
         object.__setattr__(self, "channels", tuple(self.channels))
         object.__setattr__(self, "forces", tuple(self.forces))
-        object.__setattr__(self, "groups", tuple(self.groups) or ("",) * self.points.size)
+        object.__setattr__(
+            self, "groups", tuple(self.groups) or ("",) * self.points.size
+        )
         if len(set(self.channels)) != len(self.channels):
             raise InputError("a channel occurs twice in the test model")
         if np.unique(self.points).size != self.points.size:
             raise InputError("a point occurs twice in the test model")
         lost = np.setdiff1d(self.at, self.points)
         if lost.size:
-            raise InputError(f"channels refer to points that are not there: {lost[:8].tolist()}")
+            raise InputError(
+                f"channels refer to points that are not there: {lost[:8].tolist()}"
+            )
         length = np.linalg.norm(self.axes, axis=1)
-        if self.axes.shape != (len(self.channels), 3) or (np.abs(length - 1) > 1e-6).any():
+        if (
+            self.axes.shape != (len(self.channels), 3)
+            or (np.abs(length - 1) > 1e-6).any()
+        ):
             raise InputError(
                 f"axes {self.axes.shape} must be unit vectors, one for each of "
                 f"{len(self.channels)} channels"
@@ -103,7 +110,9 @@ class TestModel:
         group = dict(zip(self.points.tolist(), self.groups, strict=True))
         return tuple(group[p] for p in self.at.tolist())
 
-    def find(self, channels: Sequence[str], *, forces: bool = True) -> tuple[Int, Float]:
+    def find(
+        self, channels: Sequence[str], *, forces: bool = True
+    ) -> tuple[Int, Float]:
         """Where named channels stand in `channels`, then `forces` unless left out, and with which
         sign.
 
@@ -143,7 +152,8 @@ class TestModel:
         """
         index, sign = self.find(channels, forces=False)
         names = tuple(
-            self.channels[i] if i >= 0 else c for c, i in zip(channels, index.tolist(), strict=True)
+            self.channels[i] if i >= 0 else c
+            for c, i in zip(channels, index.tolist(), strict=True)
         )
         first: dict[str, str] = {}
         for one, name in zip(channels, names, strict=True):
@@ -166,7 +176,9 @@ class TestModel:
         index, sign = self.find(channels, forces=forces)
         if (index < 0).any():
             raise DataError(
-                self._not_there([c for c, i in zip(channels, index.tolist(), strict=True) if i < 0])
+                self._not_there(
+                    [c for c, i in zip(channels, index.tolist(), strict=True) if i < 0]
+                )
             )
         at = np.concatenate([self.at, self.force_at])[index]
         axes = np.concatenate([self.axes, self.force_axes])[index] * sign[:, None]

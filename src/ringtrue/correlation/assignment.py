@@ -177,12 +177,16 @@ class Followed:
     def among(self, modes: Int) -> Followed:
         """Those of some modes of A, ascending (k,), which are counted anew."""
 
-        def kept(which: tuple[int, ...], shapes: Float) -> tuple[tuple[int, ...], Float]:
+        def kept(
+            which: tuple[int, ...], shapes: Float
+        ) -> tuple[tuple[int, ...], Float]:
             every = np.array(which, dtype=np.int64)
             stay = np.isin(every, modes)
             return tuple(np.searchsorted(modes, every[stay]).tolist()), shapes[:, stay]
 
-        return Followed(*kept(self.forced, self.shapes), *kept(self.forbidden, self.barred))
+        return Followed(
+            *kept(self.forced, self.shapes), *kept(self.forbidden, self.barred)
+        )
 
     def locks(self, shapes: Any_) -> Locks:
         """The pairs among modes of B with shapes (channel, m), each found by its MAC with the first
@@ -193,9 +197,13 @@ class Followed:
         rows, cols = linear_sum_assignment(-mac(self.shapes, shapes))
         of = dict(zip(rows.tolist(), cols.tolist(), strict=True))
         forced = tuple((t, of[i]) for i, t in enumerate(self.forced) if i in of)
-        near = mac(self.barred, shapes).argmax(axis=1).tolist() if self.forbidden else []
+        near = (
+            mac(self.barred, shapes).argmax(axis=1).tolist() if self.forbidden else []
+        )
         forbidden = tuple(
-            (t, j) for t, j in zip(self.forbidden, near, strict=True) if (t, j) not in forced
+            (t, j)
+            for t, j in zip(self.forbidden, near, strict=True)
+            if (t, j) not in forced
         )
         return Locks(forced, forbidden)
 
@@ -224,7 +232,9 @@ class ComparedModes:
 
     def take(self, rows: Int, columns: Int) -> ComparedModes:
         """Some modes of A and of B."""
-        return ComparedModes(self.fa[rows], self.a[:, rows], self.fb[columns], self.b[:, columns])
+        return ComparedModes(
+            self.fa[rows], self.a[:, rows], self.fb[columns], self.b[:, columns]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +260,9 @@ class Scores:
     turns: tuple[tuple[tuple[int, ...], Float], ...]
 
 
-def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = True) -> Scores:
+def scores(
+    modes: ComparedModes, settings: PairingSettings, *, mixed: bool = True
+) -> Scores:
     """MAC and frequency errors of all combinations, with close groups of B rotated towards those of
     A.
 
@@ -273,7 +285,9 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
     # once: with hundreds of modes there are as many groups
     merged = single.copy()
     units = (unit(a), unit(b))
-    groups_a = [np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)]
+    groups_a = [
+        np.array(g) for g in close_groups(fa, settings.close, settings.largest_group)
+    ]
     shared = list[list[tuple[float, Int]]]()
     turns = []
     for ga in (g for g in groups_a if g.size > 1 and mixed):
@@ -281,14 +295,19 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
         share = np.where(in_reach, share_in(units[1], a[:, ga]), 0.0)
         if share.any():
             here = fb[share.argmax()]
-            near = fade(np.abs(fb - here) / max(WORTH.close * settings.close * here, NIL))[0]
+            near = fade(
+                np.abs(fb - here) / max(WORTH.close * settings.close * here, NIL)
+            )[0]
             shared.append(_mixed(single[ga], share, near, settings))
     for group, weight in _weighed(fb, shared, settings).items():
         gb = np.array(group)
         turn = np.zeros(fa.size)
-        share = share_in(units[0], b[:, gb])  # no rotation inside the group reaches more
+        # no rotation inside the group reaches more
+        share = share_in(units[0], b[:, gb])
         held = np.asarray(share > WORTH.hold * settings.mac_gate)
-        gains = held & np.asarray(share > single[:, gb].max(axis=1) + WORTH.soft - WORTH.tie)
+        gains = held & np.asarray(
+            share > single[:, gb].max(axis=1) + WORTH.soft - WORTH.tie
+        )
         if not gains.any():
             continue
         near = np.asarray((np.abs(error[:, gb]) <= settings.frequency_gate).any(axis=1))
@@ -299,7 +318,11 @@ def scores(modes: ComparedModes, settings: PairingSettings, *, mixed: bool = Tru
             if gains[these].any():
                 block = np.ix_(these, gb)
                 turned, far = _turned(
-                    single[block], error[block], a[:, these], b=b[:, gb], settings=settings
+                    single[block],
+                    error[block],
+                    a[:, these],
+                    b=b[:, gb],
+                    settings=settings,
                 )
                 turn[these] = weight * far
                 merged[block] += turn[these, None] * (turned[:, None] - single[block])
@@ -331,7 +354,9 @@ def _mixed(
     best = np.lexsort((-share, -held))[: single.shape[0]]
     held = held[best]
     sets = [best[:k] for k in range(2, np.count_nonzero(held) + 1)]
-    return [(float(held[s.size - 1]) * _blurred(single[:, s], settings), s) for s in sets]
+    return [
+        (float(held[s.size - 1]) * _blurred(single[:, s], settings), s) for s in sets
+    ]
 
 
 def _blurred(block: Float, settings: PairingSettings) -> float:
@@ -341,7 +366,11 @@ def _blurred(block: Float, settings: PairingSettings) -> float:
     Nothing from halfway to a MAC of 1 on.
     """
     rows, cols = linear_sum_assignment(-block)
-    return float(np.clip(2 * (1 - block[rows, cols].min()) / (1 - settings.distinct) - 1, 0.0, 1.0))
+    return float(
+        np.clip(
+            2 * (1 - block[rows, cols].min()) / (1 - settings.distinct) - 1, 0.0, 1.0
+        )
+    )
 
 
 def _weighed(
@@ -356,7 +385,9 @@ def _weighed(
     """
     gap = gaps(np.sort(fb))
     near = fade(gap / settings.close)[0] if settings.close else np.zeros(gap.size)
-    steps = np.unique(np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]]))
+    steps = np.unique(
+        np.concatenate([[0.0, 1.0], near, [s for sets in mixed for s, _ in sets]])
+    )
     out = dict[tuple[int, ...], float]()
     limit = -1.0
     close = dict[int, tuple[int, ...]]()
@@ -370,7 +401,9 @@ def _weighed(
         for sets in mixed:
             if not (joined := [m for s, m in sets if s >= high]):
                 continue
-            one = tuple(sorted({j for m in joined[-1].tolist() for j in of.get(m, (m,))}))
+            one = tuple(
+                sorted({j for m in joined[-1].tolist() for j in of.get(m, (m,))})
+            )
             if len(one) <= settings.largest_group:
                 of.update(dict.fromkeys(one, one))
         for g in dict.fromkeys(of.values()):
@@ -387,11 +420,17 @@ def _turned(
     Done where a rotation explains the shapes and single ones do not; `single` and `error` are (ka,
     kb).
     """
-    far = _blurred(single, settings) if np.abs(error).min() <= settings.frequency_gate else 0.0
+    far = (
+        _blurred(single, settings)
+        if np.abs(error).min() <= settings.frequency_gate
+        else 0.0
+    )
     if not far:
         return np.zeros(len(single)), np.zeros(len(single))
     turned = paired_mac(a, b @ rotation(a, b))
-    return turned, far * np.clip((turned - single.max(axis=1)) / WORTH.soft - 1, 0.0, 1.0)
+    return turned, far * np.clip(
+        (turned - single.max(axis=1)) / WORTH.soft - 1, 0.0, 1.0
+    )
 
 
 def within(

@@ -161,7 +161,8 @@ def find_faults(a: Any_, b: Any_) -> tuple[ChannelFault, ...]:
         )
     found: list[ChannelFault] = []
     gone: Int = np.zeros(0, dtype=np.int64)
-    for _ in range(max(1, a.shape[0] // 3)):  # each fault changes what the others look like
+    # each fault changes what the others look like
+    for _ in range(max(1, a.shape[0] // 3)):
         y, expected = scaled_to(mended(a, found), b)
         best = _gravest(y, expected, np.setdiff1d(np.arange(a.shape[0]), gone))
         if best is None:
@@ -177,7 +178,9 @@ def scaled_to(a: Any_, b: Any_) -> tuple[Float, Float]:
     """
     length = np.linalg.norm(b, axis=0)
     b = b / np.where(length > 0, length, 1.0)
-    turn_b = modal_scale_factor(np.abs(b), b) if np.iscomplexobj(b) else np.ones(b.shape[1])
+    turn_b = (
+        modal_scale_factor(np.abs(b), b) if np.iscomplexobj(b) else np.ones(b.shape[1])
+    )
     b = (b * np.exp(1j * np.angle(turn_b))).real
     y = (a * np.exp(1j * np.angle(modal_scale_factor(b, a)))).real
     live = np.abs(b) > 1e-12
@@ -196,7 +199,9 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     error = ((y - b) ** 2).sum(axis=1)
     size_y = np.linalg.norm(y, axis=1)
     size_b = np.linalg.norm(b, axis=1)
-    usual = max(np.median(error[at]), 1e-8 * float((size_b**2).mean())) if at.size else 0.0
+    usual = (
+        max(np.median(error[at]), 1e-8 * float((size_b**2).mean())) if at.size else 0.0
+    )
     own = (y * b).sum(axis=1)
     live = size_b > 0.1 * np.median(size_b)
     cosine = own / np.where(size_y * size_b > 0, size_y * size_b, 1.0)
@@ -210,10 +215,14 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     found += [ChannelFault(i, "reversed", -1.0, float(turned[i])) for i in backwards]
     far = (factor > LIMITS.far) | (factor < 1 / LIMITS.far)
     positive = (
-        able & ~silent & (cosine > np.where(far, LIMITS.correlation, LIMITS.scaled_correlation))
+        able
+        & ~silent
+        & (cosine > np.where(far, LIMITS.correlation, LIMITS.scaled_correlation))
     )
     found += _mis_scaled(y, b, error, factor=factor, which=positive)
-    poor = np.flatnonzero(able & ~silent & (cosine < 0.95) & (error > usual * LIMITS.gain / 4))
+    poor = np.flatnonzero(
+        able & ~silent & (cosine < 0.95) & (error > usual * LIMITS.gain / 4)
+    )
     need = usual * LIMITS.gain
     # 500: channels that are tried against each other, the worst of them
     worst = poor[np.argsort(-error[poor], kind="stable")][:500]
@@ -222,14 +231,20 @@ def _gravest(y: Float, b: Float, at: Int) -> ChannelFault | None:
     return max(grave, key=lambda f: (f.gain, -f.i), default=None)
 
 
-def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) -> list[ChannelFault]:
+def _mis_scaled(
+    y: Float, b: Float, error: Float, factor: Float, which: Any_
+) -> list[ChannelFault]:
     """Channels whose factor stands out from those of all others that follow the model."""
     if np.count_nonzero(which) < 4:
         return []
     level = np.log(np.where(which, factor, 1.0))
     middle = float(np.median(level[which]))
     spread = 1.4826 * float(np.median(np.abs(level[which] - middle)))
-    out = which & (np.abs(level) > np.log(LIMITS.ratio)) & (np.abs(level - middle) > 6 * spread)
+    out = (
+        which
+        & (np.abs(level) > np.log(LIMITS.ratio))
+        & (np.abs(level - middle) > 6 * spread)
+    )
     at = np.flatnonzero(out)
     rest = ((y[at] / factor[at, None] - b[at]) ** 2).sum(axis=1)
     gain = error[at] - rest
@@ -240,7 +255,9 @@ def _mis_scaled(y: Float, b: Float, error: Float, factor: Float, which: Any_) ->
     ]
 
 
-def _swapped(y: Float, b: Float, error: Float, at: Int, turned: Float) -> list[ChannelFault]:
+def _swapped(
+    y: Float, b: Float, error: Float, at: Int, turned: Float
+) -> list[ChannelFault]:
     """The best exchange of two of the rows `at`, and the best one round three, some of them
     reversed, too.
 
@@ -254,7 +271,9 @@ def _swapped(y: Float, b: Float, error: Float, at: Int, turned: Float) -> list[C
     size_y = np.linalg.norm(y[at], axis=1)
     size_b = np.linalg.norm(b[at], axis=1)
     left = size_y[:, None] ** 2 + size_b**2 - 2 * np.abs(cross)  # where row p reads ±q
-    correlated = np.abs(cross) > LIMITS.correlation * np.maximum(size_y[:, None] * size_b, 1e-300)
+    correlated = np.abs(cross) > LIMITS.correlation * np.maximum(
+        size_y[:, None] * size_b, 1e-300
+    )
     np.fill_diagonal(correlated, False)
     left = np.where(correlated, left, np.inf)
     few = left[:MOST_THREES, :MOST_THREES]
@@ -415,7 +434,9 @@ def rigid_body_motion(shapes: Float, xyz: Float, axes: Float) -> Float:
     (n, m) float64
     """
     arm = xyz - xyz.mean(axis=0)
-    motions = np.concatenate([axes, np.cross(arm, axes) / max(np.abs(arm).max(), 1e-300)], axis=1)
+    motions = np.concatenate(
+        [axes, np.cross(arm, axes) / max(np.abs(arm).max(), 1e-300)], axis=1
+    )
     weight = np.ones((len(shapes), 1))
     fitted = np.zeros(shapes.shape)
     for _ in range(RIGID_LIMITS.rounds):
@@ -448,7 +469,9 @@ def rigid_suspects(modes: ModeSet, sheet: TestModel) -> tuple[Suspect, ...]:
     at = [sheet.channels.index(c) for c in channels]
     shapes = np.asarray(unit(modes.shapes.real))
     fitted = rigid_body_motion(shapes, sheet.channel_xyz()[at], sheet.axes[at])
-    if np.median(np.abs(shapes - fitted)) > RIGID_LIMITS.bends * np.sqrt((fitted**2).mean()):
+    if np.median(np.abs(shapes - fitted)) > RIGID_LIMITS.bends * np.sqrt(
+        (fitted**2).mean()
+    ):
         return ()
     now = float(paired_mac(shapes, fitted).mean())
     out: list[Suspect] = []

@@ -216,7 +216,11 @@ def day_scatter(
     """
     off = []
     for i, k in combinations(range(len(days)), 2):
-        again = days[i] != days[k] and kinds[i] == kinds[k] and seen.place[i] == seen.place[k]
+        again = (
+            days[i] != days[k]
+            and kinds[i] == kinds[k]
+            and seen.place[i] == seen.place[k]
+        )
         if again and days[i] and days[k]:
             ratio = seen.frequency[k] / seen.frequency[i] - 1
             off.append(np.abs(ratio[np.isfinite(ratio)]))

@@ -13,7 +13,9 @@ from ringtrue.errors import InputError
 
 def _same(a: Complex, b: Complex) -> None:
     if a.shape != b.shape or a.ndim != 3:
-        raise InputError(f"FRFs {a.shape} and {b.shape} must be (freq, out, in) on the same lines")
+        raise InputError(
+            f"FRFs {a.shape} and {b.shape} must be (freq, out, in) on the same lines"
+        )
 
 
 def frac(a: Complex, b: Complex) -> Float:
@@ -49,7 +51,9 @@ def fdac(a: Complex, b: Complex) -> Float:
     """
     left = np.linalg.norm(a, axis=1, keepdims=True)
     right = np.linalg.norm(b, axis=1, keepdims=True)
-    cosine = (a / np.where(left > 0, left, 1.0)) @ (b / np.where(right > 0, right, 1.0)).conj().T
+    cosine = (a / np.where(left > 0, left, 1.0)) @ (
+        b / np.where(right > 0, right, 1.0)
+    ).conj().T
     return np.asarray(cosine.real, dtype=np.float64)
 
 
@@ -65,7 +69,9 @@ def magnitude_deviation(a: Complex, b: Complex) -> Float:
     ratio = np.where(use, size_b, 1.0) / np.where(use, size_a, 1.0)
     count = use.sum(axis=0)
     square = (20 * np.log10(ratio)) ** 2
-    return np.asarray(np.sqrt(square.sum(axis=0) / np.where(count > 0, count, 1)), dtype=np.float64)
+    return np.asarray(
+        np.sqrt(square.sum(axis=0) / np.where(count > 0, count, 1)), dtype=np.float64
+    )
 
 
 def shape_correlation(a: Complex, b: Complex) -> Float:
@@ -88,7 +94,8 @@ def amplitude_correlation(a: Complex, b: Complex) -> Float:
     _same(a, b)
     below = (np.abs(a) ** 2).sum(axis=1) + (np.abs(b) ** 2).sum(axis=1)
     return np.asarray(
-        2 * np.abs((a.conj() * b).sum(axis=1)) / np.where(below > 0, below, 1.0), dtype=np.float64
+        2 * np.abs((a.conj() * b).sum(axis=1)) / np.where(below > 0, below, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -133,7 +140,9 @@ def band_levels(a: Complex, b: Complex, freqs: Float) -> Levels:
         np.add.at(power[i], band, (np.abs(h[live]) ** 2).sum(axis=1))
     heard = (power > 0).all(axis=0)
     ratio = np.where(heard, power[1], 1.0) / np.where(heard, power[0], 1.0)
-    return Levels(1000 * 2.0 ** (names / 3), np.where(heard, 10 * np.log10(ratio), np.nan))
+    return Levels(
+        1000 * 2.0 ** (names / 3), np.where(heard, 10 * np.log10(ratio), np.nan)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +227,8 @@ class FrfComparison(FrozenArrays):
         level = np.median(self.deviation, axis=1)
         order = np.argsort(middle, kind="stable").tolist()
         return tuple(
-            OutputSummary(self.outputs[i], float(middle[i]), float(level[i])) for i in order
+            OutputSummary(self.outputs[i], float(middle[i]), float(level[i]))
+            for i in order
         )
 
 
@@ -235,7 +245,9 @@ def compare_frfs(a: FrfSet, b: FrfSet) -> FrfComparison:
     if a.kind != b.kind:
         raise InputError(f"FRFs are {a.kind} and {b.kind}; convert one of them")
     step = float(np.median(np.diff(a.freqs))) if a.freqs.size > 1 else 1.0
-    at = np.searchsorted(b.freqs, a.freqs - 1e-4 * step).clip(max=max(b.freqs.size - 1, 0))
+    at = np.searchsorted(b.freqs, a.freqs - 1e-4 * step).clip(
+        max=max(b.freqs.size - 1, 0)
+    )
     line = np.zeros(0, dtype=np.int64)
     if b.freqs.size:
         line = np.flatnonzero(np.abs(b.freqs[at] - a.freqs) < 1e-4 * step)

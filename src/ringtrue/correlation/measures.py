@@ -137,7 +137,9 @@ class CompleteCorrelation(FrozenArrays):
         would fail, too.
         """
         fit = all(
-            c.verdict.passed for c in self.checks if c.kind == "model" and c.mass == check.mass
+            c.verdict.passed
+            for c in self.checks
+            if c.kind == "model" and c.mass == check.mass
         )
         return fit or check.kind == "model" or check.verdict.passed
 
@@ -177,12 +179,16 @@ def complete(
         for s, m, i in zip(std, (a, b), (pairing.a, pairing.b), strict=True)
     ]
     if not np.isfinite(of_pairs).any():
-        notes.append("deviations not judged: no standard deviation of a frequency is known")
+        notes.append(
+            "deviations not judged: no standard deviation of a frequency is known"
+        )
     suspects: tuple[Suspect, ...] = ()
     if len(pairing) >= 3:
         suspects = suspect_channels(a, b, pairing, settings=settings)
     else:
-        notes.append(f"channels not judged: {len(pairing)} pairs, at least 3 are needed")
+        notes.append(
+            f"channels not judged: {len(pairing)} pairs, at least 3 are needed"
+        )
     checks: tuple[OrthogonalityCheck, ...] = ()
     if len(pairing):
         pairs = PairedSets(a, b, pairing.a, pairing.b, turning(a, b, pairing, settings))
@@ -205,7 +211,9 @@ def complete(
     left, right = paired_shapes(a, b, pairing, settings)
     return CompleteCorrelation(
         channels=a.channels,
-        auto_mac=np.array([worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]),
+        auto_mac=np.array(
+            [worst_off_diagonal(auto_mac(above_rounding(m.shapes))) for m in (a, b)]
+        ),
         by_channel=_by_channel(left, right),
         scale=modal_scale_factor(left, right),
         complexity=ShapeComplexity(
@@ -216,7 +224,9 @@ def complete(
         checks=checks,
         subspaces=subspaces(a, b, pairing, settings),
         suspects=suspects,
-        significance=significance(a.frequencies[pairing.a], b.frequencies[pairing.b], *of_pairs),
+        significance=significance(
+            a.frequencies[pairing.a], b.frequencies[pairing.b], *of_pairs
+        ),
         notes=tuple(notes),
     )
 
@@ -275,7 +285,9 @@ def complete_json(c: CompleteCorrelation, pairing: Pairing) -> dict[str, Any]:
             contribution=channels.contribution,
         ),
         "worst_comac": [c.channels[i] for i in worst],
-        "elimination": _rows(channel=[c.channels[i] for i in removed], mean_mac_after=after),
+        "elimination": _rows(
+            channel=[c.channels[i] for i in removed], mean_mac_after=after
+        ),
         "complexity": _rows(
             mode=np.arange(1, c.complexity.mpc.size + 1),
             mpc=c.complexity.mpc,
@@ -322,13 +334,17 @@ def _significance_json(s: Significance, pairing: Pairing) -> dict[str, Any]:
         "chi_square": total,
         "count": count,
         "p": _number(chance),
-        "pairs": [{name: _number(value) for name, value in pair.items()} for pair in pairs],
+        "pairs": [
+            {name: _number(value) for name, value in pair.items()} for pair in pairs
+        ],
     }
 
 
 def _rows(**columns: Sequence[Any] | Any_) -> list[dict[str, Any]]:
     """Columns of one length as one dict a row, with plain values."""
-    plain = [c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()]
+    plain = [
+        c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()
+    ]
     return [dict(zip(columns, row, strict=True)) for row in zip(*plain, strict=True)]
 
 

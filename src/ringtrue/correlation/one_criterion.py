@@ -12,7 +12,13 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import betainc
 
 from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays, Int
-from ringtrue.correlation.assignment import WORTH, ComparedModes, PairingSettings, Scores, scores
+from ringtrue.correlation.assignment import (
+    WORTH,
+    ComparedModes,
+    PairingSettings,
+    Scores,
+    scores,
+)
 from ringtrue.shapes import auto_mac, unit
 
 NEVER = 1e6  # cost of a pair that may not be
@@ -72,7 +78,9 @@ class ByFrequency(FrozenArrays):
     rival: Int
 
 
-def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) -> ByFrequency:
+def by_frequency(
+    fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool
+) -> ByFrequency:
     """The one-to-one assignment in which the frequencies scatter least about a common relative
     offset.
 
@@ -90,13 +98,17 @@ def by_frequency(fa: Float, fb: Float, allowed: Bool, forced: Bool, wide: Bool) 
         Pairs that are looked at for doubts: gates do not make a pair certain.
     """
     tiny = np.finfo(np.float64).tiny
-    error = np.log(np.maximum(fb, tiny))[None, :] - np.log(np.maximum(fa, tiny))[:, None]
+    error = (
+        np.log(np.maximum(fb, tiny))[None, :] - np.log(np.maximum(fa, tiny))[:, None]
+    )
     offsets = _offsets(error[allowed & ~forced])
     given = FREQUENCY_ONLY
     scatter = given.scatter
 
     def best(about: list[float], which: Bool) -> _Assigned:
-        found = [_assigned(error, c, scatter, allowed=which, forced=forced) for c in about]
+        found = [
+            _assigned(error, c, scatter, allowed=which, forced=forced) for c in about
+        ]
         return min(found, key=lambda t: t.cost)
 
     for _ in range(2):
@@ -133,7 +145,9 @@ class _Assigned:
     off: Float
 
 
-def _assigned(error: Float, start: float, scatter: float, allowed: Bool, forced: Bool) -> _Assigned:
+def _assigned(
+    error: Float, start: float, scatter: float, allowed: Bool, forced: Bool
+) -> _Assigned:
     """The best assignment about an offset, and what it costs about its own."""
     m, n = error.shape
     cost = np.full((m, n + m), NEVER)
@@ -239,8 +253,12 @@ def pairs_by_shape(
     turned = merged > score.mac
     # how many channels carry each shape (n, m), were their shares equal, (m,)
     share = np.abs(unit(modes.a)) ** 2
-    carried = np.asarray(1 / np.maximum((share**2).sum(axis=0), np.finfo(np.float64).tiny))
-    good = far & (merged >= LIKE_SHAPES.mac) & (carried >= LIKE_SHAPES.channels)[:, None]
+    carried = np.asarray(
+        1 / np.maximum((share**2).sum(axis=0), np.finfo(np.float64).tiny)
+    )
+    good = (
+        far & (merged >= LIKE_SHAPES.mac) & (carried >= LIKE_SHAPES.channels)[:, None]
+    )
     rivals = np.where(turned, _rivals(np.where(turned, 0.0, merged)), _rivals(merged))
     good &= rivals < LIKE_SHAPES.contested
     if good.any():
@@ -272,7 +290,9 @@ def chance_of_mac(mac: Float, patterns: int) -> Float:
     return betainc((patterns - 1) / 2, 0.5, rest)
 
 
-def scores_among(modes: ComparedModes, rows: Int, columns: Int, gates: PairingSettings) -> Scores:
+def scores_among(
+    modes: ComparedModes, rows: Int, columns: Int, gates: PairingSettings
+) -> Scores:
     """The scores of some modes, each within reach of each; what it turns is given for all modes."""
     wide = replace(gates, frequency_gate=gates.reach)
     score = scores(modes.take(rows, columns), wide, mixed=False)
@@ -284,13 +304,17 @@ def scores_among(modes: ComparedModes, rows: Int, columns: Int, gates: PairingSe
     return replace(score, turns=tuple(turns))
 
 
-def _merged(modes: ComparedModes, score: Scores, far: Bool, gates: PairingSettings) -> Float:
+def _merged(
+    modes: ComparedModes, score: Scores, far: Bool, gates: PairingSettings
+) -> Float:
     """MAC (ma, mb) with close modes of B rotated among those of `far`, too."""
     rows = np.flatnonzero(far.any(axis=1))
     cols = np.flatnonzero(far.any(axis=0))
     merged = score.merged.copy()
     here = np.ix_(rows, cols)
-    merged[here] = np.maximum(merged[here], scores_among(modes, rows, cols, gates).merged)
+    merged[here] = np.maximum(
+        merged[here], scores_among(modes, rows, cols, gates).merged
+    )
     return merged
 
 

@@ -90,7 +90,9 @@ class Verdict:
         text = f"{'passed' if self.passed else 'failed'} {self.gate.name}"
         text += f": least diagonal {100 * self.least_diagonal:.1f} %"
         text += f", largest off-diagonal {100 * self.largest_off_diagonal:.1f} %"
-        return text + (f", {len(self.failures)} entries beyond the limits" if self.failures else "")
+        return text + (
+            f", {len(self.failures)} entries beyond the limits" if self.failures else ""
+        )
 
 
 def judge(matrix: Float, gate: Gate, rows: Int, columns: Int) -> Verdict:
@@ -107,7 +109,10 @@ def judge(matrix: Float, gate: Gate, rows: Int, columns: Int) -> Verdict:
     off = np.abs(matrix[np.ix_(rows, columns)])
     own = np.diag(off).copy()
     np.fill_diagonal(off, 0.0)
-    low = [(i, i, own[i], gate.diagonal) for i in np.flatnonzero(own < gate.diagonal).tolist()]
+    low = [
+        (i, i, own[i], gate.diagonal)
+        for i in np.flatnonzero(own < gate.diagonal).tolist()
+    ]
     high = [
         (i, j, off[i, j], gate.off_diagonal)
         for i, j in np.argwhere(off > gate.off_diagonal).tolist()
@@ -134,9 +139,13 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
     return {
         "gate": verdict.gate.name,
         "passed": verdict.passed,
-        "least_diagonal": verdict.least_diagonal if np.isfinite(verdict.least_diagonal) else None,
+        "least_diagonal": verdict.least_diagonal
+        if np.isfinite(verdict.least_diagonal)
+        else None,
         "largest_off_diagonal": verdict.largest_off_diagonal,
-        "failures": [asdict(f) | {"a": f.a + 1, "b": f.b + 1} for f in verdict.failures[:20]],
+        "failures": [
+            asdict(f) | {"a": f.a + 1, "b": f.b + 1} for f in verdict.failures[:20]
+        ],
     }
 
 
@@ -206,7 +215,9 @@ class PairedSets:
             ("cross", *cross, self.rows, self.columns),
         )
         return tuple(
-            OrthogonalityCheck(f"{name}, {mass} mass", x, judge(x, gate, *pairs), kind, mass)
+            OrthogonalityCheck(
+                f"{name}, {mass} mass", x, judge(x, gate, *pairs), kind, mass
+            )
             for kind, name, x, *pairs in kinds
         )
 
@@ -254,7 +265,8 @@ def _read(b: ModeSet, coordinates: Any_, mass: Mass, lift: Lift | None) -> Float
         return read_orthogonality(coordinates, mass, error)
     n = len(b.channels)
     out = np.zeros((len(b), len(b)))
-    for j, f in enumerate(b.frequencies.tolist()):  # tens, each lifted at its own frequency
+    # tens, each lifted at its own frequency
+    for j, f in enumerate(b.frequencies.tolist()):
         readings = ModeSet(
             frequencies=np.full(n, f),
             damping=np.zeros(n),
@@ -285,4 +297,6 @@ def over_serep_mass(pairs: PairedSets, gate: Gate) -> tuple[OrthogonalityCheck, 
     model = read_orthogonality(one, one, error, back)[compared]
     own = auto_mac(coordinates) ** 0.5
     cross = np.abs(unit(pairs.turn.conj().T @ coordinates)).T
-    return pairs.checks(model, own, ("pseudo-orthogonality (POC)", cross), gate, "SEREP")
+    return pairs.checks(
+        model, own, ("pseudo-orthogonality (POC)", cross), gate, "SEREP"
+    )

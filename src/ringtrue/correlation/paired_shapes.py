@@ -92,12 +92,16 @@ def turning(
     return np.asarray(out)
 
 
-def _rotated(a: Any_, b: Any_, pairing: Pairing, at: Any_, group: tuple[int, ...]) -> Any_:
+def _rotated(
+    a: Any_, b: Any_, pairing: Pairing, at: Any_, group: tuple[int, ...]
+) -> Any_:
     """The rotation (g, g) of an ascending group of B towards its pairs `at`; each column near the
     mode it replaces.
     """
     turn = rotation(a[:, pairing.a[at]], b[:, list(group)])
-    rest = linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
+    rest = (
+        linalg.null_space(turn.conj().T) if turn.shape[1] < len(group) else turn[:, :0]
+    )
     columns = [*pairing.b[at].tolist(), *(j for j in group if j not in pairing.b[at])]
     out = np.concatenate([turn, rest], axis=1)[:, np.argsort(columns)]
     return out * _phase(out.diagonal().conj())
@@ -122,7 +126,8 @@ def comac(a: Any_, b: Any_) -> Float:
     b = unit(np.asarray(b))
     below = (np.abs(a) ** 2).sum(axis=1) * (np.abs(b) ** 2).sum(axis=1)
     return np.asarray(
-        np.abs(a * b).sum(axis=1) ** 2 / np.where(below > 0, below, 1.0), dtype=np.float64
+        np.abs(a * b).sum(axis=1) ** 2 / np.where(below > 0, below, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -164,14 +169,16 @@ def mac_contribution(a: Any_, b: Any_) -> Float:
     part = a.conj() * b
     below = (np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0)
     return np.asarray(
-        (part * part.sum(axis=0).conj()).real / np.where(below > 0, below, 1.0), dtype=np.float64
+        (part * part.sum(axis=0).conj()).real / np.where(below > 0, below, 1.0),
+        dtype=np.float64,
     )
 
 
 def _mac(cross: Any_, aa: Float, bb: Float) -> Float:
     below = aa * bb
     return np.asarray(
-        (np.abs(cross) ** 2 / np.where(below > 0, below, np.inf)).clip(0.0, 1.0), dtype=np.float64
+        (np.abs(cross) ** 2 / np.where(below > 0, below, np.inf)).clip(0.0, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -273,7 +280,9 @@ def shape_difference(test: ModeSet, k: int, fe: ModeSet, j: int) -> ShapeDiffere
     a = test.shapes[[here[c] for c in channels], k]
     b = fe.shapes[[at[c] for c in channels], j]
     if not (np.any(a) and np.any(b)):
-        raise DataError(f"test mode {k + 1} and FE mode {j + 1}: no channel at which both move")
+        raise DataError(
+            f"test mode {k + 1} and FE mode {j + 1}: no channel at which both move"
+        )
     scale = np.vdot(a, b) / np.vdot(a, a).real
     difference = (scale * a - b) / np.abs(b).max()
     size = np.abs(difference)

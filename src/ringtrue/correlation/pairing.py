@@ -77,7 +77,9 @@ def track(
     """
     m = shapes[0].shape[1] if count is None else count
     if (fewest := min(s.shape[1] for s in shapes)) < m:
-        raise InputError(f"{m} modes to follow, {fewest} at a point; compute more there")
+        raise InputError(
+            f"{m} modes to follow, {fewest} at a point; compute more there"
+        )
     index = [np.arange(m)]
     overlap = [np.ones(m)]
     for before, now in pairwise(shapes):  # each point rests on the one before
@@ -166,7 +168,8 @@ class Pairing:
         return (f"{why}: {', '.join(pairs)}",) if pairs else ()
 
 
-BEYOND_GATE = 2.0  # frequency gates, within which the reason of an unpaired mode names another
+# frequency gates, within which the reason of an unpaired mode names another
+BEYOND_GATE = 2.0
 BEYOND_GATE_MAC = 0.8  # least MAC of that other mode
 
 
@@ -206,7 +209,9 @@ def pair_modes(
     """
     b = b.rows(a.channels)
     for name, m in zip(names, (a, b), strict=True):
-        if gaps := [m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1))]:
+        if gaps := [
+            m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1))
+        ]:
             raise InputError(
                 f"shapes of {name} have gaps (NaN) at "
                 f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
@@ -223,7 +228,9 @@ def pair_modes(
     score = scores(modes, settings)
     if a.channels:
         paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
-        free = np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
+        free = (
+            np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
+        )
         more = pairs_by_shape(
             modes,
             score,
@@ -239,8 +246,12 @@ def pair_modes(
     else:
         loose = replace(settings, frequency_gate=settings.frequency_gate / WORTH.hold)
         wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
-        allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
-        found = by_frequency(a.frequencies, b.frequencies, allowed, forced=forced, wide=wide)
+        allowed, forced = within(
+            score, settings, usable_a, usable_b=usable_b, locks=locks
+        )
+        found = by_frequency(
+            a.frequencies, b.frequencies, allowed, forced=forced, wide=wide
+        )
         rows = found.rows
         cols = found.columns
         rival = found.rival
@@ -276,7 +287,9 @@ def pair_modes(
         reasons_b=tuple(hidden[j] or why.of_b(j, a, b) for j in unpaired_b.tolist()),
         rival=rival,
         beyond=beyond,
-        gated_a=np.array([bool(gated.get(i)) for i in unpaired_a.tolist()], dtype=np.bool_),
+        gated_a=np.array(
+            [bool(gated.get(i)) for i in unpaired_a.tolist()], dtype=np.bool_
+        ),
     )
 
 
@@ -350,19 +363,25 @@ class _Reasons:
 
     def of_a(self, i: int) -> str:
         forbidden = [q for p, q in self.locks.forbidden if p == i]
-        return self._reason(self.score.merged[i], self.score.error[i], forbidden, self.a, self.b)
+        return self._reason(
+            self.score.merged[i], self.score.error[i], forbidden, self.a, self.b
+        )
 
     def of_b(self, j: int, a: ModeSet, b: ModeSet) -> str:
         f = float(b.frequencies[j])
         gate = self.settings.frequency_gate
-        if len(a) and not a.frequencies.min() * (1 - gate) <= f <= a.frequencies.max() * (1 + gate):
+        if len(a) and not a.frequencies.min() * (
+            1 - gate
+        ) <= f <= a.frequencies.max() * (1 + gate):
             return (
                 f"outside of the {self.a.name} band {a.frequencies.min():.4g} to "
                 f"{a.frequencies.max():.4g} Hz"
             )
         macs = self.score.merged[:, j]
         errors = self.score.error[:, j]
-        near = np.flatnonzero((np.abs(errors) <= gate) & (macs >= self.settings.mac_gate))
+        near = np.flatnonzero(
+            (np.abs(errors) <= gate) & (macs >= self.settings.mac_gate)
+        )
         best = int(near[np.argmax(macs[near])]) if near.size else -1
         if best >= 0 and not self.usable_a[best]:
             return f"{self.a.called(best)} (MAC {100 * macs[best]:.0f} %) has too little confidence"

@@ -107,7 +107,9 @@ class Alignment(FrozenArrays):
         )
 
 
-def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Float, Float, float]:
+def _fit(
+    source: Float, target: Float, weight: Float, scale: bool
+) -> tuple[Float, Float, float]:
     """Least squares of Umeyama (1991), weighted."""
     w = weight / weight.sum()
     mean_s = w @ source
@@ -124,14 +126,20 @@ def _fit(source: Float, target: Float, weight: Float, scale: bool) -> tuple[Floa
 
 def _distance(source: Float, target: Float, fit: tuple[Float, Float, float]) -> Float:
     rotation, shift, scale = fit
-    return np.asarray(np.linalg.norm(scale * source @ rotation.T + shift - target, axis=1))
+    return np.asarray(
+        np.linalg.norm(scale * source @ rotation.T + shift - target, axis=1)
+    )
 
 
 def _check_points(xyz: Float, name: str) -> Float:
     xyz = np.asarray(xyz, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or not np.isfinite(xyz).all():
         raise InputError(f"{name} {xyz.shape}: must be finite (n, 3)")
-    s = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False) if xyz.shape[0] > 2 else np.zeros(3)
+    s = (
+        np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+        if xyz.shape[0] > 2
+        else np.zeros(3)
+    )
     if s[1] <= 1e-6 * s[0] or s[0] == 0:
         raise InputError(
             f"{xyz.shape[0]} {name} lie on a line or in a point: three others are needed for a "
@@ -163,7 +171,9 @@ def best_fit(source: Float, target: Float, *, scale: bool = False) -> Alignment:
     source = _check_points(source, "source points")
     target = _check_points(target, "target points")
     if source.shape != target.shape:
-        raise InputError(f"{source.shape[0]} source points for {target.shape[0]} target points")
+        raise InputError(
+            f"{source.shape[0]} source points for {target.shape[0]} target points"
+        )
     weight = np.ones(source.shape[0])
     if source.shape[0] == 3:  # two cannot outvote the third
         fit = _fit(source, target, weight, scale)
@@ -185,7 +195,9 @@ def best_fit(source: Float, target: Float, *, scale: bool = False) -> Alignment:
     return Alignment(*fit, _distance(source, target, fit), used)
 
 
-def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: float) -> Float:
+def _truncated(
+    source: Float, target: Float, weight: Float, scale: bool, limit: float
+) -> Float:
     """Weights 0..1 of truncated least squares at `limit`."""
     r2 = _distance(source, target, _fit(source, target, weight, scale)) ** 2
     c2 = limit**2
@@ -193,7 +205,9 @@ def _truncated(source: Float, target: Float, weight: Float, scale: bool, limit: 
     for _ in range(SEARCH.steps):
         root = limit * np.sqrt(mu * (mu + 1)) / np.sqrt(np.maximum(r2, 1e-300)) - mu
         weight = np.where(
-            r2 <= mu / (mu + 1) * c2, 1.0, np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1))
+            r2 <= mu / (mu + 1) * c2,
+            1.0,
+            np.where(r2 >= (mu + 1) / mu * c2, 0.0, root.clip(0, 1)),
         )
         if np.count_nonzero(weight > 1e-9) < 3 or mu > 1e6:
             break
@@ -239,7 +253,9 @@ def nearest_fit(source: Float, nodes: Float) -> Alignment:
     # not alone
     cost = np.array([np.log1p((f.residual / scale) ** 2).sum() for f in found])
     win = found[int(np.argmin(cost))]
-    near = [f for f, c in zip(found, cost, strict=True) if c <= cost.min() + SEARCH.rival]
+    near = [
+        f for f, c in zip(found, cost, strict=True) if c <= cost.min() + SEARCH.rival
+    ]
     used = win.residual <= max(SEARCH.gross * win.rms, 1e-9 * reach)
     rivals = _distinct([f(source) for f in near], win(source), 0.02 * reach)
     return replace(win, used=used, rivals=rivals)
@@ -283,7 +299,10 @@ def _starts(source: Float, nodes: Float) -> list[_Motion]:
     out = [(np.eye(3), np.zeros(3))]
     cs = _middle(source)
     cn = _middle(nodes)
-    us, un = (np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (source, nodes))
+    us, un = (
+        np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2]
+        for x in (source, nodes)
+    )
     for flip in axis_turns():
         # of the axes given, and of the principal ones
         for rotation in (flip, _proper(un).T @ flip @ _proper(us)):
@@ -295,7 +314,9 @@ def axis_turns() -> list[Float]:
     """The 24 rotations that lay the axes onto each other."""
     every = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
-        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+        for order, signs in product(
+            permutations(range(3)), product((1.0, -1.0), repeat=3)
+        )
     ]
     return [q for q in every if np.linalg.det(q) > 0]
 
@@ -409,7 +430,9 @@ def observe(
         On an unknown method.
     """
     if method not in (known := get_args(Method)):
-        raise ConfigError(f"no observation method {method!r}{did_you_mean(method, known)}")
+        raise ConfigError(
+            f"no observation method {method!r}{did_you_mean(method, known)}"
+        )
     at = test.channel_xyz() / unit
     k = min(DISTANCE.neighbours, len(node_ids)) if method == "rigid" else 1
     found = KDTree(xyz).query(at, k=[*range(1, k + 1)])
@@ -417,7 +440,8 @@ def observe(
     nearest = np.asarray(found[1], dtype=np.int64)
     if tolerance is None:  # a test in another unit must not lie on one node
         tolerance = min(
-            default_tolerance(xyz), DISTANCE.extent * diagonal(test.xyz) / unit or np.inf
+            default_tolerance(xyz),
+            DISTANCE.extent * diagonal(test.xyz) / unit or np.inf,
         )
     if k == 1:
         nearest = _by_number(
@@ -484,12 +508,15 @@ class _Distances:
     distance: Float
 
 
-def _too_far(test: TestModel, found: _Distances, tolerance: float, unit: float) -> DataError:
+def _too_far(
+    test: TestModel, found: _Distances, tolerance: float, unit: float
+) -> DataError:
     """What to say of channels that are farther than the tolerance from every node."""
     ids, xyz, nearest, distance = found.ids, found.xyz, found.nearest, found.distance
     far = np.flatnonzero(~(distance <= tolerance))
     shown = "; ".join(
-        f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}" for i in far[:8]
+        f"{test.channels[i]} is {distance[i]:.4g} from node {ids[nearest[i]]}"
+        for i in far[:8]
     )
     # of another unit it is far less than a distance
     extent = np.linalg.norm(np.ptp(test.channel_xyz(), axis=0)) / unit
@@ -518,7 +545,9 @@ def _too_far(test: TestModel, found: _Distances, tolerance: float, unit: float) 
 
 def _spacing(xyz: Float, nodes: Int) -> Float:
     """How far the nearest other place of a node is from each of some (n,)."""
-    distance = np.reshape(KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1))
+    distance = np.reshape(
+        KDTree(xyz).query(xyz[nodes], k=min(8, len(xyz)))[0], (nodes.size, -1)
+    )
     return np.asarray(np.where(distance > 0, distance, np.inf).min(axis=1))
 
 
@@ -535,13 +564,16 @@ def _rigid_weights(at: Float, nodes: Float, distance: Float, axes: Float) -> Flo
     z = arm[..., 2]
     o = np.zeros_like(x)
     skew = np.stack(
-        [np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)], -2
+        [np.stack([o, z, -y], -1), np.stack([-z, o, x], -1), np.stack([y, -x, o], -1)],
+        -2,
     )
     # (channel, k, 3, 6)
     motion = np.concatenate([np.broadcast_to(np.eye(3), skew.shape), skew], axis=-1)
     w = 1.0 / np.maximum(distance / reach, 1e-6)  # square root of 1/distance²
     n, k = distance.shape
-    fit = np.linalg.pinv((motion * w[:, :, None, None]).reshape(n, 3 * k, 6), rcond=1e-9)
+    fit = np.linalg.pinv(
+        (motion * w[:, :, None, None]).reshape(n, 3 * k, 6), rcond=1e-9
+    )
     read = np.einsum("ca,cak->ck", axes, fit[:, :3]).reshape(n, k, 3)
     return np.asarray(read * w[:, :, None])
 
@@ -581,9 +613,13 @@ def at_dofs(channels: tuple[str, ...], dofs: DofSet, unit: float = 1.0) -> Obser
     try:
         index, sign = dofs.signed(*parsed(channels))
     except InputError as e:
-        raise DataError(f"channels of the test must be DOFs of the deck, such as 101+Z: {e}") from e
+        raise DataError(
+            f"channels of the test must be DOFs of the deck, such as 101+Z: {e}"
+        ) from e
     sign = sign * dofs.per_length(unit)[index]
-    pick = sparse.csr_array((sign, (np.arange(index.size), index)), shape=(index.size, len(dofs)))
+    pick = sparse.csr_array(
+        (sign, (np.arange(index.size), index)), shape=(index.size, len(dofs))
+    )
     return Observation(
         matrix=pick,
         channels=channels,

@@ -16,7 +16,12 @@ from scipy.special import gammaln
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.channels import match_channels, split_label
 from ringtrue.core.modes import ModeSet
-from ringtrue.correlation.assignment import WORTH, ComparedModes, PairingSettings, scores
+from ringtrue.correlation.assignment import (
+    WORTH,
+    ComparedModes,
+    PairingSettings,
+    scores,
+)
 from ringtrue.correlation.channel_faults import LIMITS as FAULT_LIMITS
 from ringtrue.correlation.channel_faults import (
     ChannelFault,
@@ -90,7 +95,8 @@ class Readings:
         known.
         """
         share = axes.T[:, :, None]
-        along = np.where(np.abs(share) > 1e-9, share * self.motion, 0.0)  # part of a unit vector
+        # part of a unit vector
+        along = np.where(np.abs(share) > 1e-9, share * self.motion, 0.0)
         return np.asarray(along.sum(axis=0))
 
 
@@ -142,7 +148,9 @@ class Mending:
                 f"{' '.join(s.channel for s in self.suspects)} read with the opposite sign of "
                 "the others"
             )
-        return "; ".join(f"{s.channel} {s.message.split(';')[0]}" for s in self.suspects)
+        return "; ".join(
+            f"{s.channel} {s.message.split(';')[0]}" for s in self.suspects
+        )
 
     @property
     def text(self) -> str:
@@ -231,7 +239,9 @@ def find_mendings(
     axes = given.axes
     shapes = given.test.shapes
     found = list[Mending]()
-    usable = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(axis=0)
+    usable = (given.test.confidence >= settings.min_confidence) & given.test.shapes.any(
+        axis=0
+    )
     if not usable.any() or not given.frequencies.size:
         return ()
     strength = linalg.svdvals(unit(given.test.shapes[:, usable]))
@@ -244,7 +254,10 @@ def find_mendings(
     )
     for _ in range(SEARCH.changes):
         before = search.fit(shapes, axes)
-        if before is None or search.gain(before.mac, np.ones_like(before.mac)) <= LEAST_GAIN:
+        if (
+            before is None
+            or search.gain(before.mac, np.ones_like(before.mac)) <= LEAST_GAIN
+        ):
             break  # nothing could gain enough
         best = search.likeliest(shapes, axes, before)
         if best is None:
@@ -287,7 +300,9 @@ class _MountingSearch:
     usable: Bool
     patterns: int  # independent ones in the shapes of the test
 
-    def fit(self, shapes: Any_, axes: Float, *, rotated: bool = True) -> _MountingFit | None:
+    def fit(
+        self, shapes: Any_, axes: Float, *, rotated: bool = True
+    ) -> _MountingFit | None:
         """The best one-to-one assignment within the frequency gate; None where motion along the
         axes is not known.
         """
@@ -312,9 +327,12 @@ class _MountingSearch:
         fa = self.given.test.frequencies[self.usable]
         fb = self.given.frequencies
         near = (
-            np.abs(fb[None, :] - fa[:, None]) <= self.settings.frequency_gate * np.abs(fa)[:, None]
+            np.abs(fb[None, :] - fa[:, None])
+            <= self.settings.frequency_gate * np.abs(fa)[:, None]
         )
-        typical = np.median(np.nan_to_num(np.abs(self.given.motion)).max(axis=(0, 1), initial=0.0))
+        typical = np.median(
+            np.nan_to_num(np.abs(self.given.motion)).max(axis=(0, 1), initial=0.0)
+        )
         return np.asarray(
             near & (np.abs(b).max(axis=0, initial=0.0) >= self.settings.faint * typical)
         )
@@ -327,7 +345,9 @@ class _MountingSearch:
         fault of sensors.
         """
         own = 1 - self.settings.distinct
-        return float(self.patterns / 2 * np.log((1 - before + own) / (1 - after + own)).sum())
+        return float(
+            self.patterns / 2 * np.log((1 - before + own) / (1 - after + own)).sum()
+        )
 
     def likeliest(
         self, shapes: Any_, axes: Float, before: _MountingFit
@@ -350,15 +370,21 @@ class _MountingSearch:
         if not judged:
             return None
         top = max(net for net, _, _ in judged)
-        likely = [(change, after) for net, change, after in judged if net > top - SEARCH.rival]
+        likely = [
+            (change, after) for net, change, after in judged if net > top - SEARCH.rival
+        ]
         change, after = min(likely, key=lambda pair: self._strangeness(*pair))
         others = [c for c, _ in likely if c is not change and c.kind == "axes"]
         if change.kind != "axes":
             others = []
         rivals = [_axes_words(c.group, self._readings(c)) for c in others]
-        return self._mending(change, before, after, tuple(dict.fromkeys(rivals))), change
+        return self._mending(
+            change, before, after, tuple(dict.fromkeys(rivals))
+        ), change
 
-    def _strangeness(self, change: _MountingChange, after: _MountingFit) -> tuple[float, int]:
+    def _strangeness(
+        self, change: _MountingChange, after: _MountingFit
+    ) -> tuple[float, int]:
         """What decides between changes that shapes cannot distinguish: the frequencies, then how
         much is reversed.
 
@@ -369,7 +395,9 @@ class _MountingSearch:
         fa = self.given.test.frequencies[self.usable]
         fb = self.given.frequencies[after.partner]
         off = np.where(kept, np.abs(fb / fa - 1) / self.settings.frequency_gate, 1.0)
-        reversed_axes = sum(reads.startswith("-") for _, reads in self._readings(change))
+        reversed_axes = sum(
+            reads.startswith("-") for _, reads in self._readings(change)
+        )
         return round(float(off.mean()), 2), reversed_axes + len(change.faults)
 
     def _mending(
@@ -383,7 +411,9 @@ class _MountingSearch:
         then = float(after.mac.mean())
         names = self.given.test.channels
         suspects = [s for f in change.faults for s in suspects_of(f, names, now, then)]
-        few, more = (int((f.mac >= self.settings.mac_gate).sum()) for f in (before, after))
+        few, more = (
+            int((f.mac >= self.settings.mac_gate).sum()) for f in (before, after)
+        )
         return Mending(
             kind=change.kind,
             group=change.group,
@@ -411,14 +441,17 @@ class _MountingSearch:
         made.pop(_without_sign(axes))
         cost = float(np.log(max(len(made), 1)))
         return [
-            _MountingChange(shapes, turned, cost, "axes", group) for group, turned in made.values()
+            _MountingChange(shapes, turned, cost, "axes", group)
+            for group, turned in made.values()
         ]
 
     def _readings(self, change: _MountingChange) -> tuple[Reading, ...]:
         """Each axis of the sheet that sensors of the change lie along, and what they then read."""
         axes = self.given.axes
         turned = change.axes
-        mine = np.array([not change.group or g == change.group for g in self.given.groups])
+        mine = np.array(
+            [not change.group or g == change.group for g in self.given.groups]
+        )
         along = np.where(mine, np.abs(axes).argmax(axis=1), -1)
         out = []
         for k in range(3):
@@ -475,7 +508,9 @@ class _MountingSearch:
             )
         ]
 
-    def _channels(self, shapes: Any_, axes: Float, before: _MountingFit) -> list[_MountingChange]:
+    def _channels(
+        self, shapes: Any_, axes: Float, before: _MountingFit
+    ) -> list[_MountingChange]:
         """Single channels reversed or swapped, judged by what pairs there are."""
         partner = before.partner
         paired = partner >= 0
@@ -485,7 +520,9 @@ class _MountingSearch:
             return []
         left = shapes[:, self.usable][:, some]
         right = before.seen[:, partner[some]]
-        faults = [f for f in find_faults(left, right) if f.fault in ("reversed", "swapped")]
+        faults = [
+            f for f in find_faults(left, right) if f.fault in ("reversed", "swapped")
+        ]
         if not faults:
             return []
         cost = sum(max(len(f.moved), 1) for f in faults) * float(np.log(len(shapes)))

@@ -165,7 +165,8 @@ class CorrelationTable(Displayed, FrozenArrays):
             self.significance,
         )
         return tuple(
-            CorrelationRow(*row) for row in zip(*(c.tolist() for c in columns), strict=True)
+            CorrelationRow(*row)
+            for row in zip(*(c.tolist() for c in columns), strict=True)
         )
 
 
@@ -196,7 +197,11 @@ def correlation_table(
         Positions in A that take no part in updating.
     """
     b = b.rows(a.channels)
-    std = np.full(len(a), np.nan) if std_hz is None else np.asarray(std_hz, dtype=np.float64)
+    std = (
+        np.full(len(a), np.nan)
+        if std_hz is None
+        else np.asarray(std_hz, dtype=np.float64)
+    )
     everything: Float = np.full((len(a), len(b)), np.nan)
     if a.channels:
         everything = mac(above_rounding(a.shapes), above_rounding(b.shapes))
@@ -277,7 +282,10 @@ def significance(
         raise InputError(
             f"frequencies {f_a.shape} and {f_b.shape} of paired modes must be equal in number"
         )
-    one, two = (np.broadcast_to(np.asarray(s, dtype=np.float64), f_a.shape) for s in (std_a, std_b))
+    one, two = (
+        np.broadcast_to(np.asarray(s, dtype=np.float64), f_a.shape)
+        for s in (std_a, std_b)
+    )
     if (one < 0).any() or (two < 0).any():
         raise InputError("a standard deviation is negative")
     variance = np.nan_to_num(one) ** 2 + np.nan_to_num(two) ** 2
@@ -300,7 +308,9 @@ def _discoveries(p: Float) -> Bool:
     out = np.zeros(p.size, dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(p))
     order = known[np.argsort(p[known], kind="stable")]
-    below = np.flatnonzero(p[order] <= RATE * np.arange(1, order.size + 1) / max(order.size, 1))
+    below = np.flatnonzero(
+        p[order] <= RATE * np.arange(1, order.size + 1) / max(order.size, 1)
+    )
     out[order[: below[-1] + 1 if below.size else 0]] = True
     return out
 
@@ -327,7 +337,9 @@ def repeatability(table: CorrelationTable | None) -> float:
     return float(1.4826 * np.median(deviation) / np.sqrt(2))
 
 
-def table_significance(table: CorrelationTable, repeats: float = float("nan")) -> Significance:
+def table_significance(
+    table: CorrelationTable, repeats: float = float("nan")
+) -> Significance:
     """`significance` of the pairs of a table, whose second set is known exactly.
 
     Parameters
@@ -338,4 +350,6 @@ def table_significance(table: CorrelationTable, repeats: float = float("nan")) -
         `repeatability` of the test: no frequency is known better than it was repeated. Where the
         test states no standard deviation this is the one; NaN: nothing was repeated.
     """
-    return significance(table.test_hz, table.fe_hz, np.fmax(table.std_hz, repeats * table.test_hz))
+    return significance(
+        table.test_hz, table.fe_hz, np.fmax(table.std_hz, repeats * table.test_hz)
+    )

@@ -55,16 +55,25 @@ def node(level: int, i: int, j: int) -> int:
 def _storey(level: int, modulus: float) -> list[str]:
     x, y = (0.0, 2.0, 4.0), (0.0, 1.5, 3.0)
     lines = [
-        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}" for j in range(3) for i in range(3)
+        f"GRID,{node(level, i, j)},,{x[i]},{y[j]},{3.0 * level}"
+        for j in range(3)
+        for i in range(3)
     ]
     lines += [
-        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}" for i, j in CORNERS
+        f"GRID,{node(level, i, j) + 50},,{x[i]},{y[j]},{3.0 * level - 1.5}"
+        for i, j in CORNERS
     ]
     lines.append(f"$ columns of storey {level}")
     for k, (i, j) in enumerate(CORNERS):
-        low, middle, high = node(level - 1, i, j), node(level, i, j) + 50, node(level, i, j)
+        low, middle, high = (
+            node(level - 1, i, j),
+            node(level, i, j) + 50,
+            node(level, i, j),
+        )
         lines.append(f"CBEAM,{100 * level + 2 * k},{level},{low},{middle},1.0,0.0,0.0")
-        lines.append(f"CBEAM,{100 * level + 2 * k + 1},{level},{middle},{high},1.0,0.0,0.0")
+        lines.append(
+            f"CBEAM,{100 * level + 2 * k + 1},{level},{middle},{high},1.0,0.0,0.0"
+        )
     for k, (i, j) in enumerate([(0, 0), (1, 0), (0, 1), (1, 1)]):
         ring = [
             node(level, i, j),
@@ -83,7 +92,10 @@ def deck(factors: Mapping[int, float] | None = None) -> str:
     scale = factors or {}
     lines = ["SOL 103", "CEND", "TITLE = Three storeys", "SPC = 1", "BEGIN BULK"]
     feet = [node(0, i, j) for i, j in CORNERS]
-    lines += [f"GRID,{n},,{2.0 * i},{1.5 * j},0.0" for n, (i, j) in zip(feet, CORNERS, strict=True)]
+    lines += [
+        f"GRID,{n},,{2.0 * i},{1.5 * j},0.0"
+        for n, (i, j) in zip(feet, CORNERS, strict=True)
+    ]
     for level in (1, 2, 3):
         lines += _storey(level, 2.0e11 * scale.get(level, 1.0))
     lines += ["MAT1,10,3.+10,,0.2,2500.0", "PSHELL,10,10,0.1,10,3.0,10"]
@@ -94,7 +106,9 @@ def deck(factors: Mapping[int, float] | None = None) -> str:
 def test_model() -> TestModel:
     """Three corners of each floor, X and Y."""
     points = np.array([node(level, i, j) for level in (1, 2, 3) for i, j in MEASURED])
-    xyz = np.array([[2.0 * i, 1.5 * j, 3.0 * level] for level in (1, 2, 3) for i, j in MEASURED])
+    xyz = np.array(
+        [[2.0 * i, 1.5 * j, 3.0 * level] for level in (1, 2, 3) for i, j in MEASURED]
+    )
     names = tuple(f"{p}+{a}" for p in points.tolist() for a in "XY")
     axes = np.tile(np.eye(3)[:2], (points.size, 1))
     lines = np.stack([points[:-1], points[1:]], axis=1)
@@ -107,9 +121,9 @@ def modal(folder: Path, test: TestModel, truth: str = "") -> ModalModel:
     model = read_deck(folder / "truth.bdf")
     with EmbeddedSolver().open(model) as analysis:
         real = analysis.modes(ModesRequest(band=(-1.0, RATE / 2))).modes
-        seen = observe(test, model["GRID"].ids, positions(model), analysis.dofs, tolerance=0.01)(
-            real.shapes
-        )
+        seen = observe(
+            test, model["GRID"].ids, positions(model), analysis.dofs, tolerance=0.01
+        )(real.shapes)
     (folder / "truth.bdf").unlink()
     omega = 2 * np.pi * real.frequencies
     poles = omega * (-DAMPING + 1j * np.sqrt(1 - DAMPING**2))
@@ -130,7 +144,13 @@ def _channels(test: TestModel) -> list[RecordChannel]:
     at = dict(zip(test.channels, test.at.tolist(), strict=True))
     return [
         RecordChannel(
-            c, at[c], "acceleration", "m/s^2", sensitivity=1.0, range=10.0, sensor="accelerometer"
+            c,
+            at[c],
+            "acceleration",
+            "m/s^2",
+            sensitivity=1.0,
+            range=10.0,
+            sensor="accelerometer",
         )
         for c in test.channels
     ]
@@ -140,16 +160,22 @@ def _hammer(model: ModalModel, at: int, rng: np.random.Generator) -> Float:
     """(1 + channel, sample): blocks of one impact each, the force first."""
     pulse = np.sin(np.pi * np.arange(1, 4) / 4)
     force = np.zeros((HITS, BLOCK))
-    force[:, PRETRIGGER : PRETRIGGER + 3] = pulse * rng.uniform(800, 1200, HITS)[:, None]
+    force[:, PRETRIGGER : PRETRIGGER + 3] = (
+        pulse * rng.uniform(800, 1200, HITS)[:, None]
+    )
     loads = np.zeros((HITS, len(model.inputs), BLOCK))
     loads[:, at] = force
     motion = np.concatenate([simulate(model, load, RATE) for load in loads], axis=1)
     motion += rng.normal(0, 1e-3 * np.abs(motion).max(), motion.shape)
-    return np.vstack([force.reshape(1, -1) + rng.normal(0, 0.05, (1, HITS * BLOCK)), motion])
+    return np.vstack(
+        [force.reshape(1, -1) + rng.normal(0, 0.05, (1, HITS * BLOCK)), motion]
+    )
 
 
 @cache
-def signals(seed: int = 0, truth: str = "") -> tuple[Float, tuple[Float, ...], TestModel]:
+def signals(
+    seed: int = 0, truth: str = ""
+) -> tuple[Float, tuple[Float, ...], TestModel]:
     """The ambient record, a hammer record for each reference, and the test model."""
     test = test_model()
     with tempfile.TemporaryDirectory() as folder:
@@ -162,7 +188,9 @@ def signals(seed: int = 0, truth: str = "") -> tuple[Float, tuple[Float, ...], T
     return ambient, hits, test
 
 
-def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth: str = "") -> None:
+def write_data(
+    folder: Path, *, ambient: bool = True, hammer: bool = True, truth: str = ""
+) -> None:
     """The campaign's folder: records, sensor sheet and log."""
     folder.mkdir(parents=True, exist_ok=True)
     quiet, hits, test = signals(truth=truth)
@@ -183,7 +211,13 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
         for reference, volts in zip(REFERENCES, hits, strict=True):
             name = f"hammer-{reference.replace('+', 'p')}.h5"
             force = RecordChannel(
-                f"F:{reference}", 0, "force", "N", sensitivity=1e-3, range=10.0, sensor="hammer"
+                f"F:{reference}",
+                0,
+                "force",
+                "N",
+                sensitivity=1e-3,
+                range=10.0,
+                sensor="hammer",
             )
             write_record(
                 folder / name,
@@ -192,7 +226,12 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
                 [force, *table],
             )
             records.append(
-                {"file": name, "excitation": "hammer", "setup": 1, "reference": reference}
+                {
+                    "file": name,
+                    "excitation": "hammer",
+                    "setup": 1,
+                    "reference": reference,
+                }
             )
         tests.append(
             {
@@ -203,7 +242,9 @@ def write_data(folder: Path, *, ambient: bool = True, hammer: bool = True, truth
                 "records": records,
             }
         )
-    (folder / "campaign.json").write_text(json.dumps({"sensors": {}, "tests": tests}, indent=1))
+    (folder / "campaign.json").write_text(
+        json.dumps({"sensors": {}, "tests": tests}, indent=1)
+    )
 
 
 MODEL = f'[model]\ndeck = "deck/frame.bdf"\nfmax = {FMAX}\n'
@@ -217,7 +258,8 @@ SETTINGS = (
 def candidates(storeys: Iterable[int]) -> str:
     """The moduli of these storeys' columns as candidates."""
     form = (
-        '[[candidate]]\nname = "columns {0}"\ntargets = ["MAT1 {0} E"]\nlower = 0.5\nupper = 2.0\n'
+        '[[candidate]]\nname = "columns {0}"\ntargets = ["MAT1 {0} E"]\nlower '
+        "= 0.5\nupper = 2.0\n"
     )
     return "".join(form.format(k) for k in storeys)
 

@@ -20,7 +20,8 @@ from ringtrue.core.arrays import Any_, Complex, Float, FrozenArrays
 from ringtrue.eigen.engines import Engine, Pattern, choose, factorise
 from ringtrue.errors import InputError, NotConverged, SingularModel
 
-RESIDUAL_LIMIT = 1e-6  # of a solve; what a factor in double precision exceeds only on a pole
+# of a solve; what a factor in double precision exceeds only on a pole
+RESIDUAL_LIMIT = 1e-6
 
 
 class DynamicStiffness:
@@ -60,7 +61,9 @@ class DynamicStiffness:
 
     def matrix(self, s: complex) -> sparse.csr_array:
         """Q(s), (f, f) complex128."""
-        made = self.stiffness + self.mass * s**2 + self.viscous * s + self.structural * 1j
+        made = (
+            self.stiffness + self.mass * s**2 + self.viscous * s + self.structural * 1j
+        )
         return sparse.csr_array(made.astype(np.complex128))
 
     def product(self, s: complex | Complex, x: Any_) -> Complex:
@@ -98,7 +101,8 @@ class DynamicStiffness:
         rest = np.abs(rhs - self.product(s, x)).max(initial=0.0)
         if not rest <= RESIDUAL_LIMIT * np.abs(rhs).max(initial=np.finfo(float).tiny):
             raise SingularModel(
-                (), f"the dynamic stiffness at s = {s:.6g} rad/s leaves a residual of {rest:.1e}"
+                (),
+                f"the dynamic stiffness at s = {s:.6g} rad/s leaves a residual of {rest:.1e}",
             )
         return x
 
@@ -108,7 +112,9 @@ class DynamicStiffness:
 
         def values() -> Complex:
             out = np.zeros(self._pattern.indices.size, dtype=np.complex128)
-            for (at, data), factor in zip(self._entries, (1.0, s**2, s, 1j), strict=True):
+            for (at, data), factor in zip(
+                self._entries, (1.0, s**2, s, 1j), strict=True
+            ):
                 out[at] += factor * data
             return out
 
@@ -159,7 +165,8 @@ class ArnoldiSearch:
 
 ARNOLDI = ArnoldiSearch()
 
-SWING = 0.01  # share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
+# share of |s| that Im(s) must pass: damping ratios up to 0.99995 count as oscillation
+SWING = 0.01
 # share of the largest λ sought under which |s|² is a rigid-body motion, which does not oscillate
 STILL = 1e-9
 
@@ -211,7 +218,9 @@ class FullModes(FrozenArrays):
     radius: float
 
 
-def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) -> FullModes:
+def full_modes(
+    system: DynamicStiffness, upper: float, *, expected: int = 20
+) -> FullModes:
     """Poles with 0 < |s| <= `upper` and Im(s) > 0.01 |s|, from the full quadratic problem.
 
     None with a damping ratio up to 0.3 is missing; of more damped ones those inside the circle that
@@ -248,13 +257,19 @@ def full_modes(system: DynamicStiffness, upper: float, *, expected: int = 20) ->
             break
         count *= 2
     else:
-        raise NotConverged(f"{count} poles around {shift:.4g} rad/s do not reach {upper:.4g} rad/s")
+        raise NotConverged(
+            f"{count} poles around {shift:.4g} rad/s do not reach {upper:.4g} rad/s"
+        )
     at = np.flatnonzero(
-        (s.imag > SWING * np.abs(s)) & (np.abs(s) <= upper) & (s.imag > np.sqrt(STILL) * upper)
+        (s.imag > SWING * np.abs(s))
+        & (np.abs(s) <= upper)
+        & (s.imag > np.sqrt(STILL) * upper)
     )
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     s, shapes = s[at], _unit_modal_a(s[at], shapes[:, at], system.viscous, system.mass)
-    return FullModes(ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius)
+    return FullModes(
+        ComplexModes(s, shapes), system.residuals(s, shapes), shift, radius
+    )
 
 
 def _nearest(
@@ -278,21 +293,32 @@ def _nearest(
         return _poles(
             shift,
             n,
-            *linalg.eig(np.stack([apply(e) for e in np.eye(2 * n, dtype=np.complex128)], axis=1)),
+            *linalg.eig(
+                np.stack([apply(e) for e in np.eye(2 * n, dtype=np.complex128)], axis=1)
+            ),
         )
     start = np.random.default_rng(0).standard_normal(2 * n).astype(np.complex128)
     space = min(2 * count + 10, 2 * n)
     try:
         operator = LinearOperator((2 * n, 2 * n), matvec=apply, dtype=np.complex128)
         theta, z = eigs(
-            operator, count, ncv=space, v0=apply(start), tol=ARNOLDI.tolerance, maxiter=200
+            operator,
+            count,
+            ncv=space,
+            v0=apply(start),
+            tol=ARNOLDI.tolerance,
+            maxiter=200,
         )
     except ArpackNoConvergence as e:
-        raise NotConverged(f"complex modes: {len(e.eigenvalues)} of {count} poles converged") from e
+        raise NotConverged(
+            f"complex modes: {len(e.eigenvalues)} of {count} poles converged"
+        ) from e
     return _poles(shift, n, theta, z)
 
 
-def _poles(shift: complex, n: int, theta: Complex, z: Complex) -> tuple[Complex, Complex]:
+def _poles(
+    shift: complex, n: int, theta: Complex, z: Complex
+) -> tuple[Complex, Complex]:
     good = np.abs(theta) > 1e-12 * np.abs(theta).max()
     return shift + 1 / theta[good], z[:n, good]
 
@@ -310,7 +336,11 @@ def project(
 
 
 def complex_modes(
-    values: Float, viscous: Float, structural: Float | None = None, *, top: float | None = None
+    values: Float,
+    viscous: Float,
+    structural: Float | None = None,
+    *,
+    top: float | None = None,
 ) -> ComplexModes:
     """Complex modes in the basis of n mass-normalised real modes, without those that do not
     oscillate.
@@ -340,15 +370,21 @@ def complex_modes(
     eye = np.eye(n)
     s, y = linalg.eig(np.block([[zero, eye], [-stiffness, -viscous]]))
     scale = max(
-        np.sqrt(np.abs(values).max(initial=0.0) if top is None else top), np.finfo(float).tiny
+        np.sqrt(np.abs(values).max(initial=0.0) if top is None else top),
+        np.finfo(float).tiny,
     )
-    at = np.flatnonzero((s.imag > SWING * np.abs(s)) & (np.abs(s) > np.sqrt(STILL) * scale))
+    at = np.flatnonzero(
+        (s.imag > SWING * np.abs(s)) & (np.abs(s) > np.sqrt(STILL) * scale)
+    )
     at = at[np.argsort(np.abs(s[at]), kind="stable")]
     return ComplexModes(s[at], _unit_modal_a(s[at], y[:n, at], viscous, None))
 
 
 def _unit_modal_a(
-    s: Complex, phi: Complex, viscous: Float | sparse.csr_array, mass: sparse.csr_array | None
+    s: Complex,
+    phi: Complex,
+    viscous: Float | sparse.csr_array,
+    mass: sparse.csr_array | None,
 ) -> Complex:
     """Scale each group of equal poles so that Yᵀ A Y = I; the symmetric root keeps the phase
     convention.
@@ -358,7 +394,8 @@ def _unit_modal_a(
     gap = np.abs(np.diff(s)) > REPEATED * np.abs(s[1:])
     edges = np.concatenate([[0], np.flatnonzero(gap) + 1, [s.size]])
     out = phi.astype(np.complex128)
-    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):  # over groups of modes
+    # over groups of modes
+    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         block = gram[a:b, a:b]
         root = np.sqrt(block) if b - a == 1 else linalg.sqrtm((block + block.T) / 2)
         out[:, a:b] = np.linalg.solve(np.asarray(root).T, phi[:, a:b].T).T

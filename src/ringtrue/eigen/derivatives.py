@@ -114,12 +114,15 @@ class Inertia:
         self._size = int(mass.shape[0])
         self._rows = np.flatnonzero(abs(mass).sum(axis=1))
         m = mass.diagonal()[self._rows]
-        diagonal = np.count_nonzero(mass.data) == self._rows.size and bool((m > 0).all())
+        diagonal = np.count_nonzero(mass.data) == self._rows.size and bool(
+            (m > 0).all()
+        )
         self._root = np.sqrt(m) if diagonal else None
         self._mass = sparse.csr_array(mass[self._rows][:, self._rows])
         self._weight = np.zeros(self._size)
         self._weight[self._rows] = 1.0 if self._root is None else self._root
-        self._place = np.zeros(self._size, dtype=np.int64)  # of each row among those with mass
+        # of each row among those with mass
+        self._place = np.zeros(self._size, dtype=np.int64)
         self._place[self._rows] = np.arange(self._rows.size)
         self._signs = np.random.default_rng(0).choice([-1.0, 1.0], self._rows.size)
 
@@ -127,8 +130,11 @@ class Inertia:
         """Of motions (k, f), in `out` if it is given."""
         if out is None:
             plain = np.empty((len(x), self._rows.size))
-            out = Fields(plain, plain if self._root is not None else np.empty_like(plain))
-        np.take(x, self._rows, axis=1, out=out.plain, mode="clip")  # other modes go through a copy
+            out = Fields(
+                plain, plain if self._root is not None else np.empty_like(plain)
+            )
+        # other modes go through a copy
+        np.take(x, self._rows, axis=1, out=out.plain, mode="clip")
         if self._root is None:
             out.loaded[:] = (self._mass @ out.plain.T).T
         else:
@@ -156,14 +162,18 @@ class Inertia:
             out[:, : part.shape[1]] += part
         return out
 
-    def gram(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+    def gram(
+        self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]
+    ) -> Float:
         """Products of the forces of some of x, each times a factor, + Σ cᵀy."""
         out = np.zeros((at.size, at.size))
         for forces in self._forces(x, at, factor, *terms):
             out += forces @ forces.T
         return out
 
-    def squares(self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]) -> Float:
+    def squares(
+        self, x: Fields, at: Int, factor: Float, *terms: tuple[Float, Fields]
+    ) -> Float:
         """Squared 2-norms of the same, the diagonal of `gram`."""
         out = np.zeros(at.size)
         for forces in self._forces(x, at, factor, *terms):
@@ -184,7 +194,8 @@ class Inertia:
 
 # of the square allowed: an estimate below it is 8 standard deviations away
 CERTAIN = 1 / (1 + 8 * (2 / TILE) ** 0.5)
-PIECE = 5 * 2**19  # numbers in an array of right-hand sides: less than 32 MB is used again
+# numbers in an array of right-hand sides: less than 32 MB is used again
+PIECE = 5 * 2**19
 # share of the largest eigenvalue of a projection that one below zero may have by rounding
 NEGATIVE = 1e-5
 EIGHT = 8  # of them that MKL takes at a time
@@ -341,10 +352,14 @@ class Complement:
         Number of right-hand sides in all.
     """
 
-    def __init__(self, pencil: Pencil, modes: EigenModes, lam: Float, columns: int) -> None:
+    def __init__(
+        self, pencil: Pencil, modes: EigenModes, lam: Float, columns: int
+    ) -> None:
         there = pencil.shift == modes.shift and columns < SETTINGS.many
         self.shift = (
-            modes.shift if there else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
+            modes.shift
+            if there
+            else _amid(modes.values, float(lam.max(initial=0.0)), modes.shift)
         )
         self.pencil = pencil
         self.modes = modes
@@ -353,7 +368,12 @@ class Complement:
         self._rooms: tuple[Fields, _Space] | None = None
 
     def columns(
-        self, loads: Loads, lam: Float, allowed: Float, z: Float, along: Float | None = None
+        self,
+        loads: Loads,
+        lam: Float,
+        allowed: Float,
+        z: Float,
+        along: Float | None = None,
     ) -> None:
         """Write `solve` to z (k, f) with the residuals allowed (k,), and add the modes times
         `along` (n, k).
@@ -440,7 +460,9 @@ class Complement:
         folded = self.inertia.sketch(x)
         if first:
             inertia = np.linalg.norm(folded * delta[:, None], axis=1)
-            limits[:] = np.clip(SETTINGS.inertia * inertia, SETTINGS.lowest * limits, limits)
+            limits[:] = np.clip(
+                SETTINGS.inertia * inertia, SETTINGS.lowest * limits, limits
+            )
         allowed = limits[which]
         while True:
             rough = folded[at] * delta[at, None] + space.sketch(y[:, at], delta[at])
@@ -448,9 +470,13 @@ class Complement:
             limit = SETTINGS.margin * allowed[at]
             if (np.diag(gram) <= limit**2).all():
                 at = at[~(np.diag(gram) <= CERTAIN * allowed[at] ** 2)]
-                size = self.inertia.squares(x, at, delta[at], *space.change(y[:, at], delta[at]))
+                size = self.inertia.squares(
+                    x, at, delta[at], *space.change(y[:, at], delta[at])
+                )
                 at = at[~(size <= allowed[at] ** 2)]
-                gram = self.inertia.gram(x, at, delta[at], *space.change(y[:, at], delta[at]))
+                gram = self.inertia.gram(
+                    x, at, delta[at], *space.change(y[:, at], delta[at])
+                )
                 limit = allowed[at]
             turn = _principal(gram, limit)
             if not at.size or space.size + turn.shape[1] > space.room:
@@ -477,7 +503,9 @@ def _principal(gram: Float, allowed: Float) -> Float:
     s, u = np.linalg.eigh(gram / allowed / allowed[:, None])
     s = s[::-1].clip(min=0)
     u = u[:, ::-1]
-    left = np.sqrt(np.cumsum((s * u * u)[:, ::-1], axis=1)).max(axis=0, initial=0.0)[::-1]
+    left = np.sqrt(np.cumsum((s * u * u)[:, ::-1], axis=1)).max(axis=0, initial=0.0)[
+        ::-1
+    ]
     rank = int((left > SETTINGS.drop).sum())
     return np.asarray(u[:, :rank] / np.sqrt(s[:rank]) / allowed[:, None])
 
@@ -507,8 +535,10 @@ def _amid(values: Float, top: float, default: float) -> float:
     return float(middle[fair][np.argmax(width[fair])]) if fair.any() else default
 
 
-CLOSE = 1e-6  # relative distance under which eigenvalues are treated as one repeated root
-COLUMNS = 320  # right-hand sides solved together: more save few solves and cost products
+# relative distance under which eigenvalues are treated as one repeated root
+CLOSE = 1e-6
+# right-hand sides solved together: more save few solves and cost products
+COLUMNS = 320
 ROOM = 2**24  # numbers in an array of them, which lessens them in large models
 STILL = 1e-9  # share of its terms under which the load of a rigid-body mode is rounding
 
@@ -535,7 +565,9 @@ def groups(values: Float, scale: float | None = None) -> Int:
     """
     noise = 1e-9 * (np.abs(values).max(initial=0.0) if scale is None else scale)
     separate = np.diff(values) > np.maximum(CLOSE * np.abs(values[1:]), noise)
-    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(separate)]).astype(np.int64)
+    return np.concatenate([np.zeros(min(values.size, 1)), np.cumsum(separate)]).astype(
+        np.int64
+    )
 
 
 def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
@@ -546,7 +578,9 @@ def _product(a: sparse.csr_array, phi: Float) -> tuple[Int, Float]:
     return rows, np.asarray(full @ phi)
 
 
-def modal_coefficients(stiffness: Float, mass: Float, values: Float, *, low: int = 0) -> Float:
+def modal_coefficients(
+    stiffness: Float, mass: Float, values: Float, *, low: int = 0
+) -> Float:
     """Coefficients C of φ' = Φ C in a complete modal basis.
 
     Parameters
@@ -673,7 +707,9 @@ class _Load:
         live = size > 0
         rigid = np.flatnonzero(np.abs(lam[:m]) <= STILL * np.abs(lam).max(initial=0.0))
         if rigid.size:
-            terms = np.linalg.norm(_product(abs(s.stiffness), np.abs(phi[:, rigid]))[1], axis=0)
+            terms = np.linalg.norm(
+                _product(abs(s.stiffness), np.abs(phi[:, rigid]))[1], axis=0
+            )
             terms += np.abs(lam).max() * np.linalg.norm(dm[:, rigid], axis=0)
             live[rigid] &= size[rigid] > STILL * terms
         return cls(rows, force, modal_coefficients(pk, pm, lam), live)
@@ -689,7 +725,12 @@ def _spread(rows: Float, at: Int) -> None:
 
 
 def _write(
-    space: Complement, loads: Sequence[_Load], owner: Int, mode: Int, tolerance: float, out: Float
+    space: Complement,
+    loads: Sequence[_Load],
+    owner: Int,
+    mode: Int,
+    tolerance: float,
+    out: Float,
 ) -> None:
     """Write φ' (k, f) for pairs of a load and a mode; those of a load stand side by side."""
     pairs = list(zip(owner.tolist(), mode.tolist(), strict=True))

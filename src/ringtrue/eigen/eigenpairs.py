@@ -108,10 +108,16 @@ def rounding(
     top = float(size.max())
     wanted = eigenvalue(highest)
     top = wanted if top < NEAR_ZERO.highest * wanted < np.inf else top
-    share = off / np.maximum(size, max(NEAR_ZERO.shift * abs(modes.shift), NEAR_ZERO.highest * top))
+    share = off / np.maximum(
+        size, max(NEAR_ZERO.shift * abs(modes.shift), NEAR_ZERO.highest * top)
+    )
     share = np.where(share < 1, share, 0.0)
     mode = int(share.argmax())
-    return float(share[mode]), mode, int(np.abs(diagonal * modes.vectors[:, mode] ** 2).argmax())
+    return (
+        float(share[mode]),
+        mode,
+        int(np.abs(diagonal * modes.vectors[:, mode] ** 2).argmax()),
+    )
 
 
 def frequencies(values: Float) -> Float:
@@ -145,7 +151,9 @@ def polish(
     values, residuals = np.empty(values.size), np.empty(values.size)
     gram = np.empty((values.size, values.size))
     for cut in _pieces(values.size):
-        values[cut], residuals[cut], gram[:, cut] = _judged(stiffness, mass, vectors, cut)
+        values[cut], residuals[cut], gram[:, cut] = _judged(
+            stiffness, mass, vectors, cut
+        )
     order = np.argsort(values, kind="stable")
     if (np.diff(order) < 0).any():
         values = values[order]
@@ -168,7 +176,8 @@ def _largest(a: sparse.csr_array, v: Float) -> Float:
         ends = a.indptr[first : first + ROWS + 1]
         cut = slice(ends[0], ends[-1])
         part = sparse.csr_array(
-            (np.abs(a.data[cut]), a.indices[cut], ends - ends[0]), shape=(ends.size - 1, a.shape[1])
+            (np.abs(a.data[cut]), a.indices[cut], ends - ends[0]),
+            shape=(ends.size - 1, a.shape[1]),
         )
         total += ((part @ v) ** 2).sum(axis=0)
     return np.sqrt(total)
@@ -185,14 +194,18 @@ def _judged(
     size = np.linalg.norm(kv, axis=0)
     floor = 1e-8 * _largest(stiffness, np.abs(v))
     rest = np.linalg.norm(kv - mv * values, axis=0)
-    residuals = rest / np.where(size > floor, size, np.maximum(floor * 1e8, np.finfo(float).tiny))
+    residuals = rest / np.where(
+        size > floor, size, np.maximum(floor * 1e8, np.finfo(float).tiny)
+    )
     return values, residuals, vectors.T @ mv
 
 
 RANK = 1e-10  # relative size under which a direction adds nothing
 
 
-def residual_vectors(pencil: Pencil, modes: EigenModes, loads: Float) -> tuple[Float, Float]:
+def residual_vectors(
+    pencil: Pencil, modes: EigenModes, loads: Float
+) -> tuple[Float, Float]:
     """The modes, and one pseudo-mode for each independent load, M- and K-orthogonal to them and to
     each other.
 

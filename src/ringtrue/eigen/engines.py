@@ -74,7 +74,9 @@ class Pattern:
         u = upper(a)
         if u.indices.size == self.indices.size:
             return slice(None), u.data
-        at = np.searchsorted(self._keys(self.indices, self.indptr), self._keys(u.indices, u.indptr))
+        at = np.searchsorted(
+            self._keys(self.indices, self.indptr), self._keys(u.indices, u.indptr)
+        )
         return at.astype(
             np.int32 if self.indices.size < np.iinfo(np.int32).max else np.int64
         ), u.data
@@ -90,7 +92,9 @@ class Pattern:
 
     def matrix(self, values: Any_) -> sparse.csr_array:
         """Upper triangle with these entries."""
-        return sparse.csr_array((values, self.indices, self.indptr), shape=(self.size, self.size))
+        return sparse.csr_array(
+            (values, self.indices, self.indptr), shape=(self.size, self.size)
+        )
 
 
 Method = Literal["auto", "pardiso", "rslab", "superlu", "dense"]
@@ -143,7 +147,8 @@ class Engine(Protocol):
     """A factorised symmetric matrix whose values can be changed."""
 
     singular: bool
-    weak: Int  # rows that move most in the singular direction, where the engine knows them
+    # rows that move most in the singular direction, where the engine knows them
+    weak: Int
 
     @property
     def negatives(self) -> int:
@@ -174,7 +179,11 @@ class Engine(Protocol):
 
 def installed() -> tuple[Method, ...]:
     """The methods that can be used here, the preferred one first."""
-    return tuple(m for m in METHODS[1:] if m not in PACKAGES or find_spec(PACKAGES[m]) is not None)
+    return tuple(
+        m
+        for m in METHODS[1:]
+        if m not in PACKAGES or find_spec(PACKAGES[m]) is not None
+    )
 
 
 def choose(method: Method, size: int) -> Method:
@@ -186,7 +195,9 @@ def choose(method: Method, size: int) -> Method:
         If the method is unknown or its package is not installed.
     """
     if method not in METHODS:
-        raise InputError(f"factorisation method {method!r}; allowed are {', '.join(METHODS)}")
+        raise InputError(
+            f"factorisation method {method!r}; allowed are {', '.join(METHODS)}"
+        )
     if method == "auto":
         return "dense" if size <= DENSE_LIMIT else installed()[0]
     if method not in installed():
@@ -241,9 +252,15 @@ class Dense:
         self.negatives = int((spectrum < 0).sum()) if hermitian else -1
         self.singular = bool(np.abs(spectrum).min() <= 1e-15 * np.abs(spectrum).max())
         if self.singular and hermitian:
-            motion = np.abs(linalg.eigh(scaled)[1][:, np.abs(spectrum).argmin()] * self._scale)
-            self.weak = np.argsort(-motion)[: min(6, int((motion > 0.1 * motion.max()).sum()))]
-        self._lu = None if self.singular else linalg.lu_factor(scaled, check_finite=False)
+            motion = np.abs(
+                linalg.eigh(scaled)[1][:, np.abs(spectrum).argmin()] * self._scale
+            )
+            self.weak = np.argsort(-motion)[
+                : min(6, int((motion > 0.1 * motion.max()).sum()))
+            ]
+        self._lu = (
+            None if self.singular else linalg.lu_factor(scaled, check_finite=False)
+        )
 
     @property
     def bytes(self) -> int:
@@ -313,7 +330,11 @@ class SuperLu:
         if self._negatives is None:
             lu = self._lu
             self._negatives = -1
-            if lu is not None and self._dtype.kind != "c" and np.array_equal(lu.perm_r, lu.perm_c):
+            if (
+                lu is not None
+                and self._dtype.kind != "c"
+                and np.array_equal(lu.perm_r, lu.perm_c)
+            ):
                 self._negatives = int((lu.U.diagonal() < 0).sum())
         return self._negatives
 
@@ -355,7 +376,9 @@ class Pardiso:
         ).items():
             self._solver.set_iparm(i, value)
         self._solver.set_pattern(
-            ia=pattern.indptr.astype(np.int64), ja=pattern.indices.astype(np.int64), n=self._rows
+            ia=pattern.indptr.astype(np.int64),
+            ja=pattern.indices.astype(np.int64),
+            n=self._rows,
         )
         self._solver.set_values(entries)
         del entries  # the solver has a copy
@@ -384,8 +407,12 @@ class Pardiso:
         """Memory of the factor, from the analysis: the peak of the analysis or the factor with its
         index lists.
         """
-        peak, kept, numeric = (int(self._solver.get_iparm_value(i)) for i in (14, 15, 16))
-        return 1024 * max(peak, kept + int(numeric * (BLOCKS.padding if self._blocks else 1)))
+        peak, kept, numeric = (
+            int(self._solver.get_iparm_value(i)) for i in (14, 15, 16)
+        )
+        return 1024 * max(
+            peak, kept + int(numeric * (BLOCKS.padding if self._blocks else 1))
+        )
 
     @property
     def negatives(self) -> int:

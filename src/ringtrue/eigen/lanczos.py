@@ -15,10 +15,17 @@ from scipy import linalg, sparse
 from ringtrue.core.arrays import Float
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.eigen import memory
-from ringtrue.eigen.pencil import Factor, Labels, Pencil, named_rows, refuse_negative_motion
+from ringtrue.eigen.pencil import (
+    Factor,
+    Labels,
+    Pencil,
+    named_rows,
+    refuse_negative_motion,
+)
 from ringtrue.errors import NotConverged
 
-BLOCK = 8  # a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
+# a solve of eight right-hand sides takes MKL 1.3 times that of four (rslab: 1.2 times)
+BLOCK = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +129,9 @@ class Krylov:
         self.ahead = 0
         self._append(np.zeros((self.basis.shape[0], 0)), 0.0)
 
-    def _orthogonalise(self, w: Float, count: int, first: int = 0) -> tuple[Float, Float]:
+    def _orthogonalise(
+        self, w: Float, count: int, first: int = 0
+    ) -> tuple[Float, Float]:
         """w minus its part in the first `count` columns, and the coefficients; twice is enough
         (Kahan).
 
@@ -157,11 +166,14 @@ class Krylov:
         self.ahead = q.shape[1]
         if missing:
             x = self.rng.standard_normal((self.basis.shape[0], missing))
-            x = self.factor.solve(self.mass @ self._orthogonalise(x, self.held + self.ahead)[0])
+            x = self.factor.solve(
+                self.mass @ self._orthogonalise(x, self.held + self.ahead)[0]
+            )
             x = x / np.maximum(self._norms(x), np.finfo(float).tiny)
             x = self._orthogonalise(x, self.held + self.ahead)[0]
             q = self._orthonormal(x, 1e-10)[0]
-            q = self._orthogonalise(q, self.held + self.ahead)[0]  # what is left of x may be small
+            # what is left of x may be small
+            q = self._orthogonalise(q, self.held + self.ahead)[0]
             q, mx, _ = self._orthonormal(q, 0.0)
             self._put(q, self.held + self.ahead)
             mq = np.hstack([mq, mx])
@@ -221,7 +233,8 @@ class Krylov:
         n = self.held + self.ahead
         self.capacity = min(2 * self.capacity, rows)
         memory.require(
-            8 * rows * self.capacity, f"the basis of {self.capacity} vectors of {rows} DOFs"
+            8 * rows * self.capacity,
+            f"the basis of {self.capacity} vectors of {rows} DOFs",
         )
         basis = np.zeros((rows, self.capacity + 2 * BLOCK), order="F")
         projected = self.projected[:n, :n]
@@ -263,7 +276,9 @@ class Krylov:
         self.held = keep
 
 
-def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Float] | None:
+def _cholesky_twice(
+    w: Float, mw: Float, floor: float
+) -> tuple[Float, Float, Float] | None:
     """q, M q, R with w = q R by two Cholesky factorisations of the Gram matrix; None if w is not
     far from singular.
     """
@@ -290,7 +305,10 @@ def _cholesky_twice(w: Float, mw: Float, floor: float) -> tuple[Float, Float, Fl
 
 
 def begin(
-    factor: Factor, pencil: Pencil, expected: int, locked: tuple[Float, Float] | None = None
+    factor: Factor,
+    pencil: Pencil,
+    expected: int,
+    locked: tuple[Float, Float] | None = None,
 ) -> Krylov:
     """A space for about so many pairs besides the locked ones, and its start block.
 
@@ -352,7 +370,11 @@ def solve(
             return _pairs(krylov, krylov.held, exhausted=True)
         krylov.step()
         exhausted = krylov.ahead == 0
-        if step % 2 and not exhausted and krylov.held < min(krylov.capacity, 2 * expected):
+        if (
+            step % 2
+            and not exhausted
+            and krylov.held < min(krylov.capacity, 2 * expected)
+        ):
             continue
         theta, _y, error = krylov.ritz()
         good = error <= LANCZOS.tolerance * np.abs(theta)
@@ -370,7 +392,9 @@ def solve(
                 krylov.grow()
                 idle = 0
                 continue
-            krylov.restart(min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK))
+            krylov.restart(
+                min(max(count, expected) + 2 * BLOCK, krylov.held - 2 * BLOCK)
+            )
     raise NotConverged(
         f"Lanczos stopped after {LANCZOS.steps} blocks with {count} of about {known + expected} "
         "modes"

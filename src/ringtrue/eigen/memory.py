@@ -10,7 +10,11 @@ from pathlib import Path
 from ringtrue.errors import OutOfMemory
 
 _GROUPS = (  # limit, use, statistics: control groups v2 and v1
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current", "/sys/fs/cgroup/memory.stat"),
+    (
+        "/sys/fs/cgroup/memory.max",
+        "/sys/fs/cgroup/memory.current",
+        "/sys/fs/cgroup/memory.stat",
+    ),
     (
         "/sys/fs/cgroup/memory/memory.limit_in_bytes",
         "/sys/fs/cgroup/memory/memory.usage_in_bytes",
@@ -65,7 +69,11 @@ def trim() -> None:
     What assembly frees stays with the heap of Python, and the solver, which maps its own, cannot
     use it.
     """
-    release = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    release = (
+        getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if sys.platform == "linux"
+        else None
+    )
     if release is not None:
         release(0)
 

@@ -117,13 +117,18 @@ def _dense(pencil: Pencil, count: int, band: tuple[float, float] | None) -> Eige
     farthest = min(1e3 * shift, rounding_shift(pencil.stiffness, pencil.mass))
     values, vectors = _first_definite(pencil, (shift, 1e3 * shift, farthest))
     for _ in range(4):  # each pass places the shift better
-        n = min(count, values.size) if band is None else int((values <= eigenvalue(band[1])).sum())
+        n = (
+            min(count, values.size)
+            if band is None
+            else int((values <= eigenvalue(band[1])).sum())
+        )
         better = -suitable_shift(values[: max(n, 1)])
         if 0.1 < better / shift < 10:
             break
         try:
             values, vectors = _first_definite(pencil, (better, 1e3 * better))
-        except SingularModel:  # all that is asked for is rounding: the shift before is near enough
+        # all that is asked for is rounding: the shift before is near enough
+        except SingularModel:
             break
         shift = better
     if band is None:
@@ -162,13 +167,18 @@ def _first_definite(pencil: Pencil, shifts: tuple[float, ...]) -> tuple[Float, F
             return spectrum(pencil.stiffness, pencil.mass, shift, pencil.labels)
         except SingularModel:
             continue
-    return spectrum(pencil.stiffness, pencil.mass, shifts[-1], pencil.labels)  # or a mechanism
+    # or a mechanism
+    return spectrum(pencil.stiffness, pencil.mass, shifts[-1], pencil.labels)
 
 
-def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress) -> EigenModes:
+def _lowest(
+    pencil: Pencil, count: int, shift: float | None, progress: Progress
+) -> EigenModes:
     pencil.reserve(lanczos.capacity(pencil.size, count + EXTRA) + 3 * count)
     progress(0.0, f"factorising {pencil.size} DOFs")
-    shift, begun, still = (shift, None, 0) if shift is not None else find_shift(pencil, count)
+    shift, begun, still = (
+        (shift, None, 0) if shift is not None else find_shift(pencil, count)
+    )
     factor = pencil.at(shift)
     start = _Count(factor.negatives, shift)
     most = max(count, still)
@@ -200,12 +210,15 @@ def _lowest(pencil: Pencil, count: int, shift: float | None, progress: Progress)
         )
         top = _Count(pencil.at(mark).negatives, mark)
         if top.below > at and start.below == 0:
-            if top.below > at + lanczos.BLOCK:  # fewer are found sooner than a lower end
+            # fewer are found sooner than a lower end
+            if top.below > at + lanczos.BLOCK:
                 top = _lowest_end(pencil, values[:at], count, top=top, shift=shift)
             pairs = _filled(pencil, pairs, shift, top)
             at = int((shift + 1 / pairs.theta < top.shift).sum())
         complete, proof = _judge(top.below, at, start, top.shift)
-    return _finish(pencil, pairs, shift, take=slice(0, count), complete=complete, proof=proof)
+    return _finish(
+        pencil, pairs, shift, take=slice(0, count), complete=complete, proof=proof
+    )
 
 
 def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.RitzPairs:
@@ -215,7 +228,9 @@ def _sharp(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> lanczos.Ri
     it does not see some motions, of which the rounding grows from step to step.
     """
     near = (
-        0 < -shift < CHECKS.fine * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
+        0
+        < -shift
+        < CHECKS.fine * float(np.abs(shift + 1 / pairs.theta).max(initial=0.0))
         and not pairs.exhausted
     )
     if not near and _residual(pencil, pairs, shift) < CHECKS.sharp:
@@ -230,10 +245,14 @@ def _residual(pencil: Pencil, pairs: lanczos.RitzPairs, shift: float) -> float:
     x = pairs.vectors @ np.column_stack([np.ones(pairs.theta.size), pairs.theta])
     load = pencil.mass @ x
     rest = pencil.stiffness @ x[:, 1] - shift * load[:, 1] - load[:, 0]
-    return float(np.linalg.norm(rest) / max(np.linalg.norm(load[:, 0]), np.finfo(float).tiny))
+    return float(
+        np.linalg.norm(rest) / max(np.linalg.norm(load[:, 0]), np.finfo(float).tiny)
+    )
 
 
-def _lowest_end(pencil: Pencil, values: Float, count: int, top: _Count, shift: float) -> _Count:
+def _lowest_end(
+    pencil: Pencil, values: Float, count: int, top: _Count, shift: float
+) -> _Count:
     """The lowest gap between the values (k,) below which `count` eigenvalues stand or more; `top`
     if there is none.
     """
@@ -267,7 +286,9 @@ def _filled(
     """
     factor = pencil.at(sigma)
     low, expected = (
-        (-np.inf, top.below) if bottom is None else (bottom.shift, top.below - bottom.below)
+        (-np.inf, top.below)
+        if bottom is None
+        else (bottom.shift, top.below - bottom.below)
     )
 
     def inside(theta: Float) -> Bool:
@@ -284,7 +305,8 @@ def _filled(
         pairs = lanczos.solve(
             lanczos.begin(factor, pencil, more, locked),
             lambda theta: (
-                inside(theta).sum() >= expected or _beyond(sigma + 1 / theta, top, bottom)
+                inside(theta).sum() >= expected
+                or _beyond(sigma + 1 / theta, top, bottom)
             ),
             expected=more,
             known=locked[0].size,
@@ -312,7 +334,9 @@ def _gaps(values: Float, shift: float) -> Any_:
     return np.diff(values) > CHECKS.gap * np.maximum(np.abs(values[1:]), least)
 
 
-def _proved_below(pencil: Pencil, values: Float, top: float, start: _Count) -> tuple[bool, str]:
+def _proved_below(
+    pencil: Pencil, values: Float, top: float, start: _Count
+) -> tuple[bool, str]:
     """Where repeated roots have no end in sight, up to `top`: a count below the last group of
     them.
     """
@@ -366,7 +390,9 @@ def _band(
                 "is not available; ask for a number of modes in place of a band"
             )
     if not wanted:
-        proof = f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
+        proof = (
+            f"no eigenvalue between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm)"
+        )
         empty = np.zeros((pencil.size, 0))
         return EigenModes(
             values=np.zeros(0),
@@ -381,7 +407,9 @@ def _band(
         return _dense(pencil, wanted, band)
     pencil.reserve(lanczos.capacity(pencil.size, expected + EXTRA) + 3 * expected)
     none = lanczos.RitzPairs(np.zeros(0), np.zeros((pencil.size, 0)), False)
-    pairs = _filled(pencil, none, sigma, top=top, bottom=None if few else bottom, progress=progress)
+    pairs = _filled(
+        pencil, none, sigma, top=top, bottom=None if few else bottom, progress=progress
+    )
     proof = (
         f"{wanted} eigenvalues between {band[0]:g} and {band[1]:g} Hz by inertia (Sturm) at "
         "both ends"
@@ -431,7 +459,12 @@ def _counted(pencil: Pencil, value: float, side: int) -> _Count:
 
 
 def _finish(
-    pencil: Pencil, pairs: lanczos.RitzPairs, shift: float, take: slice, complete: bool, proof: str
+    pencil: Pencil,
+    pairs: lanczos.RitzPairs,
+    shift: float,
+    take: slice,
+    complete: bool,
+    proof: str,
 ) -> EigenModes:
     roots = np.sort(shift + 1 / pairs.theta)
     values, vectors, residuals, orthogonality = polish(

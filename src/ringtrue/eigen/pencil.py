@@ -29,9 +29,12 @@ HINT = (
     "it inertia"
 )
 LOOSE = f"a motion has neither stiffness nor mass (a mechanism): {HINT}"
-MASSLESS = 1e-9  # share of the usual mass of a DOF under which a motion counts as without mass
-NO_ENERGY = 1e-13  # of the energy that its DOFs would have alone: a motion is without stiffness
-NEGATIVE = 1e-6  # share of the usual mass of a DOF beyond which less than nothing is not rounding
+# share of the usual mass of a DOF under which a motion counts as without mass
+MASSLESS = 1e-9
+# of the energy that its DOFs would have alone: a motion is without stiffness
+NO_ENERGY = 1e-13
+# share of the usual mass of a DOF beyond which less than nothing is not rounding
+NEGATIVE = 1e-6
 PIECE = 100_000  # rows looked at in one piece
 
 
@@ -63,7 +66,10 @@ def named_rows(rows: Int) -> list[str]:
 
 
 def spectrum(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float, labels: Labels = named_rows
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    shift: float,
+    labels: Labels = named_rows,
 ) -> tuple[Float, Float]:
     """All finite eigenpairs of K φ = λ M φ from M φ = θ (K − σM) φ, λ = σ + 1/θ; M may be singular.
 
@@ -112,7 +118,8 @@ def spectrum(
         raise SingularModel(labels(_most(moved[:, np.argmax(loose)])), LOOSE)
     theta = theta[::-1]
     vectors = moved[:, ::-1]
-    modal = np.einsum("ij,ij->j", vectors, m @ vectors)  # θ again, where θ is more than rounding
+    # θ again, where θ is more than rounding
+    modal = np.einsum("ij,ij->j", vectors, m @ vectors)
     finite = (theta > 1e-13 * theta[0]) & (np.abs(modal - theta) < 0.1 * theta)
     theta = theta[finite]
     vectors = vectors[:, finite]
@@ -163,12 +170,16 @@ def refuse_negative_mass(mass: sparse.csr_array, labels: Labels) -> None:
         block = mass[first : first + PIECE].tocoo()
         i = block.row + first
         j = block.col
-        wrong = (i < j) & (block.data**2 > (1 + NEGATIVE) * size[i] * size[j] + usual**2)
+        wrong = (i < j) & (
+            block.data**2 > (1 + NEGATIVE) * size[i] * size[j] + usual**2
+        )
         found += [i[wrong], j[wrong]]
     _refuse(np.unique(np.concatenate(found)).astype(np.int64), labels)
 
 
-def refuse_negative_motion(mass: sparse.csr_array, motion: Float, labels: Labels) -> None:
+def refuse_negative_motion(
+    mass: sparse.csr_array, motion: Float, labels: Labels
+) -> None:
     """A motion (f,) whose mass is negative by more than rounding, of however many rows, is refused
     as well.
 
@@ -195,7 +206,8 @@ def _refuse(rows: Int, labels: Labels) -> None:
 
 # of a probing solve (LDLᵀ without full pivoting reaches 1e-8 on ill-scaled shells)
 RESIDUAL_LIMIT = 1e-4
-LOST = 0.1  # error of a probing solve (solution of order 1) on perturbed pivots: they were zero
+# error of a probing solve (solution of order 1) on perturbed pivots: they were zero
+LOST = 0.1
 log = logging.getLogger(__name__)
 
 
@@ -268,7 +280,11 @@ class Pencil:
 
     def __getstate__(self) -> dict[str, object]:
         """Without the factor, which is of this process; another makes it anew."""
-        return self.__dict__ | {"_factor": None, "_strengthened": False, "shift": np.nan}
+        return self.__dict__ | {
+            "_factor": None,
+            "_strengthened": False,
+            "shift": np.nan,
+        }
 
     @property
     def size(self) -> int:
@@ -295,10 +311,14 @@ class Pencil:
         self._factor = factor
         self.shift = shift
         error, moved = self._probe(factor, shift)
-        if not (error < RESIDUAL_LIMIT and factor.negatives >= 0) and factor.strengthen(values):
+        if not (error < RESIDUAL_LIMIT and factor.negatives >= 0) and factor.strengthen(
+            values
+        ):
             self._strengthened = True
             error, moved = self._probe(factor, shift)
-        if not error < RESIDUAL_LIMIT or (factor.negatives < 0 and moved.max(initial=0.0) > LOST):
+        if not error < RESIDUAL_LIMIT or (
+            factor.negatives < 0 and moved.max(initial=0.0) > LOST
+        ):
             self._factor = None
             raise SingularModel(
                 self.labels(np.argsort(-moved)[:6]),
@@ -312,7 +332,8 @@ class Pencil:
         return factor
 
     def _make(self, values: Values) -> Engine:
-        if self._strengthened:  # for one shift alone: a factor must not depend on those before it
+        # for one shift alone: a factor must not depend on those before it
+        if self._strengthened:
             self.close()
         if self._factor is None:
             return engine(self.method, self._pattern, values)

@@ -25,7 +25,8 @@ from ringtrue.eigen.pencil import Pencil
 from ringtrue.errors import SingularModel
 
 EXTRA = 4  # modes beyond the requested ones, so that the count can stand in a gap
-LOW = 0.03  # share of the upper end of a band: how far below zero its modes are sought from
+# share of the upper end of a band: how far below zero its modes are sought from
+LOW = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +111,9 @@ def low_shift(pencil: Pencil, fmax: float) -> float:
     """Where K − σM is factorised for all modes up to `fmax`, Hz: (rad/s)², beyond the rounding of
     rigid-body modes.
     """
-    return shift_below(start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal()), fmax)
+    return shift_below(
+        start_shift(pencil.stiffness.diagonal(), pencil.mass.diagonal()), fmax
+    )
 
 
 def shift_below(start: float, fmax: float) -> float:
@@ -158,12 +161,16 @@ def find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
         theta, _, error = krylov.ritz()
         if (
             not searched
-            and (np.abs(shift + 1 / theta[: lanczos.BLOCK]) < SEARCH.still * -shift).all()
+            and (
+                np.abs(shift + 1 / theta[: lanczos.BLOCK]) < SEARCH.still * -shift
+            ).all()
         ):
             values, vectors, shift = near_zero_modes(pencil, shift)
             known = (vectors, values)
             searched = True
-            nearest = min(nearest, -SEARCH.noise * float(np.abs(values).max(initial=0.0)))
+            nearest = min(
+                nearest, -SEARCH.noise * float(np.abs(values).max(initial=0.0))
+            )
             continue
         theta = theta[still:]
         error = error[still:]
@@ -176,7 +183,8 @@ def find_shift(pencil: Pencil, count: int) -> tuple[float, lanczos.Krylov, int]:
         values = (shift + 1 / theta[theta > 1e-12 * theta.max()])[: SEARCH.modes]
         better = -suitable_shift(values)
         top = float(np.abs(values).max())
-        far = 2 * top * max(count / SEARCH.modes, 1.0)  # of the order of the highest mode asked for
+        # of the order of the highest mode asked for
+        far = 2 * top * max(count / SEARCH.modes, 1.0)
         if -SEARCH.near * top > shift > -far or (better > shift and shift == nearest):
             break
         shift = min(better, nearest)
@@ -200,13 +208,18 @@ def near_zero_modes(pencil: Pencil, shift: float) -> tuple[Float, Float, float]:
     pencil.reserve(4 * count)
     factor = pencil.at(middle)
     last = np.inf
-    x = factor.solve(pencil.mass @ np.random.default_rng(0).standard_normal((pencil.size, count)))
+    x = factor.solve(
+        pencil.mass @ np.random.default_rng(0).standard_normal((pencil.size, count))
+    )
     for _ in range(SUBSPACE.turns):
         values, x = rayleigh_ritz(pencil, x)
         y = factor.solve(pencil.mass @ x)
         rest = y * (values - middle) - x
-        error = float(np.sqrt(np.abs(np.einsum("ij,ij->j", rest, pencil.mass @ rest)).max()))
-        if error < SUBSPACE.settled and error > last / 2:  # what is left is the rounding of K
+        error = float(
+            np.sqrt(np.abs(np.einsum("ij,ij->j", rest, pencil.mass @ rest)).max())
+        )
+        # what is left is the rounding of K
+        if error < SUBSPACE.settled and error > last / 2:
             return values, x, middle
         x = y
         last = error

@@ -203,8 +203,12 @@ def mirrored(lower: sparse.csr_array) -> sparse.csr_array:
     strict = upper.indices != np.repeat(
         np.arange(upper.shape[0], dtype=upper.indices.dtype), np.diff(upper.indptr)
     )
-    kept = np.concatenate([[0], np.cumsum(strict)]).astype(upper.indptr.dtype)[upper.indptr]
-    upper = sparse.csr_array((upper.data[strict], upper.indices[strict], kept), shape=upper.shape)
+    kept = np.concatenate([[0], np.cumsum(strict)]).astype(upper.indptr.dtype)[
+        upper.indptr
+    ]
+    upper = sparse.csr_array(
+        (upper.data[strict], upper.indices[strict], kept), shape=upper.shape
+    )
     return sparse.csr_array(lower + upper)
 
 
@@ -241,7 +245,8 @@ def turn(m: Mesh) -> sparse.csr_array:
     blocks = np.repeat(m.cd.swapaxes(1, 2), 2, axis=0)
     at = np.arange(len(blocks))
     grid = sparse.bsr_array(
-        (blocks, at, np.arange(len(blocks) + 1)), shape=(3 * len(blocks), 3 * len(blocks))
+        (blocks, at, np.arange(len(blocks) + 1)),
+        shape=(3 * len(blocks), 3 * len(blocks)),
     )
     return sparse.csr_array(
         sparse.block_diag([grid, sparse.eye_array(m.scalar.size)], format="csr")
@@ -270,7 +275,9 @@ def assemble(model: Model, share: Share = WHOLE) -> System:
     direct = None
     given = lumped.given_matrices(m) if share.number == 0 else None
     if given is not None:
-        direct, more, damping = (sparse.csr_array(rotation @ D @ rotation.T) for D in given)
+        direct, more, damping = (
+            sparse.csr_array(rotation @ D @ rotation.T) for D in given
+        )
         K = sparse.csr_array(K + direct)
         M = sparse.csr_array(M + more)
         B = sparse.csr_array(B + damping)
@@ -367,8 +374,11 @@ def _totals(
     )
 
 
-JOINTS = {  # cards with rotational stiffness and no inertia of their own, and their nodes
-    **dict.fromkeys(("CBAR", "CBEND", "CBUSH", "RBAR", "RBAR1", "RJOINT"), ("GA", "GB")),
+# cards with rotational stiffness and no inertia of their own, and their nodes
+JOINTS = {
+    **dict.fromkeys(
+        ("CBAR", "CBEND", "CBUSH", "RBAR", "RBAR1", "RJOINT"), ("GA", "GB")
+    ),
     "RBE2": ("GN",),
     **dict.fromkeys(("CROD", "CONROD", "CTUBE", "CELAS1", "CELAS2"), ("G1", "G2")),
 }
@@ -382,10 +392,17 @@ def massless_rotations(model: Model, system: System, share: Share = WHOLE) -> In
     Turned together about one axis, the nodes of a chain that are joined by rotational stiffness
     take no energy and have no inertia.
     """
-    ends = [model[card][name] for card, names in JOINTS.items() if card in model for name in names]
+    ends = [
+        model[card][name]
+        for card, names in JOINTS.items()
+        if card in model
+        for name in names
+    ]
     none: Int = np.empty(0, dtype=np.int64)
     turning = np.abs(system.free.direction) >= 4
-    at = np.flatnonzero(turning & np.isin(system.free.node, np.concatenate([none, *ends])))
+    at = np.flatnonzero(
+        turning & np.isin(system.free.node, np.concatenate([none, *ends]))
+    )
     if not at.size:
         return none
     K, M = (share.total(A[at][:, at]) for A in (system.stiffness, system.mass))
@@ -407,8 +424,11 @@ def _pivots(R: Float, chain: Int, values: Float, axes: Float) -> Int:
         rows = rows[np.lexsort((rows, -moved[rows], chain[rows]))]
         rows = rows[np.unique(chain[rows], return_index=True)[1]]
         found.append(rows)
-        held = R[rows] / np.einsum("ia,ia->i", R[rows], axes[chain[rows], :, k])[:, None]
-        for later in range(k + 1, 3):  # these rows stand still under the other axes then
+        held = (
+            R[rows] / np.einsum("ia,ia->i", R[rows], axes[chain[rows], :, k])[:, None]
+        )
+        # these rows stand still under the other axes then
+        for later in range(k + 1, 3):
             share = np.einsum("ia,ia->i", held, axes[chain[rows], :, later])
             axes[chain[rows], :, later] -= share[:, None] * axes[chain[rows], :, k]
     return np.sort(np.concatenate(found))
@@ -454,7 +474,10 @@ def without_massless_rotations(
     rows = massless_rotations(model, system, share)
     held = system.free.take(rows)
     if rows.size:
-        log.info("held against spinning without stiffness and mass: %s", " ".join(held.labels()))
+        log.info(
+            "held against spinning without stiffness and mass: %s",
+            " ".join(held.labels()),
+        )
     return _held(system, rows), held
 
 
@@ -465,7 +488,9 @@ def _unused(system: System, share: Share) -> Int:
     both = (system.stiffness, system.mass)
     k, m = (share.summed(A.diagonal()) for A in both)
     rows = np.flatnonzero((k == 0) & (m == 0))
-    sizes = (np.asarray(abs(A[rows]).sum(axis=1), dtype=np.float64).ravel() for A in both)
+    sizes = (
+        np.asarray(abs(A[rows]).sum(axis=1), dtype=np.float64).ravel() for A in both
+    )
     k, m = (share.summed(size) for size in sizes)
     return np.asarray(rows[(k == 0) & (m == 0)])
 

@@ -91,7 +91,11 @@ def singular_dofs(
     there[group, place] = True
     size = np.abs(blocks).max(axis=(1, 2), initial=0.0)
     empty = there & (size == 0)[:, None]
-    held = _weak(blocks / np.where(size == 0, 1.0, size)[:, None, None], there & ~empty, tolerance)
+    held = _weak(
+        blocks / np.where(size == 0, 1.0, size)[:, None, None],
+        there & ~empty,
+        tolerance,
+    )
     doubtful = np.flatnonzero(held.any(axis=1))
     if doubtful.size:
         columns = np.flatnonzero(np.isin(group, doubtful))
@@ -104,7 +108,9 @@ def singular_dofs(
         )
         stiffened = stiffening.summed(stiffened)
         stiff = stiffened.any(axis=(1, 2))
-        held[doubtful[stiff]] = _weak(stiffened[stiff], there[doubtful[stiff]], tolerance)
+        held[doubtful[stiff]] = _weak(
+            stiffened[stiff], there[doubtful[stiff]], tolerance
+        )
     return np.asarray((empty | held)[group, place])
 
 
@@ -131,7 +137,9 @@ def _weak(blocks: Float, there: Bool, tolerance: float) -> Bool:
         values, vectors = np.linalg.eigh(A)
         least = np.abs(values).argmin(axis=1)
         at = np.arange(len(A))
-        weak = np.flatnonzero((np.abs(values[at, least]) < tolerance) & live.any(axis=1))
+        weak = np.flatnonzero(
+            (np.abs(values[at, least]) < tolerance) & live.any(axis=1)
+        )
         if not weak.size:
             break
         out[weak, np.abs(vectors[weak, :, least[weak]]).argmax(axis=1)] = True
@@ -164,26 +172,36 @@ def _stiffened(
         share = tolerance if card in GIVEN_IN_DIGITS else ROUNDING
         for first in range(0, touching.size, _AT_ONCE):
             at = touching[first : first + _AT_ONCE]
-            owner, of, G = _motions(S, group, place, np.where(used[at], part.dofs[at], -1))
+            owner, of, G = _motions(
+                S, group, place, np.where(used[at], part.dofs[at], -1)
+            )
             k = part.stiffness[at[of]]
             A = np.einsum("pia,pij,pjb->pab", G, k, G, optimize=True)
-            terms = np.einsum("pia,pij,pja->pa", np.abs(G), np.abs(k), np.abs(G), optimize=True)
+            terms = np.einsum(
+                "pia,pij,pja->pa", np.abs(G), np.abs(k), np.abs(G), optimize=True
+            )
             np.add.at(out, owner, _projectors(A, terms.max(axis=1), share))
     if direct is not None:
         A = _blocks(sparse.csr_array(S.T @ direct @ S), group, place, count)
-        terms = _blocks(sparse.csr_array(abs(S).T @ abs(direct) @ abs(S)), group, place, count)
+        terms = _blocks(
+            sparse.csr_array(abs(S).T @ abs(direct) @ abs(S)), group, place, count
+        )
         out += _projectors(A, np.einsum("gaa->ga", terms).max(axis=1), tolerance)
     return out
 
 
-def _motions(S: sparse.csr_array, group: Int, place: Int, dofs: Int) -> tuple[Int, Int, Float]:
+def _motions(
+    S: sparse.csr_array, group: Int, place: Int, dofs: Int
+) -> tuple[Int, Int, Float]:
     """The groups that touch elements of `dofs` (e, d): group (p,), element (p,), motion of its DOFs
     by it (p, d, 3).
     """
     element, i = np.nonzero(dofs >= 0)
     rows = S[dofs[element, i]].tocoo()
     many = np.int64(group.max(initial=0) + 1)
-    pairs, pair = np.unique(element[rows.row] * many + group[rows.col], return_inverse=True)
+    pairs, pair = np.unique(
+        element[rows.row] * many + group[rows.col], return_inverse=True
+    )
     G = np.zeros((pairs.size, dofs.shape[1], 3))
     G[pair, i[rows.row], place[rows.col]] = rows.data
     return pairs % many, pairs // many, G
@@ -195,7 +213,9 @@ def _projectors(A: Any_, size: Float, share: float) -> Float:
     """
     values, vectors = np.linalg.eigh(A)
     firm = np.abs(values) > share * size[:, None]
-    return np.asarray(np.einsum("pak,pk,pbk->pab", vectors, firm.astype(np.float64), vectors))
+    return np.asarray(
+        np.einsum("pak,pk,pbk->pab", vectors, firm.astype(np.float64), vectors)
+    )
 
 
 def _mpc(m: Mesh) -> Equations:

@@ -121,7 +121,9 @@ def refuse(model: Model) -> None:
     assembled.
     """
     for card in sorted(filter(is_unsupported, model.kept)):
-        raise UnsupportedCard(card, why=f"{model.kept[card]} in the deck; replace or remove it")
+        raise UnsupportedCard(
+            card, why=f"{model.kept[card]} in the deck; replace or remove it"
+        )
     known = ELEMENTS.keys() | RIGID.keys()
     for card, table in model.tables.items():
         if len(table) and columns(card)[0].name == "EID" and card not in known:
@@ -129,7 +131,9 @@ def refuse(model: Model) -> None:
             raise unsupported_card(model, table, 0, why)
 
 
-def batches(model: Model, rows: Mapping[str, Int] | None = None) -> Iterator[tuple[str, Int]]:
+def batches(
+    model: Model, rows: Mapping[str, Int] | None = None
+) -> Iterator[tuple[str, Int]]:
     """(card, rows) of like elements, which one call builds; all rows of all cards, or those
     given.
     """

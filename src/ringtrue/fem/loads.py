@@ -20,7 +20,14 @@ from ringtrue.fem.mesh import CardRows, Isotropic, arm, node_dofs, unit
 
 SURFACES = (*SHELLS, "CSHEAR")
 FACES = {  # corner positions of each face, counter-clockwise seen from outside
-    "CHEXA": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    "CHEXA": (
+        (0, 3, 2, 1),
+        (4, 5, 6, 7),
+        (0, 1, 5, 4),
+        (1, 2, 6, 5),
+        (2, 3, 7, 6),
+        (3, 0, 4, 7),
+    ),
     "CPENTA": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "CPYRAM": ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     "CTETRA": ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
@@ -51,10 +58,14 @@ def face(card: str, nodes: Sequence[int], first: int, other: int) -> list[int]:
     corners = list(nodes[: solid.corners])
     a, b = (corners.index(g) if g in corners else -1 for g in (first, other))
     found = [
-        f for f in FACES[card] if a in f and _meant(card, f, f.index(a), other=b, named=bool(other))
+        f
+        for f in FACES[card]
+        if a in f and _meant(card, f, f.index(a), other=b, named=bool(other))
     ]
     if len(found) != 1:
-        raise InputError(f"G1 = {first} and G3/G4 = {other or 'blank'} mean no face of the {card}")
+        raise InputError(
+            f"G1 = {first} and G3/G4 = {other or 'blank'} mean no face of the {card}"
+        )
     at = found[0].index(a)
     turned = found[0][at:] + found[0][:at]
     middle = {frozenset(ends): solid.corners + k for k, ends in enumerate(solid.edges)}
@@ -71,7 +82,9 @@ def _meant(card: str, f: tuple[int, ...], at: int, other: int, named: bool) -> b
     return other in f if card == "CPYRAM" else not named
 
 
-def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = None) -> Float:
+def face_forces(
+    x: Float, p: Float, towards: Callable[[Float], Float] | None = None
+) -> Float:
     """Forces (e, 2c, 3) of pressures at the corners of faces: ∫ N p n dA.
 
     Parameters
@@ -95,10 +108,13 @@ def face_forces(x: Float, p: Float, towards: Callable[[Float], Float] | None = N
     area = np.cross(*np.einsum("pkr,eka->repa", slopes, x))
     if towards is not None:
         area = length(area)[..., None] * unit(towards(np.einsum("pk,eka->epa", N, x)))
-    force = np.einsum("p,ep,epa,pk->eka", weights, p @ rule.corner_shapes(points).T, area, N)
+    force = np.einsum(
+        "p,ep,epa,pk->eka", weights, p @ rule.corner_shapes(points).T, area, N
+    )
     of_absent = np.where(absent, force[:, c:], 0.0)
     force[:, c:] -= of_absent
-    for end in (0, 1):  # half to each end of the side; each corner is that end of one side
+    # half to each end of the side; each corner is that end of one side
+    for end in (0, 1):
         force[:, rule.sides[:, end]] += of_absent / 2
     return np.asarray(force)
 
@@ -185,7 +201,9 @@ def _motion(K: Float, L: Float, iso: Isotropic, s: bar.BeamSection, x: Float) ->
     """Motion (e, 6) at places of the axis by that of the ends: (e, 6, 12)."""
     x = np.maximum(x, NEAREST)
     to_x = np.stack([x * L, 0 * L, 0 * L], axis=1)
-    part = np.asarray(bar.stiffness(x * L, iso, _up_to(s, x)), dtype=np.float64)[:, 6:, 6:]
+    part = np.asarray(bar.stiffness(x * L, iso, _up_to(s, x)), dtype=np.float64)[
+        :, 6:, 6:
+    ]
     # the force with which the rest pulls at the part up to the load
     cut = -arm(-to_x).swapaxes(1, 2) @ K[:, :6]
     # K⁻¹b, 0 along DOFs without stiffness; scaled first
@@ -221,14 +239,18 @@ def _released(K: Float, pins: Bool, ends: Float) -> tuple[Float, Bool]:
     where these can carry them, (e,) bool.
     """
     ends, carried = ends.copy(), np.ones(len(ends), dtype=bool)
-    for i in np.flatnonzero(pins.any(axis=1)):  # few beams between nodes are loaded and have joints
+    # few beams between nodes are loaded and have joints
+    for i in np.flatnonzero(pins.any(axis=1)):
         drop = np.flatnonzero(pins[i])
         keep = np.flatnonzero(~pins[i])
         d = _scale(K[i][np.ix_(drop, drop)])
         free = K[i][np.ix_(drop, drop)] * d * d[:, None]
         given = d * ends[i, drop]
         moved = np.linalg.lstsq(free, given, rcond=SINGULAR)[0]
-        carried[i] = np.abs(free @ moved - given).max() <= NOTHING * d.max() * np.abs(ends[i]).max()
+        carried[i] = (
+            np.abs(free @ moved - given).max()
+            <= NOTHING * d.max() * np.abs(ends[i]).max()
+        )
         ends[i, keep] -= K[i][np.ix_(keep, drop)] @ (d * moved)
         ends[i, drop] = 0.0
     return ends, carried

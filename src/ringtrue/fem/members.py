@@ -16,7 +16,8 @@ from ringtrue.model.refine import LINES
 
 POINT_MASSES = ("CONM1", "CONM2", "CMASS1", "CMASS2", "CMASS3", "CMASS4")
 TURNING = [3, 4, 5, 9, 10, 11]  # rotations of a bar's ends among its degrees of freedom
-STRAIGHT = -0.99  # cosine between the directions of two bars away from their node, in one line
+# cosine between the directions of two bars away from their node, in one line
+STRAIGHT = -0.99
 
 
 def end_springs(m: Mesh, rows: Rows, rigid: float) -> Float:
@@ -42,7 +43,9 @@ def end_springs(m: Mesh, rows: Rows, rigid: float) -> Float:
         material, s = section(t)
         bending.append(material.E * np.maximum(s.I1, s.I2).mean(axis=1))
     near, through = _pairs(m, nodes, kind)
-    links = sparse.coo_array((np.ones(len(through)), through.T), shape=(length.size, length.size))
+    links = sparse.coo_array(
+        (np.ones(len(through)), through.T), shape=(length.size, length.size)
+    )
     _, member = connected_components(links, directed=False)
     whole = np.bincount(member, length)[member]
     springs = rigid * np.concatenate(bending) / whole
@@ -55,7 +58,9 @@ def on_springs(stiffness: Float, springs: Float) -> Float:
     """
     turning = stiffness[:, TURNING][:, :, TURNING]
     rigid = 1e15 * np.abs(turning).max(initial=0.0)
-    both = turning + np.where(np.isfinite(springs), springs, rigid)[:, :, None] * np.eye(6)
+    both = turning + np.where(np.isfinite(springs), springs, rigid)[
+        :, :, None
+    ] * np.eye(6)
     each = np.linalg.solve(both, stiffness[:, TURNING])
     return stiffness - stiffness[:, :, TURNING] @ each
 
@@ -72,7 +77,9 @@ def _pairs(m: Mesh, nodes: Int, kind: Int) -> tuple[Bool, Int]:
     order = np.argsort(flat, kind="stable")
     first = order[:-1]
     second = order[1:]
-    two = (flat[first] == flat[second]) & (ends[flat[first]] == 2) & ~others[flat[first]]
+    two = (
+        (flat[first] == flat[second]) & (ends[flat[first]] == 2) & ~others[flat[first]]
+    )
     line = np.einsum("ki,ki->k", away[first], away[second]) < STRAIGHT
     same = kind[first // 2] == kind[second // 2]
     goes_on = two & line & same
@@ -85,7 +92,9 @@ def _pairs(m: Mesh, nodes: Int, kind: Int) -> tuple[Bool, Int]:
 def _elsewhere(m: Mesh) -> Bool:
     """Nodes that are held against turning, or that other elements than bars and masses join."""
     model = m.model
-    out: Bool = np.array(supports(m)[: 6 * len(m.xyz)].reshape(-1, 6)[:, 3:].any(axis=1))
+    out: Bool = np.array(
+        supports(m)[: 6 * len(m.xyz)].reshape(-1, 6)[:, 3:].any(axis=1)
+    )
     for r in REFERENCES:
         joins = (r.card in ELEMENTS or r.card.startswith("R")) and r.field != "G0"
         if not joins or "GRID" not in r.of or r.card in (*LINES, *POINT_MASSES):

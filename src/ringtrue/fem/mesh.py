@@ -102,7 +102,9 @@ def applied(A: Any_, x: Any_) -> Any_:
 
 def scatter(e: int, d: int, *blocks: tuple[list[int], Any_]) -> Any_:
     """The sum of blocks (rows, (e, r, r)) placed into (e, d, d)."""
-    out = np.zeros((e, d, d), dtype=np.result_type(float, *(b.dtype for _, b in blocks)))
+    out = np.zeros(
+        (e, d, d), dtype=np.result_type(float, *(b.dtype for _, b in blocks))
+    )
     for rows, block in blocks:
         out[:, np.array(rows)[:, None], rows] += block
     return out
@@ -121,7 +123,9 @@ SCALAR_CARDS = (
 
 def matrix(*rows: Sequence[Any_]) -> Any_:
     """Matrices (..., i, j) from rows of entries (...), which are broadcast."""
-    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+    return np.stack(
+        [np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2
+    )
 
 
 Arrays = TypeVar("Arrays", bound=_Fields)  # all of its fields are arrays (e, ...)
@@ -186,7 +190,10 @@ class Mesh:
         ids = self.model["GRID"].ids
         node = np.concatenate([np.repeat(ids, 6), self.scalar])
         direction = np.concatenate(
-            [np.tile(np.arange(1, 7), ids.size), np.zeros(self.scalar.size, dtype=np.int64)]
+            [
+                np.tile(np.arange(1, 7), ids.size),
+                np.zeros(self.scalar.size, dtype=np.int64),
+            ]
         )
         return DofSet(node, direction.astype(np.int8))
 
@@ -308,14 +315,18 @@ class CardRows:
         if bad.any():
             place = tuple(np.argwhere(bad)[0].tolist())
             message = why.format(*(v[place] for v in values))
-            raise card_error(self.mesh.model, self.table, int(self.at[place[0]]), message)
+            raise card_error(
+                self.mesh.model, self.table, int(self.at[place[0]]), message
+            )
 
     def refuse_unsupported(self, bad: Any_ | np.bool_, why: str, *values: Any_) -> None:
         """Raise an UnsupportedCard in the same way, for (e,)."""
         if bad.any():
             i = int(bad.argmax())
             message = why.format(*(v[i] for v in values))
-            raise unsupported_card(self.mesh.model, self.table, int(self.at[i]), message)
+            raise unsupported_card(
+                self.mesh.model, self.table, int(self.at[i]), message
+            )
 
 
 def nodes_of(model: Model) -> Mesh:
@@ -342,7 +353,12 @@ def scalar_points(model: Model) -> Int:
     ids = [np.empty(0, dtype=np.int64)]
     if "SPOINT" in model:
         ids.append(model["SPOINT"].ragged("ID").values.astype(np.int64))
-    ids += [model[card][end] for card in SCALAR_CARDS if card in model for end in ("S1", "S2")]
+    ids += [
+        model[card][end]
+        for card in SCALAR_CARDS
+        if card in model
+        for end in ("S1", "S2")
+    ]
     every = np.unique(np.concatenate(ids))
     return every[every > 0]
 
@@ -403,7 +419,9 @@ def check_ratio(mat: CardRows, nu: Any_, most: float) -> None:
         If one is not between -1 and `most`: 0.5 for solids, 1 for plane stress.
     """
     bad = (nu.real <= -1) | (nu.real >= most)
-    mat.refuse(bad, f"Poisson's ratio {{:g}} must be between -1 and {most:g} here", nu.real)
+    mat.refuse(
+        bad, f"Poisson's ratio {{:g}} must be between -1 and {most:g} here", nu.real
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -436,12 +454,18 @@ class ElementMatrices:
         """Structural damping (e, d, d), or without entries where the elements have none."""
         if self.lossy is not None:
             return self.lossy
-        return self.loss[:, None, None] * self.stiffness if self.loss.any() else self.viscous[:0]
+        return (
+            self.loss[:, None, None] * self.stiffness
+            if self.loss.any()
+            else self.viscous[:0]
+        )
 
 
 def node_dofs(nodes: Int, count: int = 6) -> Int:
     """The first `count` full DOFs of nodes (e, k) -> (e, k count)."""
-    return (6 * nodes[..., None] + np.arange(count)).reshape(len(nodes), count * nodes.shape[1])
+    return (6 * nodes[..., None] + np.arange(count)).reshape(
+        len(nodes), count * nodes.shape[1]
+    )
 
 
 def segment(x: Float) -> tuple[Float, Float]:
@@ -479,7 +503,9 @@ def triad(t: CardRows, axis: Float, v: Float) -> Float:
         If v is along the axis.
     """
     z = np.cross(axis, v)
-    flat = np.linalg.norm(z, axis=1) <= 1e-8 * np.maximum(np.linalg.norm(v, axis=1), 1e-300)
+    flat = np.linalg.norm(z, axis=1) <= 1e-8 * np.maximum(
+        np.linalg.norm(v, axis=1), 1e-300
+    )
     t.refuse(flat, "the orientation vector is zero or along the element; give another")
     z = unit(z)
     return np.stack([axis, np.cross(z, axis), z], axis=1)

@@ -36,7 +36,8 @@ SPRINGS = {  # springs whose stiffness may be below 0
     "PGAP": ("KA", "KB", "KT"),
     "PFAST": ("KT1", "KT2", "KT3", "KR1", "KR2", "KR3"),
 }
-_ZERO = 1e-9  # of the largest eigenvalue: entries of a deck have fewer digits than a double
+# of the largest eigenvalue: entries of a deck have fewer digits than a double
+_ZERO = 1e-9
 _MATRICES = {"MAT2": 3, "MAT9": 6}
 
 
@@ -67,13 +68,18 @@ def negative_stiffness(model: Model) -> Iterator[Negative]:
         rows = np.flatnonzero(lam[:, 0] < -_ZERO * np.abs(lam).max(axis=1))
         if rows.size:
             yield Negative(
-                model[card], rows, "G11 ...", "its elasticity matrix has a negative eigenvalue"
+                model[card],
+                rows,
+                "G11 ...",
+                "its elasticity matrix has a negative eigenvalue",
             )
     if "PBAR" in model:
         t = model["PBAR"]
         rows = np.flatnonzero(t["I12"] ** 2 > t["I1"] * t["I2"] * (1 + _ZERO))
         if rows.size:
-            yield Negative(t, rows, "I12", f"I12 {t['I12'][rows[0]]:g} is over the root of I1 I2")
+            yield Negative(
+                t, rows, "I12", f"I12 {t['I12'][rows[0]]:g} is over the root of I1 I2"
+            )
 
 
 def negative_springs(model: Model) -> Iterator[Negative]:
@@ -88,7 +94,9 @@ def _below(model: Model, fields: dict[str, tuple[str, ...]]) -> Iterator[Negativ
             values = column.values if isinstance(column, Ragged) else column
             if (at := np.flatnonzero(values < 0)).size:
                 rows = np.unique(column.owner[at]) if isinstance(column, Ragged) else at
-                yield Negative(model[card], rows, name, f"{name} is {values[at[0]]:g}, below 0")
+                yield Negative(
+                    model[card], rows, name, f"{name} is {values[at[0]]:g}, below 0"
+                )
 
 
 def asks_for_negative_stiffness(model: Model) -> bool:

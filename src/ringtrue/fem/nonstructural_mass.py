@@ -80,7 +80,10 @@ def chosen(model: Model) -> Iterator[Lists]:
     """
     sid = model.case.nsm
     sids = np.array([sid])
-    if "NSMADD" in model and (rows := np.flatnonzero(model["NSMADD"]["SID"] == sid)).size:
+    if (
+        "NSMADD" in model
+        and (rows := np.flatnonzero(model["NSMADD"]["SID"] == sid)).size
+    ):
         sids = np.concatenate([model["NSMADD"].ragged("S").row(int(i)) for i in rows])
     tables = [model[c] for c in CARDS if c in model]
     for s in sids.tolist():
@@ -94,7 +97,9 @@ def chosen(model: Model) -> Iterator[Lists]:
         for kind in np.unique(t["TYPE"][use]).tolist():
             rows = np.flatnonzero(use & (t["TYPE"] == kind))
             if kind not in TYPES:
-                raise UnsupportedCard(t.card, why=f"TYPE {kind}; allowed are {', '.join(TYPES)}")
+                raise UnsupportedCard(
+                    t.card, why=f"TYPE {kind}; allowed are {', '.join(TYPES)}"
+                )
             mine = np.isin(owner, rows)
             of = np.searchsorted(rows, owner[mine])
             yield Lists(table=t, kind=kind, row=rows, of=of, ids=ids[mine])
@@ -131,7 +136,9 @@ def _properties(model: Model, kind: str) -> Int | None:
     if kind not in PROPERTIES:
         return None
     none: Int = np.zeros(0, dtype=np.int64)
-    return np.concatenate([none, *(model[c].ids for c in PROPERTIES[kind][0] if c in model)])
+    return np.concatenate(
+        [none, *(model[c].ids for c in PROPERTIES[kind][0] if c in model)]
+    )
 
 
 def _joined(mine: Int, able: Bool, lists: Lists) -> tuple[Int, Int]:
@@ -224,4 +231,9 @@ def _check(m: Mesh, lists: Lists, found: list[Member]) -> None:
     lists.rows(m).refuse(whole, what)
     lost = np.unique(lists.ids[~there])
     if lost.size:
-        log.warning("%s: %d ids are not there: %s", lists.table.card, lost.size, lost[:5].tolist())
+        log.warning(
+            "%s: %d ids are not there: %s",
+            lists.table.card,
+            lost.size,
+            lost[:5].tolist(),
+        )

@@ -64,7 +64,9 @@ def frf(
         rigid = below == 0
         q = np.where(rigid, 1.0, numerator / np.where(rigid, 1.0, below))
     elif (below == 0).any():
-        raise InputError("a rigid-body mode has no receptance or mobility at 0 Hz; start above it")
+        raise InputError(
+            "a rigid-body mode has no receptance or mobility at 0 Hz; start above it"
+        )
     else:
         q = (1j * w[:, None]) ** power / below
     H = (phi_out[None] * q[:, None, :]) @ phi_in.T

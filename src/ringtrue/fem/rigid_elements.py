@@ -78,7 +78,9 @@ def joined(parts: Sequence[Equations]) -> Equations:
     shift = np.cumsum([0, *(p.dependent.size for p in parts)])
     return Equations(
         dependent=np.concatenate([none, *(p.dependent for p in parts)]),
-        row=np.concatenate([none, *(p.row + s for p, s in zip(parts, shift, strict=False))]),
+        row=np.concatenate(
+            [none, *(p.row + s for p, s in zip(parts, shift, strict=False))]
+        ),
         column=np.concatenate([none, *(p.column for p in parts)]),
         value=np.concatenate([np.empty(0), *(p.value for p in parts)]),
         owner=tuple(name for p in parts for name in p.owner),
@@ -104,7 +106,9 @@ def rigid(t: CardRows, independent: Ends, dependent: Ends) -> Equations:
     phi_n = _motion(m, g, c, origin=origin[:, None], size=size[:, None])
     values = np.linalg.svd(phi_n, compute_uv=False)
     loose = values[:, -1] < 1e-9 * values[:, 0]
-    why = "its independent components leave a rigid motion free; choose six that hold it"
+    why = (
+        "its independent components leave a rigid motion free; choose six that hold it"
+    )
     t.refuse(loose, why)
     at, h, d = listed(t, dependent)
     phi_m = _motion(m, h, d, origin=origin[at], size=size[at])
@@ -128,7 +132,9 @@ def _motion(m: Mesh, node: Int, component: Int, origin: Float, size: Float) -> F
     """
     A = arm(m.xyz[node] - origin)
     A[..., 3:] /= size[..., None, None]
-    axis = np.take_along_axis(m.cd[node], (component % 3)[..., None, None], axis=-2)[..., 0, :]
+    axis = np.take_along_axis(m.cd[node], (component % 3)[..., None, None], axis=-2)[
+        ..., 0, :
+    ]
     kind = np.where((component < 3)[..., None, None], A[..., :3, :], A[..., 3:, :])
     return np.asarray(np.einsum("...i,...ij->...j", axis, kind))
 
@@ -181,7 +187,11 @@ def _weighted(t: CardRows) -> Equations:
     S = rotation(m.cd[g], 1) @ arm(arms)
     scale = np.ones((len(t), 6))
     scale[:, 3:] = np.where(length == 0, 1.0, length)[:, None]
-    W = components(t.ragged("C").values) * t.ragged("WT").values[:, None] * scale[of] ** 2
+    W = (
+        components(t.ragged("C").values)
+        * t.ragged("WT").values[:, None]
+        * scale[of] ** 2
+    )
     normal = np.zeros((len(t), 6, 6))
     np.add.at(normal, of, S.swapaxes(1, 2) @ (W[:, :, None] * S))
     # a motion that the nodes do not determine must not be asked for
@@ -192,7 +202,12 @@ def _weighted(t: CardRows) -> Equations:
     lost = np.abs(np.einsum("eij,eji->ei", plus, A) - 1) > 1e-6
     why = "its nodes do not determine REFC {}; add nodes or components"
     t.refuse((lost & asked).any(axis=1), why, t["REFC"])
-    X = rotation(m.cd[ref[of]], 1) @ (plus / both)[of] @ S.swapaxes(1, 2) * W[:, None, :]
+    X = (
+        rotation(m.cd[ref[of]], 1)
+        @ (plus / both)[of]
+        @ S.swapaxes(1, 2)
+        * W[:, None, :]
+    )
     element, c = np.nonzero(asked)
     number = np.full((len(t), 6), -1)
     number[element, c] = np.arange(element.size)
@@ -250,7 +265,11 @@ def rbe2(m: Mesh) -> Equations:
 def rbe1(m: Mesh) -> Equations:
     t = m.rows("RBE1")
     n, d = (
-        (t.ragged(f"G{kind}").owner, t.ragged(f"G{kind}").values, t.ragged(f"C{kind}").values)
+        (
+            t.ragged(f"G{kind}").owner,
+            t.ragged(f"G{kind}").values,
+            t.ragged(f"C{kind}").values,
+        )
         for kind in "NM"
     )
     return rigid(t, (*n[:2], components(n[2])), (*d[:2], components(d[2])))
@@ -262,7 +281,9 @@ def rrod(m: Mesh) -> Equations:
     node = t.nodes("GA", "GB")
     named = np.stack([components(t["CMA"]), components(t["CMB"])], axis=1)
     one = (named.sum(axis=(1, 2)) == 1) & ~named[:, :, 3:].any(axis=(1, 2))
-    t.refuse(~one, "CMA or CMB must name one translation, 1 to 3, and the other be blank")
+    t.refuse(
+        ~one, "CMA or CMB must name one translation, 1 to 3, and the other be blank"
+    )
     x = m.xyz[node]
     t.refuse((x[:, 0] == x[:, 1]).all(axis=1), "its two ends are at one place")
     axis = segment(x)[1]
@@ -309,7 +330,9 @@ def _body(m: Mesh, card: str) -> Equations:
         dependent[blank] = ~independent[blank]
     else:
         dependent[:, 1:][~dependent[:, 1:].any(axis=2)] = True
-    return rigid(t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6)))
+    return rigid(
+        t, (of, ids, independent.reshape(-1, 6)), (of, ids, dependent.reshape(-1, 6))
+    )
 
 
 def rspline(m: Mesh) -> Equations:
@@ -330,8 +353,11 @@ def rspline(m: Mesh) -> Equations:
     node = each.nodes_of(G.values)
     end = np.asarray(~flags.any(axis=1))
     outer = end[G.offsets[:-1]] & end[G.offsets[1:] - 1]
-    t.refuse(~outer, "its first and last nodes are independent: give them no components")
-    first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))  # of the section that begins there
+    t.refuse(
+        ~outer, "its first and last nodes are independent: give them no components"
+    )
+    # of the section that begins there
+    first = np.flatnonzero(end & (np.r_[of[1:], -1] == of))
     # a node that ends one belongs to the next, if any
     section = np.cumsum(np.isin(np.arange(of.size), first)) - 1
     last = np.flatnonzero(end & (np.r_[-1, of[:-1]] == of))
@@ -390,7 +416,9 @@ def _interpolated(
     return in_full(t.take(entry), 6 * node[entry] + c, column, value)
 
 
-def _piercing(m: Mesh, card: str, ends: Callable[[CardRows], Sequence[End]]) -> Equations:
+def _piercing(
+    m: Mesh, card: str, ends: Callable[[CardRows], Sequence[End]]
+) -> Equations:
     """GA and GB of welds on patches (CWELD) and of fasteners (CFAST), which follow their patch or
     surface; one that is itself a corner is left alone.
     """

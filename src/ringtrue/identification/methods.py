@@ -18,10 +18,20 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.ambient import era, fdd, plscf, ssi_data
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
-from ringtrue.identification.ambient.record_checks import AT_EDGE, filter_edges, long_enough
+from ringtrue.identification.ambient.record_checks import (
+    AT_EDGE,
+    filter_edges,
+    long_enough,
+)
 from ringtrue.shapes import mac
 from ringtrue.signal.channel_checks import bridge_gaps, usable
-from ringtrue.signal.spectra import Band, band_signals, remove_drift, scaled, unit_factor
+from ringtrue.signal.spectra import (
+    Band,
+    band_signals,
+    remove_drift,
+    scaled,
+    unit_factor,
+)
 
 Found = tuple[ModeSet, Uncertainty]
 
@@ -97,10 +107,17 @@ AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
         plscf.fewest_samples,
     ),
     "era": BandMethod(
-        "ERA on correlations (NExT)", ORDERS + BOTH_HALVES, era.era_modes, era.fewest_samples
+        "ERA on correlations (NExT)",
+        ORDERS + BOTH_HALVES,
+        era.era_modes,
+        era.fewest_samples,
     ),
     "ssi-data": BandMethod(
-        "SSI-data", ORDERS, ssi_data.ssi_data_modes, ssi_data.fewest_samples, deviations=True
+        "SSI-data",
+        ORDERS,
+        ssi_data.ssi_data_modes,
+        ssi_data.fewest_samples,
+        deviations=True,
     ),
     "fdd": PeakMethod("FDD", "mean MAC over the bell", fdd.fdd_modes, deviations=True),
 }
@@ -135,7 +152,9 @@ def identify_ambient_by(
         If no channel is usable or the record is too short.
     """
     if method not in AMBIENT_METHODS:
-        raise ConfigError(f"method {method!r}{did_you_mean(method, tuple(AMBIENT_METHODS))}")
+        raise ConfigError(
+            f"method {method!r}{did_you_mean(method, tuple(AMBIENT_METHODS))}"
+        )
     chosen = AMBIENT_METHODS[method]
     settings = settings or AmbientSettings()
     whole, gaps = bridge_gaps(history)
@@ -152,26 +171,36 @@ def identify_ambient_by(
     edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
     notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
     inside = np.flatnonzero(~edge)
-    modes = replace(modes.take(inside), source=f"{history.source or 'record'}: {chosen.title}")
+    modes = replace(
+        modes.take(inside), source=f"{history.source or 'record'}: {chosen.title}"
+    )
     if len(modes) and not chosen.deviations:
         notes += (f"no standard deviations: {chosen.title} states none",)
     if len(modes):
         notes += ("shapes have no standard deviations",)
-    reasons = tuple(f"{chosen.title}: {chosen.evidence} {c:.2f}" for c in modes.confidence)
+    reasons = tuple(
+        f"{chosen.title}: {chosen.evidence} {c:.2f}" for c in modes.confidence
+    )
     return SecondOpinion(modes, std.take(inside), reasons, notes)
 
 
 def _in_bands(
-    method: BandMethod, history: TimeHistory, settings: AmbientSettings, progress: Progress
+    method: BandMethod,
+    history: TimeHistory,
+    settings: AmbientSettings,
+    progress: Progress,
 ) -> tuple[ModeSet, Uncertainty, tuple[str, ...]]:
     """Modes of every band of the pyramid, and a note where bands are too short for the method."""
     every = long_enough(bands_for(history.rate, history.duration, settings), history)
-    samples = method.samples(len(history.channels), settings) + 16  # which decimation may cut
+    # which decimation may cut
+    samples = method.samples(len(history.channels), settings) + 16
     bands = long_enough(every, history, samples)
     found = []
     settings = replace(settings, confidence_min=method.least)
     for k, band in enumerate(bands):
-        progress(k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz")
+        progress(
+            k / len(bands), f"{method.title}: {band.low:.3g} .. {band.high:.3g} Hz"
+        )
         limits = Band(band.low, band.high, band.rate)
         data, rate = band_signals(history.data, history.rate, (limits,))[0]
         signals = np.asarray(data, dtype=np.float64)
@@ -184,7 +213,11 @@ def _in_bands(
     if len(bands) == len(every):
         return modes, std, ()
     low = min(band.low for band in bands)
-    return modes, std, (f"below {low:.3g} Hz the record is too short for {method.title}",)
+    return (
+        modes,
+        std,
+        (f"below {low:.3g} Hz the record is too short for {method.title}",),
+    )
 
 
 def _each_once(found: Sequence[Found]) -> Found:
@@ -198,7 +231,9 @@ def _each_once(found: Sequence[Found]) -> Found:
     if f.size:
         same &= mac(modes.shapes, modes.shapes) > 0.8
     equal = confidence[None] == confidence[:, None]
-    better = (confidence[None] > confidence[:, None]) | (equal & (band[None] < band[:, None]))
+    better = (confidence[None] > confidence[:, None]) | (
+        equal & (band[None] < band[:, None])
+    )
     keep = np.flatnonzero(~(same & better).any(axis=1))
     keep = keep[np.argsort(f[keep], kind="stable")]
     kept = modes.take(keep)

@@ -69,7 +69,9 @@ class WiredFile:
         named = [""] * len(ids)
         for wired in self.channels:
             name = wired.name if wired.sign > 0 else wired.name.replace("+", "-")
-            named[self._place(wired.column, ids)] = f"F:{name}" if wired.reference else name
+            named[self._place(wired.column, ids)] = (
+                f"F:{name}" if wired.reference else name
+            )
         return tuple(named)
 
     @property
@@ -134,12 +136,16 @@ def read_setup_table(path: str | Path) -> tuple[WiredFile, ...]:
         if not row["file"]:
             raise DataError(f"{path} row {number}: no file")
         if row["point"]:
-            found.setdefault(row["file"], []).append(_channel(row, f"{path} row {number}"))
+            found.setdefault(row["file"], []).append(
+                _channel(row, f"{path} row {number}")
+            )
     if not found:
         raise DataError(f"{path}: no row has a file and a point")
     for name, channels in found.items():
         refuse_twice([c.column for c in channels], "channel", f"{path}: {name}")
-    return tuple(WiredFile(path.parent / f, tuple(channels)) for f, channels in found.items())
+    return tuple(
+        WiredFile(path.parent / f, tuple(channels)) for f, channels in found.items()
+    )
 
 
 def _columns(head: Sequence[str], path: Path) -> dict[str, int]:
@@ -149,7 +155,9 @@ def _columns(head: Sequence[str], path: Path) -> dict[str, int]:
     for k, text in enumerate(head):
         word = text.strip().lower()
         if word and word not in known:
-            raise DataError(f"{path}: unknown column {text!r}{did_you_mean(word, tuple(known))}")
+            raise DataError(
+                f"{path}: unknown column {text!r}{did_you_mean(word, tuple(known))}"
+            )
         if word:
             at[known[word]] = k
     if lost := [name for name in WIRING if name not in at and name != "reference"]:
@@ -163,15 +171,24 @@ def _columns(head: Sequence[str], path: Path) -> dict[str, int]:
 def _channel(row: dict[str, str], where: str) -> WiredChannel:
     direction = _DIRECTION.fullmatch(row["direction"].upper())
     if direction is None:
-        raise DataError(f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, RX")
+        raise DataError(
+            f"{where}: direction {row['direction']!r}; allowed are X, -Y, +Z, RX"
+        )
     if not row["point"].isdigit():
-        raise DataError(f"{where}: point {row['point']!r} must be a whole number, such as 101")
+        raise DataError(
+            f"{where}: point {row['point']!r} must be a whole number, such as 101"
+        )
     mark = row.get("reference", "").lower()
     if mark not in (*_YES, *_NO):
-        raise DataError(f"{where}: reference {row['reference']!r}; allowed are yes, no or empty")
+        raise DataError(
+            f"{where}: reference {row['reference']!r}; allowed are yes, no or empty"
+        )
     sign = -1.0 if direction[1] == "-" else 1.0
     return WiredChannel(
-        row["channel"], f"{int(row['point'])}+{direction[2]}", sign, reference=mark in _YES
+        row["channel"],
+        f"{int(row['point'])}+{direction[2]}",
+        sign,
+        reference=mark in _YES,
     )
 
 
@@ -226,7 +243,9 @@ def read_statics(path: str | Path) -> StaticTests:
             )
         rows = []
         for cells in table:
-            row = dict.fromkeys(heads, "") | dict(zip(heads, map(str.strip, cells), strict=False))
+            row = dict.fromkeys(heads, "") | dict(
+                zip(heads, map(str.strip, cells), strict=False)
+            )
             if any(row.values()):
                 rows.append((table.line_num, row))
     return _tests(path, rows)
@@ -240,7 +259,9 @@ def _tests(path: Path, rows: list[tuple[int, dict[str, str]]]) -> StaticTests:
     seen: set[tuple[str, str]] = set()
     for line, r in rows:
         if (key := (r["channel"], r["case"])) in seen:
-            raise DataError(f"{path}:{line}: channel {key[0]} is given twice in case {key[1]!r}")
+            raise DataError(
+                f"{path}:{line}: channel {key[0]} is given twice in case {key[1]!r}"
+            )
         seen.add(key)
         at = channels.index(r["channel"]), cases.index(r["case"])
         loads[at] = _number(path, line, "load", r["load"], 0.0)

@@ -41,7 +41,9 @@ def read_choice(path: str | Path) -> Choice:
         return _choice(read_toml(path, ConfigError), str(path))
     table = read_json(path, ConfigError)
     if not isinstance(table, dict):
-        raise ConfigError(f"{path}: not a choice; it must have `pick`, `reject`, `merge` or `hit`")
+        raise ConfigError(
+            f"{path}: not a choice; it must have `pick`, `reject`, `merge` or `hit`"
+        )
     return _choice(table, str(path))
 
 
@@ -54,19 +56,30 @@ def _choice(table: Mapping[str, Any], source: str) -> Choice:
     allowed = ("automatic", *_KINDS)
     for key in table:
         if key not in allowed:
-            raise ConfigError(f"{source}: unknown key {key!r}{did_you_mean(key, allowed)}")
+            raise ConfigError(
+                f"{source}: unknown key {key!r}{did_you_mean(key, allowed)}"
+            )
     automatic = table.get("automatic", True)
     if not isinstance(automatic, bool):
-        raise ConfigError(f"{source}: automatic is {automatic!r}; it must be true or false")
+        raise ConfigError(
+            f"{source}: automatic is {automatic!r}; it must be true or false"
+        )
     parts: dict[str, tuple[Any, ...]] = {}
     for name in _KINDS:
         rows = table.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
             raise ConfigError(f"{source}: {name} must be a list of tables")
-        entries = (_entry(name, row, f"{source}: {name} {i}") for i, row in enumerate(rows, 1))
+        entries = (
+            _entry(name, row, f"{source}: {name} {i}") for i, row in enumerate(rows, 1)
+        )
         parts[name] = tuple(entries)
     return Choice(
-        parts["pick"], parts["reject"], parts["merge"], automatic, source, hits=parts["hit"]
+        parts["pick"],
+        parts["reject"],
+        parts["merge"],
+        automatic,
+        source,
+        hits=parts["hit"],
     )
 
 
@@ -89,7 +102,9 @@ def _entry(name: str, row: Mapping[str, Any], where: str) -> Any:
         types, wanted = _WANTED.get(key, ((str,), "a text"))
         several = isinstance(value, list)
         numbers = value if several else [value]
-        if several != (key == "frequencies") or not {type(x) for x in numbers} <= set(types):
+        if several != (key == "frequencies") or not {type(x) for x in numbers} <= set(
+            types
+        ):
             raise ConfigError(f"{where}: {key} is {value!r}; it must be {wanted}")
     if lost := [k for k, f in known.items() if f.default is MISSING and k not in row]:
         raise ConfigError(f"{where}: {' and '.join(lost)} missing")
@@ -119,14 +134,18 @@ def write_choice(path: str | Path, choice: Choice) -> None:
     elif ending == ".toml":
         text = _HEAD + f"automatic = {str(choice.automatic).lower()}\n" + _tables(table)
     else:
-        raise ConfigError(f"{path}: format {ending!r}{did_you_mean(ending, ['.toml', '.json'])}")
+        raise ConfigError(
+            f"{path}: format {ending!r}{did_you_mean(ending, ['.toml', '.json'])}"
+        )
     with atomic_write(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def _row(entry: Pick | Reject | Merge) -> dict[str, Any]:
     """The entry without what is empty."""
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(entry).items() if v}
+    return {
+        k: list(v) if isinstance(v, tuple) else v for k, v in asdict(entry).items() if v
+    }
 
 
 def _tables(table: Mapping[str, Any]) -> str:
@@ -134,6 +153,8 @@ def _tables(table: Mapping[str, Any]) -> str:
     for name in _KINDS:
         for row in table[name]:
             # JSON texts, numbers and lists of numbers are TOML too
-            body = "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in row.items())
+            body = "".join(
+                f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in row.items()
+            )
             out += f"\n[[{name}]]\n{body}"
     return out

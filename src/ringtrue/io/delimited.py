@@ -34,7 +34,9 @@ _COMMA = re.compile(r"[-+]?\d*,\d+([eEdD][-+]?\d+)?$")
 _COMMENT = ("#", "%", "//")
 
 
-def read_lines(path: Path, most: int | None = None) -> tuple[list[str], list[str], str, bool]:
+def read_lines(
+    path: Path, most: int | None = None
+) -> tuple[list[str], list[str], str, bool]:
     """Comments, the other lines without what ends them, the delimiter of the columns and whether
     commas are decimal.
 
@@ -59,7 +61,9 @@ def read_lines(path: Path, most: int | None = None) -> tuple[list[str], list[str
     # each line ends in a delimiter
     if delimiter != " " and lines[-1].rstrip(" ").endswith(delimiter):
         if not lines[-1].strip(f" {delimiter}"):
-            raise DataError(f"{path}: the last line has no number: the file is empty or cut")
+            raise DataError(
+                f"{path}: the last line has no number: the file is empty or cut"
+            )
         if lines[len(lines) // 2].rstrip(" ").endswith(delimiter):
             lines = [x.rstrip(" ").removesuffix(delimiter) for x in lines]
     lines = parted(lines, delimiter, comma, lambda x: split_cells(x, delimiter))
@@ -74,7 +78,11 @@ def _without_footer(lines: list[str]) -> list[str]:
         lines = lines[:-1]
     for k in range(len(lines) - 1, max(len(lines) - 21, 0), -1):
         words = lines[k].lower()
-        if "nan" in words or any(c.isdigit() for c in words) or not any(map(str.isalpha, words)):
+        if (
+            "nan" in words
+            or any(c.isdigit() for c in words)
+            or not any(map(str.isalpha, words))
+        ):
             return lines[: k + 1]
     return lines
 
@@ -102,7 +110,9 @@ def _dialect(line: str) -> tuple[str, bool]:
     quoted = any(_COMMA.match(x) for x in re.findall(r'"([^"]*)"', line))
     if "," in bare:
         words = bare.split()
-        spaced = len(words) > 1 and all(_COMMA.match(w) or w.lstrip("+-").isdigit() for w in words)
+        spaced = len(words) > 1 and all(
+            _COMMA.match(w) or w.lstrip("+-").isdigit() for w in words
+        )
         return (" ", True) if spaced else (",", quoted)
     return (",", True) if '"' in line and "," in line else (" ", False)
 
@@ -277,12 +287,17 @@ def parted(
         Takes a line to its cells.
     """
     number = r"(?:\d+{0}?\d*|{0}\d+)(?:[eEdD][-+]?\d+)?".format("," if comma else r"\.")
-    both = re.compile(rf"(?:\( *)?([-+]? *{number}) *([-+]) *({number}) *\*? *[ijIJ]\b(?: *\))?")
+    both = re.compile(
+        rf"(?:\( *)?([-+]? *{number}) *([-+]) *({number}) *\*? *[ijIJ]\b(?: *\))?"
+    )
     one = re.compile(rf"[-+\s(]*{number}[\s)]*$")
     if both.search(lines[-1]) is None:
         return list(lines)
     mark = "\x00"
-    held = [both.sub(lambda m: (m[1] + mark + m[2] + m[3]).replace(" ", ""), x) for x in lines]
+    held = [
+        both.sub(lambda m: (m[1] + mark + m[2] + m[3]).replace(" ", ""), x)
+        for x in lines
+    ]
     double = [mark in c for c in cells(held[-1])]
     out = []
     for line in held:
@@ -308,9 +323,11 @@ def parted(
 
 log = logging.getLogger(__name__)
 _LACKED = re.compile(
-    r"#?n/?a|null|none|-+|overflow|ovfl|ovl|over|ol|err|error|invalid|bad|#+|\?+|\*+", re.IGNORECASE
+    r"#?n/?a|null|none|-+|overflow|ovfl|ovl|over|ol|err|error|invalid|bad|#+|\?+|\*+",
+    re.IGNORECASE,
 )
-_PROCESSES = {"smp", "avg", "max", "min", "std", "tot", ""}  # Campbell's fourth line of a header
+# Campbell's fourth line of a header
+_PROCESSES = {"smp", "avg", "max", "min", "std", "tot", ""}
 
 
 def is_no_value(cell: str) -> bool:
@@ -325,7 +342,8 @@ def without_words(lines: Sequence[str], delimiter: str) -> list[str]:
     else:
         d = re.escape(delimiter)
         cell = re.compile(
-            rf'(?:^|(?<={d}))[ "]*(?:{_LACKED.pattern}|nan|)[ "]*(?={d}|$)', re.IGNORECASE
+            rf'(?:^|(?<={d}))[ "]*(?:{_LACKED.pattern}|nan|)[ "]*(?={d}|$)',
+            re.IGNORECASE,
         )
     return [cell.sub("nan", x) for x in lines]
 

@@ -50,7 +50,9 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 def one_run() -> Iterator[None]:
     """Within it no file that is read is replaced; a run within a run knows the files of both."""
     outer = _RUN.get() or _Run()
-    mine = _Run(dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept))
+    mine = _Run(
+        dict(outer.inputs), list(outer.targets), set(outer.written), set(outer.kept)
+    )
     token = _RUN.set(mine)
     try:
         yield
@@ -70,7 +72,11 @@ def reads(*paths: str | Path) -> None:
         return
     for path in map(Path, paths):
         what = _identity(path)
-        if what is not None and what not in run.written and path.resolve() not in run.kept:
+        if (
+            what is not None
+            and what not in run.written
+            and path.resolve() not in run.kept
+        ):
             run.inputs[what] = path
     for target in run.targets:
         _refuse_input(run, target)
@@ -294,10 +300,13 @@ def refuse_ending(path: Path, allowed: Iterable[str]) -> NoReturn:
     ------
     DataError
     """
-    raise DataError(f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, allowed)}")
+    raise DataError(
+        f"{path}: format {path.suffix!r}{did_you_mean(path.suffix, allowed)}"
+    )
 
 
-LARGEST = 1e50  # of any unit: MAC has products of four, updating of six, which stay below 1.8e308
+# of any unit: MAC has products of four, updating of six, which stay below 1.8e308
+LARGEST = 1e50
 
 
 def refuse_large(values: Any_, what: str) -> None:

@@ -35,15 +35,22 @@ _PARTS = {
     "phase": r"phase(nwinkel)?|phi|arg|angle|winkel",
     "coherence": r"coh[eé]rence|coh|gamma2|koh[aä]renz",
 }
-PART = {k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE) for k, v in _PARTS.items()}
+PART = {
+    k: re.compile(rf"(?<![A-Za-z])({v})(?![A-Za-z])", re.IGNORECASE)
+    for k, v in _PARTS.items()
+}
 _HEAD = 1 << 20  # bytes that show the titles
-_COUNT = re.compile(r"(no|nr|line|index|idx|row|sample|point|bin|#)?\W*$", re.IGNORECASE)
+_COUNT = re.compile(
+    r"(no|nr|line|index|idx|row|sample|point|bin|#)?\W*$", re.IGNORECASE
+)
 _OF_FRF = re.compile(
     r"\b(FRF|H[12v]|frequency response|transfer function|accelerance|inertance|mobility|receptance"
     r"|compliance|frequenzgang|übertragungsfunktion)\b",
     re.IGNORECASE,
 )
-_X_UNIT = re.compile(r"\b(x|abscissa|freq\w*)\b.*?(?<![a-z])(k?Hz|rad/s|rpm)\b", re.IGNORECASE)
+_X_UNIT = re.compile(
+    r"\b(x|abscissa|freq\w*)\b.*?(?<![a-z])(k?Hz|rad/s|rpm)\b", re.IGNORECASE
+)
 _Y_UNIT = re.compile(
     r"\b(y|ordinate|amplitude)\b[\s\w-]*\bunits?\b\W*?[:=;,\t]\W*?(\S.*)", re.IGNORECASE
 )
@@ -150,13 +157,21 @@ def _joined(rows: Sequence[list[str]]) -> list[str]:
             break
     if not names:
         return []
-    words = [_spread(row) if len(names) > 1 and not _names_parts(row) else row for row in names]
+    words = [
+        _spread(row) if len(names) > 1 and not _names_parts(row) else row
+        for row in names
+    ]
     axis = next((row[0] for row in reversed(names) if FREQUENCY.match(row[0])), "")
-    titles = [" ".join(dict.fromkeys(filter(None, column))) for column in zip(*words, strict=True)]
+    titles = [
+        " ".join(dict.fromkeys(filter(None, column)))
+        for column in zip(*words, strict=True)
+    ]
     titles[0] = axis or names[-1][0] or ("Frequency" if units else "")
     if axis:  # each FRF may have its own
         own = [any(row[k] == axis for row in names) for k in range(len(titles))]
-        titles = [axis if again else title for again, title in zip(own, titles, strict=True)]
+        titles = [
+            axis if again else title for again, title in zip(own, titles, strict=True)
+        ]
     if not units:
         return titles
     return [with_unit(title, unit) for title, unit in zip(titles, units, strict=True)]
@@ -190,8 +205,12 @@ def _by_keys(head: Sequence[str], rows: Sequence[str], delimiter: str) -> list[s
     """
     text = "\n".join(head)
     axis = next((m[2] for x in head if (m := _X_UNIT.search(x))), "")
-    held = [k for k, pattern in PART.items() if k != "coherence" and pattern.search(text)]
-    parts = next((p for p in (["re", "im"], ["size", "phase"]) if set(p) <= set(held)), [])
+    held = [
+        k for k, pattern in PART.items() if k != "coherence" and pattern.search(text)
+    ]
+    parts = next(
+        (p for p in (["re", "im"], ["size", "phase"]) if set(p) <= set(held)), []
+    )
     if "complex" in text.lower():
         parts = ["re", "im"]
     width = len(split_cells(rows[-1], delimiter)) if rows else 0
@@ -218,4 +237,7 @@ def _with_ends(titles: list[str], head: Sequence[str]) -> list[str]:
     if not (one and response):
         return titles
     pair = f"{response}/{reference}" if reference else response
-    return [titles[0], *(t if FREQUENCY.match(t) else f"{pair} {t}" for t in titles[1:])]
+    return [
+        titles[0],
+        *(t if FREQUENCY.match(t) else f"{pair} {t}" for t in titles[1:]),
+    ]

@@ -37,7 +37,11 @@ log = logging.getLogger(__name__)
 
 
 def known_lines(
-    h: Complex, freqs: Float, outputs: Sequence[str], inputs: Sequence[str], path: str | Path
+    h: Complex,
+    freqs: Float,
+    outputs: Sequence[str],
+    inputs: Sequence[str],
+    path: str | Path,
 ) -> slice | Bool:
     """(f,) bool: lines with values; those where no FRF has one are left out, and 0 Hz where one
     lacks it (0/0).
@@ -190,7 +194,9 @@ def read_frf_table(path: Path) -> FrfSet:
     """
     names, data = read_frf_columns(path)
     if len(names) != len(data) or not names or not FREQUENCY.match(names[0]):
-        raise DataError(f"{path}: the first column must be named a frequency; it is {names[:1]}")
+        raise DataError(
+            f"{path}: the first column must be named a frequency; it is {names[:1]}"
+        )
     parts, units = _columns(names, path)
     if not parts:
         raise DataError(
@@ -218,7 +224,9 @@ def read_frf_table(path: Path) -> FrfSet:
         at = outputs.index(pair[0]), inputs.index(pair[1])
         motion, factor, _ = kinds[pair]
         title = {part: names[k] for part, k in columns.items()}
-        values = _complex({p: data[k, order] for p, k in columns.items()}, title, pair, path)
+        values = _complex(
+            {p: data[k, order] for p, k in columns.items()}, title, pair, path
+        )
         h[:, *at] = as_motion(values * factor, freqs, motion, kind)
         if "coherence" in columns:
             coherence[:, *at] = data[columns["coherence"], order]
@@ -258,13 +266,17 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
         based = force.quantity not in FORCES
         for i, c in enumerate(frfs.outputs):
             pair = f"{c.id}/{force.id.removeprefix(BASE) if based else force.id}"
-            unit = "g/g" if based else f"{c.unit}/{force.unit}"  # of one motion over the other
+            # of one motion over the other
+            unit = "g/g" if based else f"{c.unit}/{force.unit}"
             head += [f"{pair} real [{unit}]", f"{pair} imag [{unit}]"]
             columns += [frfs.data[:, i, j].real, frfs.data[:, i, j].imag]
             if np.isfinite(frfs.coherence[:, i, j]).all():
                 head.append(f"{pair} coherence")
                 columns.append(frfs.coherence[:, i, j])
-    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with (
+        atomic_write(path) as part,
+        part.open("w", encoding="utf-8", newline="") as file,
+    ):
         csv.writer(file, lineterminator="\n").writerow(head)
         np.savetxt(
             file,
@@ -277,7 +289,9 @@ def write_frf_table(path: Path, frfs: FrfSet) -> None:
 def _title(name: str) -> _Title | None:
     """Part, response and reference of a title; None where it names no part."""
     rest, unit = _unit_of(_BARS.sub(r"abs \1 ", name))
-    hits = ((part, hit) for part, pattern in PART.items() if (hit := pattern.search(rest)))
+    hits = (
+        (part, hit) for part, pattern in PART.items() if (hit := pattern.search(rest))
+    )
     by_unit = ""
     if _LEVEL.search(unit):
         by_unit = "size"
@@ -300,7 +314,10 @@ def _unit_of(title: str) -> tuple[str, str]:
     units = list[str]()
     for found in _GROUP.finditer(title):
         inside = found[0][1:-1].strip()
-        closing = not title[found.end() :].strip() and not title[: found.start()][-1:].isalpha()
+        closing = (
+            not title[found.end() :].strip()
+            and not title[: found.start()][-1:].isalpha()
+        )
         points = re.search(r"\d[+-]R?[XYZ]", inside)  # such as `1+Z,3+Z`
         part = any(p.fullmatch(inside) for p in PART.values())
         if _says_unit(inside) or (closing and not points and not part):
@@ -326,7 +343,10 @@ def _says_unit(text: str) -> bool:
 
 
 def _complex(
-    columns: Mapping[str, Float], title: Mapping[str, str], key: Sequence[str], path: Path
+    columns: Mapping[str, Float],
+    title: Mapping[str, str],
+    key: Sequence[str],
+    path: Path,
 ) -> Complex:
     if {"re", "im"} <= set(columns):
         return columns["re"] + 1j * columns["im"]

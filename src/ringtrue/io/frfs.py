@@ -155,7 +155,9 @@ def write_frfs(path: str | Path, frfs: FrfSet) -> None:
 
 def _check(frfs: FrfSet, path: Path) -> None:
     if not frfs.inputs:
-        raise DataError(f"{path}: no references (inputs); an FRF needs a response and a reference")
+        raise DataError(
+            f"{path}: no references (inputs); an FRF needs a response and a reference"
+        )
     if not frfs.outputs or frfs.freqs.size < 3:
         raise DataError(
             f"{path}: {len(frfs.outputs)} responses and {frfs.freqs.size} lines; there must be some"
@@ -165,7 +167,9 @@ def _check(frfs: FrfSet, path: Path) -> None:
     if frfs.kind not in (kinds := get_args(FrfKind)):
         raise DataError(f"{path}: kind {frfs.kind!r}{did_you_mean(frfs.kind, kinds)}")
     if frfs.freqs[0] < 0:
-        raise DataError(f"{path}: the lines begin at {frfs.freqs[0]:g} Hz; they must be 0 or more")
+        raise DataError(
+            f"{path}: the lines begin at {frfs.freqs[0]:g} Hz; they must be 0 or more"
+        )
     with about(path):
         refuse_large(frfs.freqs, "frequency")
         refuse_large(frfs.data, "FRF")
@@ -191,7 +195,9 @@ def _forward(frfs: FrfSet, path: Path) -> FrfSet:
     """
     h = frfs.data
     turn = np.einsum("foi,foi->oi", h[1:], h[:-1].conj()).imag
-    share = turn / np.maximum(np.einsum("foi,foi->oi", h, h.conj()).real, np.finfo(float).tiny)
+    share = turn / np.maximum(
+        np.einsum("foi,foi->oi", h, h.conj()).real, np.finfo(float).tiny
+    )
     # 6.0: standard deviations, of noise, that a phase rises by; share of the FRFs in which it does
     if share.mean() < 6.0 / np.sqrt(2 * h.size) or (share > 0).mean() < 0.9:
         return frfs
@@ -252,9 +258,31 @@ _HERTZ = (
     "fs_axis",
 )
 _RADIANS = ("omega", "omegas", "w_rad")
-_OUTPUTS = ("outputs", "output", "responses", "response", "out", "out_dof", "outdof", "rsp")
-_INPUTS = ("inputs", "input", "references", "reference", "refs", "in", "in_dof", "indof", "ref")
-_CALLED: dict[str, Motion] = OF_KIND | {"compliance": "displacement", "inertance": "acceleration"}
+_OUTPUTS = (
+    "outputs",
+    "output",
+    "responses",
+    "response",
+    "out",
+    "out_dof",
+    "outdof",
+    "rsp",
+)
+_INPUTS = (
+    "inputs",
+    "input",
+    "references",
+    "reference",
+    "refs",
+    "in",
+    "in_dof",
+    "indof",
+    "ref",
+)
+_CALLED: dict[str, Motion] = OF_KIND | {
+    "compliance": "displacement",
+    "inertance": "acceleration",
+}
 _LONGEST = 1 << 22
 _OBJECTS = np.dtype(object)
 
@@ -300,9 +328,14 @@ def read_frf_arrays(path: Path) -> FrfSet:
     h = h.reshape(h.shape[0], -1, 1) if h.ndim == 2 else h
     outputs, inputs = (
         texts(values, keys, count) or [f"{prefix}{i + 1}" for i in range(count)]
-        for keys, count, prefix in ((_OUTPUTS, h.shape[1], "out"), (_INPUTS, h.shape[2], "in"))
+        for keys, count, prefix in (
+            (_OUTPUTS, h.shape[1], "out"),
+            (_INPUTS, h.shape[2], "in"),
+        )
     )
-    kinds = [str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type")]
+    kinds = [
+        str(v) for k, v in values.items() if _short(k) in ("kind", "type", "frf_type")
+    ]
     text = " ".join([found.name, *kinds]).lower()
     motion = next((m for name, m in _CALLED.items() if name in text), None)
     if motion is None:
@@ -318,7 +351,10 @@ def _values(path: Path) -> dict[str, Any]:
         return mat_values(path)
 
     def value(_: str, item: h5py.Dataset) -> Any:
-        vector = item.dtype.kind in "fiu" and 0 < item.size == max(item.shape, default=0) < _LONGEST
+        vector = (
+            item.dtype.kind in "fiu"
+            and 0 < item.size == max(item.shape, default=0) < _LONGEST
+        )
         if item.dtype.kind != "c" and not vector:  # samples stay unread
             return None
         check_stored(item, path)
@@ -333,23 +369,35 @@ def _short(name: str) -> str:
 
 def _find(values: Mapping[str, Any]) -> _Found | None:
     arrays = {
-        k: v for k, v in values.items() if getattr(v, "ndim", 0) in (2, 3) and v.dtype.kind == "c"
+        k: v
+        for k, v in values.items()
+        if getattr(v, "ndim", 0) in (2, 3) and v.dtype.kind == "c"
     }
     for name in sorted(arrays, key=lambda k: -arrays[k].size):
         for key, v in values.items():
             freqs = _frequencies(key, v)
             if freqs is not None and freqs.size in arrays[name].shape:
-                return _Found(name, arrays[name], arrays[name].shape.index(freqs.size), freqs)
+                return _Found(
+                    name, arrays[name], arrays[name].shape.index(freqs.size), freqs
+                )
     return None
 
 
 def _frequencies(name: str, value: Any) -> Float | None:
     """Hz, of a vector that is named so and has no value twice."""
     short = _short(name)
-    if short not in (*_HERTZ, *_RADIANS) or getattr(value, "dtype", _OBJECTS).kind not in "fiu":
+    if (
+        short not in (*_HERTZ, *_RADIANS)
+        or getattr(value, "dtype", _OBJECTS).kind not in "fiu"
+    ):
         return None
     f = np.ravel(value).astype(np.float64)
     vector = 8 <= f.size == max(value.shape)  # lines
-    if not vector or not np.isfinite(f).all() or np.unique(f).size != f.size or f.min() < 0:
+    if (
+        not vector
+        or not np.isfinite(f).all()
+        or np.unique(f).size != f.size
+        or f.min() < 0
+    ):
         return None
     return f / (2 * np.pi) if short in _RADIANS else f

@@ -29,7 +29,8 @@ SCALAR = "scalar"  # marks an array without axes
 # bytes from which on an array is compressed: a fifth of noise, most of meshes and tables
 LARGE = 1 << 16
 _SPARSE = {
-    name: getattr(sparse, name) for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")
+    name: getattr(sparse, name)
+    for name in ("csr_array", "csc_array", "csr_matrix", "csc_matrix")
 }
 
 
@@ -65,7 +66,9 @@ def save(group: h5py.Group, obj: object) -> None:
         else:
             plain[name] = _encode(value, where)
     _put_array(
-        group, PLAIN, np.frombuffer(json.dumps(plain, allow_nan=False).encode(), dtype=np.uint8)
+        group,
+        PLAIN,
+        np.frombuffer(json.dumps(plain, allow_nan=False).encode(), dtype=np.uint8),
     )
 
 
@@ -79,14 +82,19 @@ def load(group: h5py.Group) -> Any:
         ringtrue.
     """
     if "kind" not in group.attrs or PLAIN not in group:
-        raise DataError(f"{group.file.filename}:{group.name}: not an object stored by ringtrue")
-    item = group[PLAIN]  # files of earlier versions have it as a text of variable length
+        raise DataError(
+            f"{group.file.filename}:{group.name}: not an object stored by ringtrue"
+        )
+    # files of earlier versions have it as a text of variable length
+    item = group[PLAIN]
     text = h5py.check_string_dtype(item.dtype)
     plain = str(item.asstr()[()]) if text else bytes(item[()]).decode()
     parts = {k: _decode(v) for k, v in json_value(plain, group.file.filename).items()}
     for name, item in group.items():
         if name != PLAIN:
-            parts[name] = load(item) if isinstance(item, h5py.Group) else _get_array(item)
+            parts[name] = (
+                load(item) if isinstance(item, h5py.Group) else _get_array(item)
+            )
     return _build(text_of(group.attrs["kind"]), parts, group)
 
 
@@ -113,7 +121,9 @@ def _parts(obj: object, where: str) -> tuple[str, dict[str, Any]]:
         matrix = cast(Any, obj)
         name = type(obj).__name__
         if name not in _SPARSE:
-            raise DataError(f"{where}: {name} cannot be stored; allowed are {', '.join(_SPARSE)}")
+            raise DataError(
+                f"{where}: {name} cannot be stored; allowed are {', '.join(_SPARSE)}"
+            )
         shape = tuple(int(n) for n in matrix.shape)
         arrays = {part: getattr(matrix, part) for part in ("data", "indices", "indptr")}
         return "sparse", {"format": name, "shape": shape, **arrays}
@@ -150,12 +160,16 @@ _RENAMED = {("FrfSet", "blows"): "impacts"}
 
 
 def _make(cls: type, parts: dict[str, Any]) -> Any:
-    parts = {_RENAMED.get((cls.__name__, name), name): value for name, value in parts.items()}
+    parts = {
+        _RENAMED.get((cls.__name__, name), name): value for name, value in parts.items()
+    }
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
     none = dataclasses.MISSING
     for name, f in fields.items():
         if name not in parts and f.default is none and f.default_factory is none:
-            raise DataError(f"{cls.__name__}: the store lacks {name}: stored by another version?")
+            raise DataError(
+                f"{cls.__name__}: the store lacks {name}: stored by another version?"
+            )
     if extra := sorted(set(parts) - set(fields)):
         raise DataError(
             f"{cls.__name__} has no field {', '.join(extra)}: stored by another version?"
@@ -175,7 +189,9 @@ def _put_array(group: h5py.Group, name: str, a: np.ndarray[Any, Any]) -> None:
         group.create_dataset(name, data=a)
         return
     packed = (
-        {"compression": "gzip", "compression_opts": 1, "shuffle": True} if a.nbytes >= LARGE else {}
+        {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        if a.nbytes >= LARGE
+        else {}
     )
     made = group.create_dataset(name, data=np.atleast_1d(a), fletcher32=True, **packed)
     if not a.ndim:
@@ -218,7 +234,9 @@ def _encode(value: object, where: str) -> Any:
     if isinstance(value, list):
         return {"$list": [_encode(v, where) for v in value]}
     if isinstance(value, dict):
-        return {"$dict": [[_encode(k, where), _encode(v, where)] for k, v in value.items()]}
+        return {
+            "$dict": [[_encode(k, where), _encode(v, where)] for k, v in value.items()]
+        }
     if (fields := _fields(value)) is not None:
         return {
             "$class": _class_name(type(value)),
@@ -235,7 +253,9 @@ def _decode(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if "$class" in value:
-        return _make(_class(value["$class"]), {k: _decode(v) for k, v in value["fields"].items()})
+        return _make(
+            _class(value["$class"]), {k: _decode(v) for k, v in value["fields"].items()}
+        )
     ((tag, inner),) = value.items()
     if tag == "$enum":
         return _class(inner[0])[inner[1]]
@@ -264,7 +284,12 @@ def _class(name: str) -> Any:
     try:
         cls = getattr(import_module(module), qualname)
     except (ImportError, AttributeError) as exc:
-        raise DataError(f"the store holds a {name}, which this version does not have") from exc
-    if not (isinstance(cls, type) and (dataclasses.is_dataclass(cls) or issubclass(cls, Enum))):
+        raise DataError(
+            f"the store holds a {name}, which this version does not have"
+        ) from exc
+    if not (
+        isinstance(cls, type)
+        and (dataclasses.is_dataclass(cls) or issubclass(cls, Enum))
+    ):
         raise DataError(f"{name} is neither a dataclass nor an Enum")
     return cls

@@ -32,7 +32,9 @@ from ringtrue.io.foreign.parsers import (
 from ringtrue.io.recognition import Format, format_of, refuse_format
 from ringtrue.io.record_arrays import check_stored
 
-_FORTRAN = re.compile(r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE)
+_FORTRAN = re.compile(
+    r"\((?:\d*P,?)?(\d*)\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +85,9 @@ class MatrixFile:
             given.
         """
         if not name and len(self.matrices) != 1:
-            raise DataError(f"which of the matrices {', '.join(self.matrices) or 'none'}?")
+            raise DataError(
+                f"which of the matrices {', '.join(self.matrices) or 'none'}?"
+            )
         a = self[name or next(iter(self.matrices))].tocoo()
         if isinstance(rows, DofSet):
             if self.dofs is None:
@@ -130,7 +134,9 @@ def read_matrices(path: str | Path) -> MatrixFile:
     return found
 
 
-def _one(path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None) -> MatrixFile:
+def _one(
+    path: Path, matrix: sparse.csr_array, dofs: DofSet | None = None
+) -> MatrixFile:
     return MatrixFile({path.stem: matrix}, {}, dofs)
 
 
@@ -157,9 +163,13 @@ def _scipy(path: Path) -> MatrixFile:
         kind = kind.decode("ascii") if isinstance(kind, bytes) else str(kind)
         shape = _two(parts["shape"])
         if kind == "coo":
-            return _one(path, triplet_matrix(parts["data"], parts["row"], parts["col"], shape))
+            return _one(
+                path, triplet_matrix(parts["data"], parts["row"], parts["col"], shape)
+            )
         if kind in ("csr", "csc"):
-            data, indices, starts = (parts[name] for name in ("data", "indices", "indptr"))
+            data, indices, starts = (
+                parts[name] for name in ("data", "indices", "indptr")
+            )
             return _one(path, compressed_matrix(kind, data, indices, starts, shape))
         allowed = did_you_mean(kind, ("csr", "csc", "coo"))
         raise DataError(f"a sparse matrix of kind {kind!r}{allowed}")
@@ -171,7 +181,10 @@ def _two(shape: Any_) -> tuple[int, int]:
 
 
 def _sort(
-    name: str, value: Any_, matrices: dict[str, sparse.csr_array], arrays: dict[str, Any_]
+    name: str,
+    value: Any_,
+    matrices: dict[str, sparse.csr_array],
+    arrays: dict[str, Any_],
 ) -> None:
     """Square arrays of more than one row are matrices."""
     if value.ndim == 2 and value.shape[0] == value.shape[1] > 1:
@@ -206,19 +219,25 @@ def _sparse_group(g: h5py.Group) -> sparse.csr_array | None:
     if {"data", "ir", "jc"} <= set(g) and "MATLAB_sparse" in g.attrs:
         starts = _stored(g["jc"])
         size = (int(g.attrs["MATLAB_sparse"]), starts.size - 1)
-        return compressed_matrix("csc", _stored(g["data"]), _stored(g["ir"]), starts, size)
+        return compressed_matrix(
+            "csc", _stored(g["data"]), _stored(g["ir"]), starts, size
+        )
     stated = g.attrs.get("shape", g["shape"][()] if "shape" in g else None)
     if {"data", "indices", "indptr"} <= set(g):
         text = g.attrs.get("encoding-type", g.attrs.get("format", "csr"))
         kind = "csc" if "csc" in str(text) else "csr"
-        data, indices, starts = (_stored(g[name]) for name in ("data", "indices", "indptr"))
+        data, indices, starts = (
+            _stored(g[name]) for name in ("data", "indices", "indptr")
+        )
         shape = starts.size - 1, int(indices.max(initial=-1)) + 1
         shape = shape if kind == "csr" else shape[::-1]
         shape = shape if stated is None else _two(stated)
         return compressed_matrix(kind, data, indices, starts, shape)
     if {"data", "row", "col"} <= set(g):
         data, row, column = (_stored(g[name]) for name in ("data", "row", "col"))
-        return triplet_matrix(data, row, column, None if stated is None else _two(stated))
+        return triplet_matrix(
+            data, row, column, None if stated is None else _two(stated)
+        )
     return None
 
 
@@ -227,7 +246,9 @@ def _stored(data: h5py.Dataset) -> Any_:
     check_stored(data, data.file.filename)
     values: Any_ = data[()]
     return (
-        values["real"] + 1j * values["imag"] if values.dtype.names == ("real", "imag") else values
+        values["real"] + 1j * values["imag"]
+        if values.dtype.names == ("real", "imag")
+        else values
     )
 
 
@@ -238,7 +259,11 @@ def _abaqus(path: Path) -> MatrixFile:
     try:
         text = path.read_text(encoding="ascii").replace(",", " ")
         rows = np.array(
-            [x.split() for x in text.splitlines() if x.strip() and x.strip()[0] not in "*#%"]
+            [
+                x.split()
+                for x in text.splitlines()
+                if x.strip() and x.strip()[0] not in "*#%"
+            ]
         )
         if rows.ndim != 2 or rows.shape[1] not in (3, 5):
             raise ValueError(f"lines of {rows.shape[-1]} numbers; 3 or 5 are known")
@@ -249,10 +274,14 @@ def _abaqus(path: Path) -> MatrixFile:
     if numbers.shape[1] == 3:
         i, j = (places - 1).T
         with about(path):
-            return _one(path, _whole(numbers[:, 2], i, j, int(max(i.max(), j.max())) + 1))
+            return _one(
+                path, _whole(numbers[:, 2], i, j, int(max(i.max(), j.max())) + 1)
+            )
     ends = places
     if ends[:, 1::2].min() < 0 or ends[:, 1::2].max() > 6:
-        raise DataError(f"{path}: degree of freedom {ends[:, 1::2].max()}; known are 1 to 6")
+        raise DataError(
+            f"{path}: degree of freedom {ends[:, 1::2].max()}; known are 1 to 6"
+        )
     every, place = np.unique(
         np.concatenate([ends[:, :2], ends[:, 2:]]), axis=0, return_inverse=True
     )
@@ -393,7 +422,11 @@ class _Text:
     def header(self) -> tuple[list[int], str]:
         line = self._line()
         # columns and rows take sixteen characters where eight are too few
-        cuts = (0, 16, 32, 40, 48, 56) if line.rstrip().endswith("|I16") else (0, 8, 16, 24, 32, 40)
+        cuts = (
+            (0, 16, 32, 40, 48, 56)
+            if line.rstrip().endswith("|I16")
+            else (0, 8, 16, 24, 32, 40)
+        )
         given = _FORMAT.match(line[cuts[-1] :].strip().upper())
         self.per_line, self.width = (int(given[1]), int(given[2])) if given else (5, 16)
         cells = [line[a:b] for a, b in pairwise(cuts)]
@@ -413,7 +446,9 @@ class _Text:
 
     def reals(self, words: int, size: int, dense: bool) -> Float:
         count = words if dense else words // size
-        values, self.at = fixed_numbers(self.lines, self.at, count, self.per_line, self.width)
+        values, self.at = fixed_numbers(
+            self.lines, self.at, count, self.per_line, self.width
+        )
         return values
 
     def close(self) -> None:
@@ -431,7 +466,9 @@ class _Binary:
         self.at = 0
 
     def _record(self) -> None:
-        (length,) = np.frombuffer(self.raw, f"{self.order}i4", 1, offset=self.at).tolist()
+        (length,) = np.frombuffer(
+            self.raw, f"{self.order}i4", 1, offset=self.at
+        ).tolist()
         end = self.at + 4 + length
         if length < 0 or end + 4 > len(self.raw):
             why = f"a record of {length} bytes at byte {self.at} passes the end of the file"
@@ -504,11 +541,16 @@ def _matrices(source: _Text | _Binary) -> Iterator[tuple[str, sparse.csr_array]]
                     (mark,) = source.integers(1)
                     length, row = mark >> 16, mark & 0xFFFF
                 if length < 2:
-                    raise ValueError(f"a string of {length - 1} words in column {column}")
+                    raise ValueError(
+                        f"a string of {length - 1} words in column {column}"
+                    )
                 runs.append((column, row, source.reals(length - 1, size, False)))
                 words -= length
         source.close()
-        yield name.replace("\0", "").strip().upper(), _matrix((rows, columns), kind > 2, runs)
+        yield (
+            name.replace("\0", "").strip().upper(),
+            _matrix((rows, columns), kind > 2, runs),
+        )
 
 
 def _matrix(

@@ -52,7 +52,11 @@ def modes_to_json(
         Doubtful modes and harmonics: rows of the same form, under `others`.
     """
     rows = list(_rows(modes, uncertainty, reasons))
-    return {"modes": [row | {"class": "natural"} for row in rows]} | _rest(modes) | _others(others)
+    return (
+        {"modes": [row | {"class": "natural"} for row in rows]}
+        | _rest(modes)
+        | _others(others)
+    )
 
 
 def _others(others: OtherCandidates | None) -> dict[str, Any]:
@@ -60,12 +64,19 @@ def _others(others: OtherCandidates | None) -> dict[str, Any]:
         return {}
     rows = _rows(others.modes, others.uncertainty, tuple(map(sentence, others.notes)))
     return {
-        "others": [row | {"class": kind} for row, kind in zip(rows, others.classes, strict=True)]
+        "others": [
+            row | {"class": kind}
+            for row, kind in zip(rows, others.classes, strict=True)
+        ]
     }
 
 
 def _rest(modes: ModeSet) -> dict[str, Any]:
-    return {"channels": list(modes.channels), "scaling": str(modes.norm), "source": modes.source}
+    return {
+        "channels": list(modes.channels),
+        "scaling": str(modes.norm),
+        "source": modes.source,
+    }
 
 
 def _rows(
@@ -81,7 +92,9 @@ def _rows(
             "std_frequency_hz": _number(std_f[k]),
             "std_damping": _number(std_z[k]),
             "shape_re": _numbers(modes.shapes[:, k].real),
-            "shape_im": _numbers(modes.shapes[:, k].imag) if np.iscomplexobj(modes.shapes) else [],
+            "shape_im": _numbers(modes.shapes[:, k].imag)
+            if np.iscomplexobj(modes.shapes)
+            else [],
             "confidence": _number(modes.confidence[k]),
             "reason": reasons[k] if k < len(reasons) else None,
         }
@@ -109,7 +122,9 @@ def dump_modes(
     file.write('{"modes": [')
     for k, row in enumerate(_rows(modes, uncertainty, reasons)):
         file.write((",\n " if k else "\n ") + json.dumps(row, allow_nan=False))
-    file.write("],\n" + json.dumps(_rest(modes) | dict(more or {}), allow_nan=False)[1:] + "\n")
+    file.write(
+        "],\n" + json.dumps(_rest(modes) | dict(more or {}), allow_nan=False)[1:] + "\n"
+    )
 
 
 def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
@@ -126,7 +141,9 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
         shapes = np.zeros((len(rows), len(channels)), dtype=np.complex128)
         for k, row in enumerate(rows):
             if not isinstance(row, Mapping):
-                raise TypeError(f"mode {k + 1} is {row!r}; it must be a table with frequency_hz")
+                raise TypeError(
+                    f"mode {k + 1} is {row!r}; it must be a table with frequency_hz"
+                )
             re = np.array(row.get("shape_re", ()), dtype=np.float64)
             im = np.array(row.get("shape_im") or np.zeros(re.size), dtype=np.float64)
             if not re.size == im.size == len(channels):
@@ -139,7 +156,9 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
         confidence = _column(rows, "confidence", 1.0)
         norm = Norm(table.get("scaling") or Norm.UNSCALED)
     except (KeyError, TypeError, ValueError) as exc:
-        raise DataError(f"{source}: not a table of modes ({type(exc).__name__}: {exc})") from exc
+        raise DataError(
+            f"{source}: not a table of modes ({type(exc).__name__}: {exc})"
+        ) from exc
     if not np.isfinite(frequency).all():
         at = int(np.isfinite(frequency).argmin())
         raise DataError(f"{source}: mode {at + 1} has no frequency_hz")
@@ -154,7 +173,9 @@ def modes_from_json(table: Mapping[str, Any], source: str = "") -> ModeSet:
     )
 
 
-def _column(rows: Sequence[Mapping[str, Any]], key: str, default: float = math.nan) -> Float:
+def _column(
+    rows: Sequence[Mapping[str, Any]], key: str, default: float = math.nan
+) -> Float:
     """One number a mode; `default` where it is null or missing."""
     given = [row.get(key) for row in rows]
     for k, x in enumerate(given, start=1):
@@ -202,7 +223,9 @@ def read_modes(path: str | Path) -> ModeSet:
     if held is Format.JSON:
         table = read_json(path)
         if not isinstance(table, dict):
-            raise DataError(f"{path}: not a table of modes; it must have `modes` and `channels`")
+            raise DataError(
+                f"{path}: not a table of modes; it must have `modes` and `channels`"
+            )
         modes = modes_from_json(table, str(path))
     elif held is Format.HDF5:
         with open_hdf5(path) as file:
@@ -252,7 +275,9 @@ _WHOSE = r"(natural|nat\.?|modal|damped|undamped|resonance|resonant|critical)?\s
 _FREQUENCY = re.compile(
     rf"{_WHOSE}(f|fn|freq\.?|frequency|frequencies|frequenz|eigenfrequenz|eigenfrequency|fréquence)(?![^\W_])"
 )
-_DAMPING = re.compile(rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])")
+_DAMPING = re.compile(
+    rf"{_WHOSE}(damping|damping ratio|zeta|ζ|dämpfung|amortissement)(?![^\W_])"
+)
 _SPREAD = re.compile(r"(std|±|sigma|σ|deviation|uncertainty)\s*(of\s*)?")
 _NUMBER = re.compile(r"[-+]?[\d.,]+([eEdD][-+]?\d+)?$")
 _BESIDE = {
@@ -295,7 +320,9 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
         above 0.25.
     """
     rows = [r for r in cells(path) if any(r) and not r[0].startswith("# ")]
-    if not any(_FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in rows):
+    if not any(
+        _FREQUENCY.match(r[0].lower()) and _NUMBER.match("".join(r[1:2])) for r in rows
+    ):
         rows = [list(column) for column in zip_longest(*rows, fillvalue="")]
     found: dict[str, list[str]] = {}
     of: dict[str, str] = {}  # the row of each kind
@@ -306,7 +333,9 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
         kind = _kind(label)
         if label in found or kind in of:
             why = (
-                f"`{of[kind]}` and `{label}` are both {kind}" if kind else f"`{label}` occurs twice"
+                f"`{of[kind]}` and `{label}` are both {kind}"
+                if kind
+                else f"`{label}` occurs twice"
             )
             raise DataError(f"{path}: {why}")
         found[label] = texts
@@ -345,23 +374,35 @@ def read_mode_table(path: Path) -> tuple[ModeSet, Float, Float]:
             "its title"
         )
     order = np.argsort(f, kind="stable")
-    shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))[:, order]
+    shapes = np.array([number[c] for c in channels]).reshape(len(channels), len(there))[
+        :, order
+    ]
     values = shapes if shapes.imag.any() else shapes.real
     modes = ModeSet(f[order], zeta[order], values, tuple(channels), source=path.name)
     return modes, std_f[order], std_z[order]
 
 
-def write_mode_table(path: Path, modes: ModeSet, uncertainty: Uncertainty | None = None) -> None:
+def write_mode_table(
+    path: Path, modes: ModeSet, uncertainty: Uncertainty | None = None
+) -> None:
     """Write modes as CSV, a column a mode."""
     rows = [["mode", *(str(i + 1) for i in range(len(modes)))]]
     numbers = {"frequency [Hz]": modes.frequencies, "damping [%]": 100 * modes.damping}
     if uncertainty is not None:
         numbers["std frequency [Hz]"] = uncertainty.frequency
         numbers["std damping [%]"] = 100 * uncertainty.damping
-    for title, values in (*numbers.items(), *zip(modes.channels, modes.shapes, strict=True)):
-        texts = (f"{x:.9g}".strip("()") if np.isfinite(x) else "" for x in values.tolist())
+    for title, values in (
+        *numbers.items(),
+        *zip(modes.channels, modes.shapes, strict=True),
+    ):
+        texts = (
+            f"{x:.9g}".strip("()") if np.isfinite(x) else "" for x in values.tolist()
+        )
         rows.append([title, *texts])
-    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with (
+        atomic_write(path) as part,
+        part.open("w", encoding="utf-8", newline="") as file,
+    ):
         csv.writer(file).writerows(rows)
 
 
@@ -370,7 +411,13 @@ def _kind(label: str) -> str:
     text = label.lower().strip()
     spread = _SPREAD.match(text)
     text = text[spread.end() :] if spread else text
-    kind = "frequency" if _FREQUENCY.match(text) else "damping" if _DAMPING.match(text) else ""
+    kind = (
+        "frequency"
+        if _FREQUENCY.match(text)
+        else "damping"
+        if _DAMPING.match(text)
+        else ""
+    )
     if spread and not kind:  # `± [Hz]`
         kind = "damping" if "%" in text else "frequency" if "hz" in text else ""
     return f"std {kind}" if spread and kind else kind
@@ -381,7 +428,9 @@ def _cell_value(text: str, label: str, path: Path) -> complex:
         return complex(np.nan)
     plain = text.lower() if "." in text else text.lower().replace(",", ".")
     try:
-        value = complex(re.sub(r"[\s()*]", "", plain).replace("i", "j").replace("jnf", "inf"))
+        value = complex(
+            re.sub(r"[\s()*]", "", plain).replace("i", "j").replace("jnf", "inf")
+        )
     except ValueError:
         value = complex(np.inf)
     if np.isinf(value):

@@ -59,7 +59,9 @@ _SIGNATURES = {
 }
 _TAKERS = {  # of formats that hold one thing
     Format.DECK: "a deck; `ringtrue check` takes decks",
-    **dict.fromkeys(SOLVER_RESULTS, "results of a solver; `ringtrue convert` takes them"),
+    **dict.fromkeys(
+        SOLVER_RESULTS, "results of a solver; `ringtrue convert` takes them"
+    ),
     Format.JSON: "modes or a log; `ringtrue correlate` takes modes",
     Format.TOML: "a study or a choice; `ringtrue run` takes studies",
     Format.NPZ: "arrays of NumPy, as FRFs; `ringtrue ema` takes FRFs",
@@ -97,7 +99,9 @@ def _format(path: Path, changed: int, size: int) -> Format:
             f"{path}: has zero bytes; this is not a text file, and it begins with {head[:8]!r} as "
             f"no binary format that is known; looked for: {looked_for}"
         )
-    text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1", "replace")
+    text = head.decode(
+        "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1", "replace"
+    )
     lines = text.removeprefix("\u00ef\u00bb\u00bf").splitlines()
     lines = lines if len(head) < _HEAD else lines[:-1]
     return _text(lines, path)
@@ -170,7 +174,12 @@ def _is_matlab_4(head: bytes, order: str) -> bool:
     types = range(60)  # precision and class: PT of MOPT, O being 0
     sizes = rows >= 0 and columns >= 0 and is_complex in (0, 1) and 1 < name <= 64
     text = head[20 : 19 + name] if sizes else b""
-    return 0 <= machine <= 4 and rest in types and sizes and re.fullmatch(rb"\w+", text) is not None
+    return (
+        0 <= machine <= 4
+        and rest in types
+        and sizes
+        and re.fullmatch(rb"\w+", text) is not None
+    )
 
 
 def _matlab_attributes(path: Path) -> bool:
@@ -192,7 +201,8 @@ _MARKS = {  # of the text as a whole
     Format.MATRIX_MARKET: re.compile(r"\A%%Matri"),
     # titles that are numbered in columns 73 to 80
     Format.PUNCH: re.compile(
-        r"^\$(?:TITLE|SUBTITLE|LABEL|EIGENVALUE|EIGENVECTOR|DISPLACEMENTS)\b.{55,}\d[ ]*$", re.M
+        r"^\$(?:TITLE|SUBTITLE|LABEL|EIGENVALUE|EIGENVECTOR|DISPLACEMENTS)\b.{55,}\d[ ]*$",
+        re.M,
     ),
     Format.F06: re.compile(
         r"^(?!\$).*(?:N A S T R A N|R E A L   E I G E N|D E S I G N   S E N S I|>> MYSTRAN"

@@ -36,10 +36,14 @@ def read_npy(path: Path) -> RawTable:
     """
     a = read_array(path)
     if a.ndim not in (1, 2) or a.dtype.kind not in "fiu":
-        raise DataError(f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real")
+        raise DataError(
+            f"{path}: array {a.shape} {a.dtype}; it must be (sample, channel) and real"
+        )
     a = a.T if a.ndim == 2 and a.shape[1] > a.shape[0] > 0 else a
     data = np.array(
-        np.atleast_2d(a.T), dtype=a.dtype if a.dtype.kind == "f" else np.float64, order="C"
+        np.atleast_2d(a.T),
+        dtype=a.dtype if a.dtype.kind == "f" else np.float64,
+        order="C",
     )
     return without_time(numbered(data, None), path)
 
@@ -66,10 +70,14 @@ def read_h5_table(file: h5py.File, path: Path, group: str = "") -> RawTable:
         return without_time(numbered(columns_first(part[()], path), rate), path)
     every: dict[str, h5py.Dataset] = {}
     part.visititems(
-        lambda name, item: every.update({name: item}) if isinstance(item, h5py.Dataset) else None
+        lambda name, item: (
+            every.update({name: item}) if isinstance(item, h5py.Dataset) else None
+        )
     )
     tables = [d for d in every.values() if d.ndim == 2]
-    scalars = {k.lower(): v[()] for k, v in every.items() if v.size == 1 and "/" not in k}
+    scalars = {
+        k.lower(): v[()] for k, v in every.items() if v.size == 1 and "/" not in k
+    }
     if not tables:
         return _h5_vectors(part, every, scalars, path)
     long = [d for d in tables if d.dtype.kind in "fiu"]
@@ -86,10 +94,15 @@ def read_h5_table(file: h5py.File, path: Path, group: str = "") -> RawTable:
     times = {
         k: v[()]
         for k, v in data.parent.items()
-        if isinstance(v, h5py.Dataset) and v.name != data.name and v.size == samples and is_time(k)
+        if isinstance(v, h5py.Dataset)
+        and v.name != data.name
+        and v.size == samples
+        and is_time(k)
     }
     rate, rows = time_grid(times, samples, path, named_rate({**scalars, **attributes}))
-    return without_time(replace(numbered(columns_first(data[()], path), rate), rows=rows), path)
+    return without_time(
+        replace(numbered(columns_first(data[()], path), rate), rows=rows), path
+    )
 
 
 def _h5_vectors(
@@ -99,7 +112,11 @@ def _h5_vectors(
     path: Path,
 ) -> RawTable:
     """The vectors of one length, a channel each."""
-    one = {k: v for k, v in every.items() if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1}
+    one = {
+        k: v
+        for k, v in every.items()
+        if v.ndim == 1 and v.dtype.kind in "fiu" and v.size > 1
+    }
     for vector in one.values():
         check_stored(vector, path)
     samples = max((v.size for v in one.values()), default=0)
@@ -125,12 +142,18 @@ def _h5_vectors(
         stored = attributes_of_v.get("unit", attributes_of_v.get("units", ""))
         text = np.ravel(stored)[0] if np.size(stored) == 1 else ""
         units.append(
-            known(text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text))
+            known(
+                text.decode("utf-8", "replace")
+                if isinstance(text, bytes)
+                else str(text)
+            )
         )
     return RawTable(
         data=np.stack([v[()].astype(np.float64) for v in signals.values()]),
         rate=rate,
-        names=tuple(k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals),
+        names=tuple(
+            k.rpartition("/")[2] if alone else k.replace("/", ".") for k in signals
+        ),
         units=tuple(units),
         quantities=("",) * len(signals),
         rows=rows,
@@ -203,27 +226,39 @@ def read_mat(path: Path) -> RawTable:
     arrays = {k: v for k, v in real.items() if v.ndim == 2}
     place = max(arrays, key=lambda k: arrays[k].size, default="")
     if not place or arrays[place].size < 2:
-        raise DataError(f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}")
+        raise DataError(
+            f"{path}: no real 2-D variable; there are {', '.join(values) or 'none'}"
+        )
     largest = arrays[place]
     short = {k.rpartition(".")[2]: v for k, v in values.items()}
     samples = max(largest.shape)
     rate, rows = time_grid(short, samples, path, named_rate(short))
     vectors = {
-        k: v for k, v in real.items() if v.size == samples and not is_time(k.rpartition(".")[2])
+        k: v
+        for k, v in real.items()
+        if v.size == samples and not is_time(k.rpartition(".")[2])
     }
     if min(largest.shape) == 1 and len(vectors) > 1:
-        table = numbered(np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate)
+        table = numbered(
+            np.stack([np.ravel(v).astype(np.float64) for v in vectors.values()]), rate
+        )
         titles = tuple(_text_of_channel(values, k, _NAME) or k for k in vectors)
         if len(set(titles)) < len(titles):
             titles = tuple(vectors)
         units = tuple(_text_of_channel(values, k, _UNIT) for k in vectors)
         table = replace(table, rows=rows, names=titles, units=units)
     else:
-        table = without_time(replace(numbered(columns_first(largest, path), rate), rows=rows), path)
-        table = replace(table, units=(_text_of_channel(values, place, _UNIT),) * len(table.units))
+        table = without_time(
+            replace(numbered(columns_first(largest, path), rate), rows=rows), path
+        )
+        table = replace(
+            table, units=(_text_of_channel(values, place, _UNIT),) * len(table.units)
+        )
     count = table.data.shape[0]
     units = tuple(known(u) for u in texts(values, _UNITS, count) or table.units)
-    return replace(table, names=texts(values, _NAMES, count) or table.names, units=units)
+    return replace(
+        table, names=texts(values, _NAMES, count) or table.names, units=units
+    )
 
 
 def mat_values(path: Path) -> dict[str, Any]:
@@ -248,20 +283,27 @@ def _singly(values: Mapping[str, Any]) -> dict[str, Any]:
     split = {
         k.rpartition(".")[0]
         for k, v in values.items()
-        if getattr(v, "dtype", None) == _OBJECTS and any(isinstance(x, np.ndarray) for x in v.flat)
+        if getattr(v, "dtype", None) == _OBJECTS
+        and any(isinstance(x, np.ndarray) for x in v.flat)
     }
     out: dict[str, Any] = {}
     for key, value in values.items():
         stem, dot, field = key.rpartition(".")
         if dot and stem in split and getattr(value, "dtype", None) == _OBJECTS:
-            each = {f"{stem}_{i}.{field}": x for i, x in enumerate(value.flat, 1) if x is not None}
+            each = {
+                f"{stem}_{i}.{field}": x
+                for i, x in enumerate(value.flat, 1)
+                if x is not None
+            }
             out |= _flat(each)
         else:
             out[key] = value
     return out
 
 
-def _text_of_channel(values: Mapping[str, Any], key: str, names: tuple[str, ...]) -> str:
+def _text_of_channel(
+    values: Mapping[str, Any], key: str, names: tuple[str, ...]
+) -> str:
     """The text of such a name in the structure of a channel, or in its header:
     `Channel_1_Data`, `_Header.Unit`.
     """
@@ -290,7 +332,9 @@ def _value_73(name: str, item: h5py.Dataset) -> Any:
         cells = [item.file[r] for r in np.ravel(item[()])]
         out = np.empty(len(cells), dtype=object)
         out[:] = [
-            _value_73("", c) if isinstance(c, h5py.Dataset) and c.dtype.kind in "fiu" else None
+            _value_73("", c)
+            if isinstance(c, h5py.Dataset) and c.dtype.kind in "fiu"
+            else None
             for c in cells
         ]
         return out if any(x is not None for x in out) else None
@@ -301,18 +345,26 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Fields of structures as `name.field`."""
     out: dict[str, Any] = {}
     for key, value in values.items():
-        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        out |= (
+            _flat(value, f"{prefix}{key}.")
+            if isinstance(value, dict)
+            else {prefix + key: value}
+        )
     return out
 
 
-def texts(values: Mapping[str, Any], names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
+def texts(
+    values: Mapping[str, Any], names: tuple[str, ...], count: int
+) -> tuple[str, ...] | None:
     """A cell array or char matrix of `count` texts under one of the names, given in small
     letters.
     """
     for key, value in values.items():
         name = key.rpartition(".")[2].lower()
         if name in names and isinstance(value, np.ndarray) and value.size == count:
-            texts = tuple(v.strip() if isinstance(v, str) else "" for v in value.ravel().tolist())
+            texts = tuple(
+                v.strip() if isinstance(v, str) else "" for v in value.ravel().tolist()
+            )
             if name in _UNITS or (all(texts) and len(set(texts)) == count):
                 return texts
     return None

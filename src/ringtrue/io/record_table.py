@@ -113,7 +113,9 @@ def find_record(file: h5py.File) -> h5py.Group | None:
     """The group of the record; None where the layout is another one."""
     for group in (file.get("record"), file):
         data = group.get("data") if isinstance(group, h5py.Group) else None
-        if isinstance(data, h5py.Dataset) and ("channels" in group or "id" in data.attrs):
+        if isinstance(data, h5py.Dataset) and (
+            "channels" in group or "id" in data.attrs
+        ):
             return group
     return None
 
@@ -147,7 +149,9 @@ def _column(group: h5py.Group, name: str, kind: type, path: str | Path) -> list[
     try:
         return list(np.asarray(values, dtype=kind).tolist())
     except ValueError as exc:
-        raise DataError(f"{path}: channel table {name} must hold numbers ({exc})") from exc
+        raise DataError(
+            f"{path}: channel table {name} must hold numbers ({exc})"
+        ) from exc
 
 
 def stored_info(group: h5py.Group, path: str | Path) -> RecordInfo:
@@ -157,7 +161,9 @@ def stored_info(group: h5py.Group, path: str | Path) -> RecordInfo:
         raise DataError(f"{path}: data {shape} must be (channel, sample) and not empty")
     rate = group.attrs.get("rate", group["data"].attrs.get("rate"))
     if rate is None or not (np.isfinite(rate) and rate > 0):
-        raise DataError(f"{path}: attribute rate is {rate}; it must be a positive number, Hz")
+        raise DataError(
+            f"{path}: attribute rate is {rate}; it must be a positive number, Hz"
+        )
     rows: list[dict[str, Any]] = [{} for _ in range(shape[0])]
     for name, kind in TABLE.items():
         for row, value in zip(rows, _column(group, name, kind, path), strict=False):
@@ -171,7 +177,9 @@ def stored_info(group: h5py.Group, path: str | Path) -> RecordInfo:
     return RecordInfo(channels, float(rate), int(shape[1]), source)
 
 
-def channel_positions(info: RecordInfo, channels: Sequence[str] | None, path: str | Path) -> Int:
+def channel_positions(
+    info: RecordInfo, channels: Sequence[str] | None, path: str | Path
+) -> Int:
     """Rows of the channels by id, (c,) int64, in the order asked for; all by default."""
     here = {c.id: i for i, c in enumerate(info.channels)}
     wanted = list(here) if channels is None else channels
@@ -182,7 +190,9 @@ def channel_positions(info: RecordInfo, channels: Sequence[str] | None, path: st
     return np.array([here[c] for c in wanted], dtype=np.int64)
 
 
-def stored_samples(group: h5py.Group, info: RecordInfo, at: Int, samples: slice) -> TimeHistory:
+def stored_samples(
+    group: h5py.Group, info: RecordInfo, at: Int, samples: slice
+) -> TimeHistory:
     """These rows (c,) and samples, SI; float32 where they are stored so."""
     data = group["data"]
     order = np.unique(at)
@@ -210,7 +220,15 @@ _RATE_NAMES = (  # in letters and digits
     "samplefreq",
     "samplingfreq",
 )
-_STEP_NAMES = ("dt", "increment", "samplinginterval", "sampleinterval", "deltat", "timestep", "ts")
+_STEP_NAMES = (
+    "dt",
+    "increment",
+    "samplinginterval",
+    "sampleinterval",
+    "deltat",
+    "timestep",
+    "ts",
+)
 TIME_NAMES = ("t", "time", "time [s]", "time (s)", "x_value", "zeit", "sec", "seconds")
 SAME_RATE = 1e-3  # relative, of a rate that is named and that of the times
 
@@ -268,7 +286,8 @@ def joined(pieces: Sequence[tuple[float, RawTable]]) -> RawTable | None:
     start = np.array([start for start, _ in pieces])
     first = pieces[0][1]
     same = all(
-        (t.names, t.units, t.rate, t.rows) == (first.names, first.units, first.rate, None)
+        (t.names, t.units, t.rate, t.rows)
+        == (first.names, first.units, first.rate, None)
         for _, t in pieces
     )
     if first.rate is None or not same or not np.isfinite(start).all():
@@ -306,7 +325,8 @@ def is_time(name: str) -> bool:
     `Data1_time_AI_1`.
     """
     return (
-        name.strip().lower() in TIME_NAMES or re.search(r"(^|_)time(_|$)", name.lower()) is not None
+        name.strip().lower() in TIME_NAMES
+        or re.search(r"(^|_)time(_|$)", name.lower()) is not None
     )
 
 
@@ -365,7 +385,11 @@ def time_grid(
     ]
     if not times:
         return stated, None
-    rate, rows = even_grid(in_seconds(times[0].astype(np.float64)), stated is None, path)
+    rate, rows = even_grid(
+        in_seconds(times[0].astype(np.float64)), stated is None, path
+    )
     if stated is None:
         return rate, rows
-    return stated, rows if rate is not None and abs(rate / stated - 1) < SAME_RATE else None
+    return stated, rows if rate is not None and abs(
+        rate / stated - 1
+    ) < SAME_RATE else None

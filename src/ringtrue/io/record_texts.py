@@ -32,8 +32,22 @@ from ringtrue.io.delimited import (
 )
 from ringtrue.io.files import read_text
 from ringtrue.io.foreign.parsers import open_tdms
-from ringtrue.io.record_table import TIME_NAMES, RawTable, is_time, named_rate, numbered, time_grid
-from ringtrue.io.times import even_grid, in_seconds, is_clock, known, second_of_day, seconds
+from ringtrue.io.record_table import (
+    TIME_NAMES,
+    RawTable,
+    is_time,
+    named_rate,
+    numbered,
+    time_grid,
+)
+from ringtrue.io.times import (
+    even_grid,
+    in_seconds,
+    is_clock,
+    known,
+    second_of_day,
+    seconds,
+)
 
 log = logging.getLogger(__name__)
 _TIMES = {
@@ -102,7 +116,9 @@ def read_csv(path: Path) -> RawTable:
     if head:
         names = column_titles(head, width, path)
     if names and len(names) - clock != len(data):
-        raise DataError(f"{path}: {len(names) - clock} names in the header, {len(data)} columns")
+        raise DataError(
+            f"{path}: {len(names) - clock} names in the header, {len(data)} columns"
+        )
     rate = _stated_rate([*comments, *lines[:top]])
     if not clock:
         return _with_time(data, names, rate, path)
@@ -137,7 +153,9 @@ def _clocked(
         *stamp, rest = line.split(None if delimiter == " " else delimiter, clock)
         if len(stamp) < clock:
             count = len(stamp) + 1
-            raise DataError(f"{path}: row {k} of the samples has {count} cells: {line[:60]!r}")
+            raise DataError(
+                f"{path}: row {k} of the samples has {count} cells: {line[:60]!r}"
+            )
         body.append(rest)
         stamps.append(" ".join(stamp).replace('"', ""))
     return body, clock, stamps
@@ -148,7 +166,12 @@ def _rate_of(t: Float, path: Path) -> tuple[float | None, Int | None]:
     `even_grid`.
     """
     step = np.diff(t)
-    whole = t.size > 2 and (step >= 0).all() and (step == 0).any() and (np.round(t) == t).all()
+    whole = (
+        t.size > 2
+        and (step >= 0).all()
+        and (step == 0).any()
+        and (np.round(t) == t).all()
+    )
     if whole:
         mean = float(np.polyfit(np.arange(t.size) / t.size, t, 1)[0]) / t.size
         even = np.abs(t - t[0] - mean * np.arange(t.size)).max() < 1.5
@@ -162,13 +185,20 @@ def _stated_rate(lines: Sequence[str]) -> float | None:
     """The rate that a line above the samples gives, Hz."""
     for line in lines:
         if found := _RATE.search(line):
-            return float(found["x"].replace(",", ".")) * (1e3 if found["k"] else 1.0) or None
-        if (found := _STEP.search(line)) and (step := float(found["x"].replace(",", "."))) > 0:
+            return (
+                float(found["x"].replace(",", ".")) * (1e3 if found["k"] else 1.0)
+                or None
+            )
+        if (found := _STEP.search(line)) and (
+            step := float(found["x"].replace(",", "."))
+        ) > 0:
             return 1 / (step * SECONDS_PER[(found["u"] or "s").lower()])
     return None
 
 
-def _with_time(data: Float, names: Sequence[str], stated: float | None, path: Path) -> RawTable:
+def _with_time(
+    data: Float, names: Sequence[str], stated: float | None, path: Path
+) -> RawTable:
     """The table without columns of times and counts, with the rate that they or the lines above
     tell.
     """
@@ -178,22 +208,32 @@ def _with_time(data: Float, names: Sequence[str], stated: float | None, path: Pa
     if not len(data):
         raise DataError(f"{path}: empty, there are no samples")
     first = names[0].lower() if names else ""
-    title = BRACKETED_UNIT.match(first) or re.match(r"^(.*?)[\s_](ms|us|µs|ns|s)$", first)
+    title = BRACKETED_UNIT.match(first) or re.match(
+        r"^(.*?)[\s_](ms|us|µs|ns|s)$", first
+    )
     named = first in _TIMES or (title is not None and title[1].strip() in _TIMES)
     count = (
-        not named and len(data) > 1 and data.shape[1] > 2 and bool((np.diff(data[0]) == 1).all())
+        not named
+        and len(data) > 1
+        and data.shape[1] > 2
+        and bool((np.diff(data[0]) == 1).all())
     )
     if first in _COUNTS or (count and data[0, 0] in (0, 1)):
         return (
-            _with_time(data[1:], names[1:], stated, path) if count else _named(data, names, stated)
+            _with_time(data[1:], names[1:], stated, path)
+            if count
+            else _named(data, names, stated)
         )
     if len(data) < 2 and not named:
         return _named(data, names, stated)
-    t = in_seconds(data[0] * SECONDS_PER.get(title[2].strip(), 1.0) if title else data[0])
+    t = in_seconds(
+        data[0] * SECONDS_PER.get(title[2].strip(), 1.0) if title else data[0]
+    )
     rate, rows = _rate_of(t, path) if named else even_grid(t, False, path)
     if rate is None and not named:
         return _named(data, names, stated)
-    again = np.array([bool((row == data[0]).all()) for row in data])  # a time for each channel
+    # a time for each channel
+    again = np.array([bool((row == data[0]).all()) for row in data])
     rest = [n for n, a in zip(names, again, strict=True) if not a] if names else []
     return replace(_named(data[~again], rest, rate or stated), rows=rows)
 
@@ -237,7 +277,9 @@ def read_lvm(path: Path) -> RawTable:
     whole = parts[0][1]
     rate = whole.rate or 0.0
     for (start, before), (later, part) in pairwise(parts):
-        like = part.names == whole.names and abs((part.rate or 0.0) - rate) <= 1e-3 * rate
+        like = (
+            part.names == whole.names and abs((part.rate or 0.0) - rate) <= 1e-3 * rate
+        )
         # 0.5: samples that a segment may begin off the end of the one before
         if not like or abs((later - start) * rate - before.data.shape[1]) > 0.5:
             raise DataError(
@@ -262,7 +304,11 @@ def read_lvm_segments(path: Path) -> tuple[tuple[float, RawTable], ...]:
         raise DataError(f"{path}: not a LabVIEW measurement file with both headers")
     top = lines[: ends[0]]
     head = _table(top, "," if any(x.startswith("Separator,") for x in top) else "\t")
-    begins = [ends[0] + 1, *(_segment_start(lines, end) for end in ends[2:]), len(lines)]
+    begins = [
+        ends[0] + 1,
+        *(_segment_start(lines, end) for end in ends[2:]),
+        len(lines),
+    ]
     return tuple(_segment(lines[a:b], head, path) for a, b in pairwise(begins))
 
 
@@ -281,14 +327,18 @@ def lvm_spectra(path: Path) -> tuple[list[str], Float] | None:
     ends = [i for i, x in enumerate(lines) if x.startswith(_END)]
     if len(ends) < 2:
         return None
-    separator = "," if any(x.startswith("Separator,") for x in lines[: ends[0]]) else "\t"
+    separator = (
+        "," if any(x.startswith("Separator,") for x in lines[: ends[0]]) else "\t"
+    )
     head = _table(lines[: ends[0]], separator)
     table = _table(lines[_segment_start(lines, ends[-1]) : ends[-1]], separator)
     comma = _first(head, "Decimal_Separator") == ","
     named = "".join(lines[ends[-1] + 1 : ends[-1] + 2])
     titles = [x.strip() for x in named.split(separator)]
     titles = titles[: titles.index("Comment")] if "Comment" in titles else titles
-    rows = [x.split(separator)[: len(titles)] for x in lines[ends[-1] + 2 :] if x.strip()]
+    rows = [
+        x.split(separator)[: len(titles)] for x in lines[ends[-1] + 2 :] if x.strip()
+    ]
     data = numbers([" ".join(row) for row in rows], " ", comma, path)
     units = [*table.get("Y_Unit_Label", []), *[""] * len(titles)]
     parts = (f"{t} [{u}]" if u else t for t, u in zip(titles[1:], units, strict=False))
@@ -313,7 +363,11 @@ def _without_special(lines: Sequence[str]) -> list[str]:
 def _segment_start(lines: Sequence[str], end: int) -> int:
     """The first line of the header that ends at line `end`: the one that names the channels."""
     at = end
-    while at > 0 and not lines[at].startswith("Channels") and not lines[at - 1].startswith(_END):
+    while (
+        at > 0
+        and not lines[at].startswith("Channels")
+        and not lines[at - 1].startswith(_END)
+    ):
         at -= 1
     return at
 
@@ -353,9 +407,15 @@ def _segment(
     columns = range(1, 2 * n, 2) if one_x_each else range(1, n + 1)
     title = lines[end + 1].split(separator) if end + 1 < len(lines) else []
     titles = [title[c].strip() if c < len(title) else "" for c in columns]
-    rows = [x.split(separator) for x in lines[end + 2 :] if x.strip() and not x.startswith("***")]
+    rows = [
+        x.split(separator)
+        for x in lines[end + 2 :]
+        if x.strip() and not x.startswith("***")
+    ]
     samples = [
-        " ".join(cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns)
+        " ".join(
+            cells[c] if c < len(cells) and cells[c].strip() else "x" for c in columns
+        )
         for cells in rows
     ]
     try:
@@ -382,7 +442,9 @@ def _rate(step: float, cells: Sequence[str], comma: bool) -> float:
     times if they agree.
     """
     try:
-        first, last = (float(x.replace(",", ".") if comma else x) for x in (cells[0], cells[-1]))
+        first, last = (
+            float(x.replace(",", ".") if comma else x) for x in (cells[0], cells[-1])
+        )
     except (ValueError, IndexError):
         first = last = 0.0
     mean = (last - first) / max(len(cells) - 1, 1)
@@ -416,7 +478,9 @@ def read_tdms(path: Path, group: str = "") -> RawTable:
         table = _tdms_table(groups, path)
         stated = [named_rate(file[name].properties) for name in groups]
         rate = next((r for r in (table.rate, *stated) if r is not None), None)
-        return replace(table, rate=named_rate(file.properties) if rate is None else rate)
+        return replace(
+            table, rate=named_rate(file.properties) if rate is None else rate
+        )
 
 
 def read_tdms_runs(path: Path) -> tuple[RawTable, ...]:
@@ -439,7 +503,9 @@ def read_tdms_pieces(path: Path) -> tuple[tuple[float, RawTable], ...]:
             one_start = len({(len(c), _tdms_rate(c), _start(c)) for c in g}) == 1
             if len(groups) < 2 or not one_start or not np.isfinite(_start(g[0])):
                 return ()
-        return tuple((_start(g[0]), _tdms_table({k: g}, path)) for k, g in groups.items())
+        return tuple(
+            (_start(g[0]), _tdms_table({k: g}, path)) for k, g in groups.items()
+        )
 
 
 def _start(channel: Any) -> float:
@@ -485,7 +551,10 @@ def _tdms_table(groups: Mapping[str, Sequence[Any]], path: Path) -> RawTable:
     names = [c.name for c in found]
     if len(set(names)) < len(names):
         names = [f"{c.group_name}/{c.name}" for c in found]
-    given = (next((str(c.properties[k]) for k in _UNIT if c.properties.get(k)), "") for c in found)
+    given = (
+        next((str(c.properties[k]) for k in _UNIT if c.properties.get(k)), "")
+        for c in found
+    )
     return RawTable(
         data=np.stack([_values(c) for c in found]),
         rate=rate,
@@ -499,12 +568,15 @@ def _tdms_table(groups: Mapping[str, Sequence[Any]], path: Path) -> RawTable:
 def _shown(channels: Sequence[Any]) -> str:
     """Lengths and rates of the channels of a group, in words."""
     kinds = dict.fromkeys((len(c), _tdms_rate(c)) for c in channels)
-    lengths = " or ".join(f"{n} samples" + (f", {r:g} Hz" if r else "") for n, r in kinds)
+    lengths = " or ".join(
+        f"{n} samples" + (f", {r:g} Hz" if r else "") for n, r in kinds
+    )
     return f"{len(channels)} channels, {lengths}"
 
 
 def _values(channel: Any) -> Float:
-    with np.errstate(all="ignore"):  # a damaged scale; values that are not finite are refused later
+    # a damaged scale; values that are not finite are refused later
+    with np.errstate(all="ignore"):
         return np.asarray(channel[:], dtype=np.float64)
 
 

@@ -18,7 +18,13 @@ from ringtrue.io.files import atomic_write, existing, refuse_twice
 from ringtrue.io.foreign.parsers import open_hdf5
 from ringtrue.io.frfs import holds_frfs
 from ringtrue.io.recognition import Format, format_of, refuse_format
-from ringtrue.io.record_arrays import check_stored, read_h5_table, read_mat, read_npy, read_wav
+from ringtrue.io.record_arrays import (
+    check_stored,
+    read_h5_table,
+    read_mat,
+    read_npy,
+    read_wav,
+)
 from ringtrue.io.record_table import (
     FORMAT,
     TABLE,
@@ -85,7 +91,9 @@ def write_record(
     blocks = [np.asarray(volts)] if isinstance(volts, np.ndarray) else volts
     with atomic_write(path) as part, h5py.File(part, "w") as file:
         group = file.create_group("record")
-        group.attrs.update({"format": FORMAT, "version": 1, "rate": float(rate), "source": source})
+        group.attrs.update(
+            {"format": FORMAT, "version": 1, "rate": float(rate), "source": source}
+        )
         data = group.create_dataset(
             "data", (n, 0), np.float32, maxshape=(n, None), chunks=(1, 1 << 16)
         )
@@ -258,7 +266,9 @@ def _read(
 ) -> TimeHistory:
     kind = format_of(path)
     if group and kind not in _GROUPED:
-        raise DataError(f"{path}: group {group!r}: only .tdms and HDF5 files have groups")
+        raise DataError(
+            f"{path}: group {group!r}: only .tdms and HDF5 files have groups"
+        )
     if kind is Format.HDF5:
         with open_hdf5(path) as file:
             own = find_record(file)
@@ -269,7 +279,9 @@ def _read(
                 at = channel_positions(info, channels, path)
                 return stored_samples(own, info, at, samples)
     if kind in _MAY_HOLD_FRFS and not group and holds_frfs(path):
-        raise DataError(f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs")
+        raise DataError(
+            f"{path}: holds FRFs, no time record; `ringtrue ema` takes FRFs"
+        )
     table = None
     if gaps and not group and kind in _PIECES:
         table = joined(_PIECES[kind](path))
@@ -301,7 +313,9 @@ def raw_record(path: Path, group: str = "") -> RawTable:
 
 def _agree(asked: float | None, found: float, path: Path, where: str) -> None:
     if asked is not None and abs(asked / found - 1) > 1e-3:
-        raise DataError(f"{path}: rate {asked:g} Hz was given, but {where} says {found:g} Hz")
+        raise DataError(
+            f"{path}: rate {asked:g} Hz was given, but {where} says {found:g} Hz"
+        )
 
 
 def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
@@ -318,8 +332,12 @@ def _from_table(table: RawTable, path: Path, rate: float | None) -> TimeHistory:
         _agree(rate, table.rate, path, "its time column or header")
     table.check_whole(path)
     refuse_twice(table.names, "channel", path)
-    rows = [to_si(u or "", q) for u, q in zip(table.units, table.quantities, strict=True)]
-    channels = tuple(Channel(n, row[0], row[2]) for n, row in zip(table.names, rows, strict=True))
+    rows = [
+        to_si(u or "", q) for u, q in zip(table.units, table.quantities, strict=True)
+    ]
+    channels = tuple(
+        Channel(n, row[0], row[2]) for n, row in zip(table.names, rows, strict=True)
+    )
     factor: Float = np.array([f for _, f, _ in rows])
     with np.errstate(over="ignore"):  # what is infinite then is refused
         data = table.data if (factor == 1).all() else table.data * factor[:, None]
@@ -344,7 +362,9 @@ def refuse_bad_samples(
             f"{_FASTEST:g}"
         )
     if history.data.shape[1] < 2:
-        raise DataError(f"{path}: {history.data.shape[1]} samples; a record needs at least 2")
+        raise DataError(
+            f"{path}: {history.data.shape[1]} samples; a record needs at least 2"
+        )
     if not check:
         return
     data = history.data
@@ -365,7 +385,9 @@ def refuse_bad_samples(
                 high[i] = known.max()
     if bad.any():
         lost = (~np.isfinite(data)).sum(axis=1).tolist()
-        counts = [f"{history.channels[i].id} ({lost[i]})" for i in np.flatnonzero(bad)[:8]]
+        counts = [
+            f"{history.channels[i].id} ({lost[i]})" for i in np.flatnonzero(bad)[:8]
+        ]
         raise DataError(
             f"{path}: NaN or infinite samples in {', '.join(counts)} of {data.shape[1]} samples "
             "each; leave these channels out, or fill single samples in the file by interpolation"

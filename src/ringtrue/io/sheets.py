@@ -131,8 +131,12 @@ class SensorSheet:
         their places.
         """
         rows = self.model.channels
-        bare = list(ids) == [f"ch{i + 1}" for i in range(len(rows))] and set(ids) != set(rows)
-        there = bare and all(a == b for a, b in zip(ids, rows, strict=True) if a in rows)
+        bare = list(ids) == [f"ch{i + 1}" for i in range(len(rows))] and set(
+            ids
+        ) != set(rows)
+        there = bare and all(
+            a == b for a, b in zip(ids, rows, strict=True) if a in rows
+        )
         return rows if there else ()
 
 
@@ -209,7 +213,8 @@ def orientation_notes(model: TestModel) -> tuple[str, ...]:
     notes = []
     parallel = np.cos(np.radians(1.0))
     not_square = np.sin(np.radians(2.0))
-    for group in np.split(order, cuts):  # few sensors share a point; a report line for each
+    # few sensors share a point; a report line for each
+    for group in np.split(order, cuts):
         if group.size < 2:
             continue
         point = int(model.at[group[0]])
@@ -223,7 +228,9 @@ def orientation_notes(model: TestModel) -> tuple[str, ...]:
                 what = "are not at right angles"
             of_point.append(f"point {point}: {names[i]} and {names[j]} {what}")
         if group.size == 3 and not of_point and np.linalg.det(axes) < 0:
-            of_point = [f"point {point}: {' '.join(names)} is a left-handed frame in this order"]
+            of_point = [
+                f"point {point}: {' '.join(names)} is a left-handed frame in this order"
+            ]
         notes += of_point
     return tuple(notes)
 
@@ -235,7 +242,9 @@ def _rows(path: Path) -> list[Row]:
     head = [x.lower() for x in table[0]]
     for name in filter(None, head):
         if name not in COLUMNS:
-            raise DataError(f"{path}: unknown column {name!r}{did_you_mean(name, COLUMNS)}")
+            raise DataError(
+                f"{path}: unknown column {name!r}{did_you_mean(name, COLUMNS)}"
+            )
     if lost := [c for c in REQUIRED if c not in head]:
         raise DataError(
             f"{path}: the columns {', '.join(lost)} are missing; there are "
@@ -263,7 +272,9 @@ def cells(path: Path, sheet: str | None = None) -> list[list[str]]:
     # commas may be decimal: not more of them than of others
     delimiter = max(";\t,", key=first.count)
     with door(path, "CSV table"):
-        return [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
+        return [
+            [c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)
+        ]
 
 
 def _text(value: object) -> str:
@@ -281,7 +292,9 @@ def _number(row: Row, name: str, where: str, default: float | None = None) -> fl
     if not text and default is not None:
         return default
     try:
-        value = float(text if text.count(",") != 1 or "." in text else text.replace(",", "."))
+        value = float(
+            text if text.count(",") != 1 or "." in text else text.replace(",", ".")
+        )
     except ValueError as exc:
         raise DataError(f"{where}: {name} is {text!r}; it must be a number") from exc
     if not math.isfinite(value):
@@ -313,7 +326,9 @@ def _points(rows: Sequence[Row], path: Path) -> tuple[Int, Float, tuple[str, ...
             xyz = tuple(_number(row, c, where) for c in "xyz")
             before = place.setdefault(p, xyz)
             if np.abs(np.subtract(xyz, before)).max() > 1e-9:
-                raise DataError(f"{where}: point {p} stands at {xyz}, before it stood at {before}")
+                raise DataError(
+                    f"{where}: point {p} stands at {xyz}, before it stood at {before}"
+                )
             place[p] = xyz
         group[p] = group.get(p, "") or row.get("group", "")
     points = np.array(list(place), dtype=np.int64)
@@ -328,7 +343,9 @@ def _axis(row: Row, where: str) -> Float:
     if re.fullmatch(r"[+-]?[XYZ]", text):
         return np.array(_AXES[text[-1]]) * (-1.0 if text[0] == "-" else 1.0)
     try:
-        vector = np.array([float(x) for x in re.sub(r"[,;]", " ", text.strip("()[]")).split()])
+        vector = np.array(
+            [float(x) for x in re.sub(r"[,;]", " ", text.strip("()[]")).split()]
+        )
     except ValueError:
         vector = np.zeros(0)
     if vector.size == 2:
@@ -388,6 +405,8 @@ def _line_rows(path: Path, lines: str | Path | None) -> list[tuple[int, int]]:
         if len(row) < 2 or not any(row) or (i == 1 and not row[0].isdigit()):
             continue
         if not (row[0].isdigit() and row[1].isdigit()):
-            raise DataError(f"{lines or path} lines row {i}: {row[:2]} must be two point numbers")
+            raise DataError(
+                f"{lines or path} lines row {i}: {row[:2]} must be two point numbers"
+            )
         pairs.append((int(row[0]), int(row[1])))
     return pairs

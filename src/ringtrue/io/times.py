@@ -70,7 +70,8 @@ _UNITS = {
     for quantity, factors in _FACTORS.items()
     for unit, factor in factors.items()
 }
-_SI = {**UNIT, "strain": "strain", "v": "V", "mv": "V", "pa": "Pa"}  # of a quantity or a unit
+# of a quantity or a unit
+_SI = {**UNIT, "strain": "strain", "v": "V", "mv": "V", "pa": "Pa"}
 _MOMENTS = {  # as they are also written
     f"{a}{by}{b}": moment
     for moment, *ways in (
@@ -211,7 +212,9 @@ def second_of_day(text: str) -> float:
     h = int(m["h"])
     if m["half"]:
         h = h % 12 + (12 if m["half"][0] in "Pp" else 0)
-    return 3600.0 * h + 60.0 * int(m["m"]) + int(m["s"] or 0) + float(f"0.{m['f'] or 0}")
+    return (
+        3600.0 * h + 60.0 * int(m["m"]) + int(m["s"] or 0) + float(f"0.{m['f'] or 0}")
+    )
 
 
 def _days(parts: Sequence[re.Match[str]]) -> Float:
@@ -271,7 +274,9 @@ def even_rate(t: Float, path: Path) -> float | None:
     if not rises or not ((step > 0).all() or _rounded(t)):
         return None
     mean = float(step.mean())
-    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(t).max() and not _rounded(t):
+    if np.abs(step - mean).max() > 0.05 * mean + 1e-6 * np.abs(
+        t
+    ).max() and not _rounded(t):
         off = float(np.abs(t - _line(t)).max()) / mean
         # 0.5: of a step: each time still has a place of its own on the even grid
         if t.size < LONG or off >= 0.5:
@@ -316,7 +321,9 @@ def _with_missing(t: Float, path: Path) -> tuple[float, Int] | None:
     if rate is None or len(parts) == 1:
         return None
     first = np.round((np.array([x[0] for x in parts]) - t[0]) * rate).astype(np.int64)
-    rows = np.concatenate([a + np.arange(x.size) for a, x in zip(first, parts, strict=True)])
+    rows = np.concatenate(
+        [a + np.arange(x.size) for a, x in zip(first, parts, strict=True)]
+    )
     if (
         not (np.diff(rows) > 0).all()
         or np.abs((t - t[0]) * rate - rows).max() > 1
@@ -343,7 +350,9 @@ def uneven(t: Float) -> str:
     if t.size < 2:
         return "the time column has fewer than 2 rows"
     if not np.isfinite(t).all():
-        return f"the time column has no number at row {int(np.isfinite(t).argmin()) + 1}"
+        return (
+            f"the time column has no number at row {int(np.isfinite(t).argmin()) + 1}"
+        )
     step = np.diff(t)
     falls = step <= 0
     if falls.any() and not ((step >= 0).all() and step.any() and _rounded(t)):
@@ -366,7 +375,8 @@ def uneven(t: Float) -> str:
         )
     at = int(np.abs(step - step.mean()).argmax())
     return (
-        f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, mean {step.mean():g} s"
+        f"the time column has uneven steps: {step[at]:g} s at row {at + 1}, "
+        f"mean {step.mean():g} s"
     )
 
 

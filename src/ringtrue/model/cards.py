@@ -146,7 +146,8 @@ def properties(
     b = a if end_b is None else section(kind, end_b[0]) | {"NSM": end_b[1]}
     made |= {n: b[m] for m, n in zip(END_A, END_B, strict=True) if m in b}
     for end, ends_section in (("A", a), ("B", b)):
-        for n in ("N1", "N2"):  # neutral axis from shear centre, which a PBARL leaves out
+        # neutral axis from shear centre, which a PBARL leaves out
+        for n in ("N1", "N2"):
             if n in ends_section:
                 made[f"{n}{end}"] = ends_section[n]
     return made
@@ -290,7 +291,8 @@ SPECIAL = {
     "XS:f=nan YS:f=nan ZS:f=nan",
     # FORM K or Z; KZ by columns of the lower triangle, S by rows
     "GENEL": "EID FORM:s *UI *CI *UD *CD *KZ:f *S:f",
-    "RSPLINE": "EID DL:f=0.1 *G *C:c",  # one entry a node; without components it is independent
+    # one entry a node; without components it is independent
+    "RSPLINE": "EID DL:f=0.1 *G *C:c",
     # one entry of G an independent node; GM those of UM
     "RBE3": "EID REFGRID REFC:c *G *C:c *WT:f *GM *CM:c",
     "PBUSH": "PID K1:f K2:f K3:f K4:f K5:f K6:f B1:f B2:f B3:f B4:f B5:f B6:f GE:f "
@@ -357,7 +359,9 @@ def _field(text: str) -> FieldSpec:
     if default:
         value = type(value)(default)
     tail = text.startswith("*")
-    return FieldSpec(name, kind, value, other, tail=tail, other_default=int(otherwise or 0))
+    return FieldSpec(
+        name, kind, value, other, tail=tail, other_default=int(otherwise or 0)
+    )
 
 
 @cache
@@ -458,7 +462,9 @@ def is_unsupported(card: str) -> bool:
     """
     if card in CARDS or card in SPECIAL:
         return False
-    return card in UNSUPPORTED or (card.startswith("C") and not card.startswith(_HARMLESS_C))
+    return card in UNSUPPORTED or (
+        card.startswith("C") and not card.startswith(_HARMLESS_C)
+    )
 
 
 def reason(card: str) -> str:

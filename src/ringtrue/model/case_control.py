@@ -42,7 +42,9 @@ def untaken_matrices(model: Model) -> Int:
     case = model.case
     terms = (*case.k2gg, *case.m2gg, *case.b2gg, *case.k2pp, *case.m2pp, *case.b2pp)
     taken = [name for _, name in terms]
-    return np.flatnonzero(~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken))
+    return np.flatnonzero(
+        ~np.isin(np.char.upper(model["DMIG"]["NAME"].astype(str)), taken)
+    )
 
 
 def left_out(model: Model) -> list[str]:
@@ -121,7 +123,9 @@ def _named_by(model: Model, terms: tuple[tuple[float, str], ...]) -> Int:
     names = np.char.upper(table["NAME"].astype(str))
     taken = np.isin(names, [name for _, name in terms])
     return np.unique(
-        np.concatenate([ids[taken[row]] for ids, row in map(table.entries, ("GJ", "GI"))])
+        np.concatenate(
+            [ids[taken[row]] for ids, row in map(table.entries, ("GJ", "GI"))]
+        )
     )
 
 
@@ -172,7 +176,9 @@ class AskedModes:
             f = found.modes.frequencies
             at = np.flatnonzero((f >= self.low) & (f <= self.high))[: self.count]
             if at.size == self.count or (f > self.high).any() or f.size < wanted:
-                return replace(found, modes=found.modes.take(at), residuals=found.residuals[at])
+                return replace(
+                    found, modes=found.modes.take(at), residuals=found.residuals[at]
+                )
             wanted = min(2 * wanted, wanted + self.count - at.size)
 
 
@@ -180,9 +186,13 @@ def asked_modes(model: Model) -> AskedModes | None:
     """By the method that case control names, or the only one of a deck that names none; None where
     none asks.
     """
-    rows = [(card, i) for card in METHODS if card in model for i in range(len(model[card]))]
+    rows = [
+        (card, i) for card in METHODS if card in model for i in range(len(model[card]))
+    ]
     if model.case.method:
-        rows = [(card, i) for card, i in rows if model[card].ids[i] == model.case.method]
+        rows = [
+            (card, i) for card, i in rows if model[card].ids[i] == model.case.method
+        ]
     if len(rows) != 1:
         return None
     card, i = rows[0]
@@ -225,7 +235,10 @@ class ModalDamping(FrozenArrays):
         z = self.ratios
         out = np.interp(frequencies, f, z)
         if not self.flat and f.size > 1:
-            for beyond, (a, b) in ((frequencies < f[0], (0, 1)), (frequencies > f[-1], (-2, -1))):
+            for beyond, (a, b) in (
+                (frequencies < f[0], (0, 1)),
+                (frequencies > f[-1], (-2, -1)),
+            ):
                 slope = (z[b] - z[a]) / (f[b] - f[a]) if f[b] > f[a] else 0.0
                 out = np.where(beyond, z[b] + slope * (frequencies - f[b]), out)
         return out
@@ -266,7 +279,9 @@ def whole_mesh(model: Model) -> Model:
     """
     if not condenses(model):
         return model
-    tables = {n: t for n, t in model.tables.items() if n not in (*KEPT, *OMITTED, *MODAL)}
+    tables = {
+        n: t for n, t in model.tables.items() if n not in (*KEPT, *OMITTED, *MODAL)
+    }
     if "GRID" in tables:
         grid = tables["GRID"]
         tables["GRID"] = grid.with_column("SEID", np.zeros_like(grid["SEID"]))

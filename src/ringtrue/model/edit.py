@@ -66,7 +66,9 @@ def resolve_target(model: Model, target: CardField | FieldChange) -> Int:
         raise InputError(f"{target.card} field {target.field} is a list, not one value")
     rows = np.flatnonzero(table.ids == target.id)
     if not rows.size:
-        near = table.ids[np.argsort(abs(table.ids - target.id), kind="stable")[:3]].tolist()
+        near = table.ids[
+            np.argsort(abs(table.ids - target.id), kind="stable")[:3]
+        ].tolist()
         raise InputError(
             f"{target.card} {target.id} is not in the model; did you mean {near[0]}? The nearest "
             f"ids are {near}"
@@ -160,12 +162,18 @@ def carried(model: Model, parameters: ParameterSet) -> ParameterSet:
     """The parameters of which a model has a target, each with the targets that it has."""
     mine = []
     for p in parameters.parameters:
-        there = tuple(t for t in p.targets if t.card in model and t.id in model[t.card].ids)
+        there = tuple(
+            t for t in p.targets if t.card in model and t.id in model[t.card].ids
+        )
         mine.append(replace(p, targets=there))
-    return ParameterSet(tuple(p for p in mine if p.targets or p.shapes or p.substructures))
+    return ParameterSet(
+        tuple(p for p in mine if p.targets or p.shapes or p.substructures)
+    )
 
 
-def field_changes(model: Model, parameters: ParameterSet, factors: Float) -> list[FieldChange]:
+def field_changes(
+    model: Model, parameters: ParameterSet, factors: Float
+) -> list[FieldChange]:
     """The deck's fields at the given factors (p,), in the order of the parameters; a field met
     twice gets both.
 
@@ -224,9 +232,13 @@ def _with_matrix(model: Model, change: FieldChange) -> Model:
     table = model[change.card]
     terms = table.ragged(change.field)
     mine = np.isin(terms.owner, resolve_target(model, change))
-    scaled = Ragged(np.where(mine, terms.values * float(change.value), terms.values), terms.offsets)
+    scaled = Ragged(
+        np.where(mine, terms.values * float(change.value), terms.values), terms.offsets
+    )
     columns = {**table.columns, change.field: scaled}
-    return replace(model, tables={**model.tables, change.card: replace(table, columns=columns)})
+    return replace(
+        model, tables={**model.tables, change.card: replace(table, columns=columns)}
+    )
 
 
 def _with_ply(model: Model, change: FieldChange) -> Model:
@@ -237,7 +249,9 @@ def _with_ply(model: Model, change: FieldChange) -> Model:
     values = column.values.copy()
     values[column.offsets[resolve_target(model, change)] + number - 1] = change.value
     columns = {**table.columns, name: Ragged(values, column.offsets)}
-    return replace(model, tables={**model.tables, change.card: replace(table, columns=columns)})
+    return replace(
+        model, tables={**model.tables, change.card: replace(table, columns=columns)}
+    )
 
 
 DASHPOTS = {  # card -> fields that hold a force over a velocity
@@ -282,4 +296,6 @@ def _dashpots(model: Model) -> str:
                 return f"{card} {name}"
     if model.case.b2gg or model.case.b2pp:
         return "B2GG or B2PP"
-    return next((f"PARAM {name}" for name in ("ALPHA1", "ALPHA2") if model.param(name, 0.0)), "")
+    return next(
+        (f"PARAM {name}" for name in ("ALPHA1", "ALPHA2") if model.param(name, 0.0)), ""
+    )

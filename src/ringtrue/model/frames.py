@@ -53,7 +53,8 @@ class Frames:
         t = x[s, 1] * _DEGREE
         p = x[s, 2] * _DEGREE
         u[s] = np.stack(
-            [r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)], axis=1
+            [r * np.sin(t) * np.cos(p), r * np.sin(t) * np.sin(p), r * np.cos(t)],
+            axis=1,
         )
         return np.asarray(self.origin[row] + np.einsum("ki,kij->kj", u, self.axes[row]))
 
@@ -69,10 +70,12 @@ class Frames:
             d = np.einsum("ki,kji->kj", x[round_] - self.origin[at], self.axes[at])
             c, s, _ = _azimuth(d)
             zero = np.zeros(len(d))
-            cylindrical = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1).reshape(
-                -1, 3, 3
+            cylindrical = np.stack(
+                [c, s, zero, -s, c, zero, zero, zero, zero + 1], axis=1
+            ).reshape(-1, 3, 3)
+            local = np.where(
+                (kind[round_] == "C")[:, None, None], cylindrical, _spherical(d)
             )
-            local = np.where((kind[round_] == "C")[:, None, None], cylindrical, _spherical(d))
             out[round_] = local @ self.axes[at]
         return out
 
@@ -92,7 +95,11 @@ def _azimuth(d: Float) -> tuple[Float, Float, Float]:
     """Cosine and sine of the azimuth, 1 and 0 on the axis, and the distance from the axis."""
     rho = np.hypot(d[:, 0], d[:, 1])
     safe = np.where(rho > 0, rho, 1.0)
-    return np.where(rho > 0, d[:, 0] / safe, 1.0), np.where(rho > 0, d[:, 1] / safe, 0.0), rho
+    return (
+        np.where(rho > 0, d[:, 0] / safe, 1.0),
+        np.where(rho > 0, d[:, 1] / safe, 0.0),
+        rho,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +116,9 @@ def _given(model: Model) -> list[_Given]:
     for kind in "RCS":
         if (card := f"CORD2{kind}") in model:
             t = model[card]
-            points = t.stack("A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3").reshape(-1, 3, 3)
+            points = t.stack(
+                "A1", "A2", "A3", "B1", "B2", "B3", "C1", "C2", "C3"
+            ).reshape(-1, 3, 3)
             made.append(_Given(t, points, np.repeat(t["RID"][:, None], 3, axis=1)))
         if (card := f"CORD1{kind}") in model:
             t = model[card]
@@ -118,7 +127,9 @@ def _given(model: Model) -> list[_Given]:
             at = grid.find(nodes)
             if (at < 0).any():
                 row, k = np.argwhere(at < 0)[0].tolist()
-                raise card_error(model, t, row, f"node {nodes[row, k]} is not in the deck")
+                raise card_error(
+                    model, t, row, f"node {nodes[row, k]} is not in the deck"
+                )
             made.append(_Given(t, grid.stack("X1", "X2", "X3")[at], grid["CP"][at]))
     return made
 
@@ -132,12 +143,16 @@ def frames(model: Model) -> Frames:
         On a frame that refers to one that is absent or to itself, or whose three points lie on one
         line.
     """
-    known = Frames(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.eye(3)[None], np.array(["R"]))
+    known = Frames(
+        np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.eye(3)[None], np.array(["R"])
+    )
     given = _given(model)
     todo = [np.ones(len(g.table), dtype=bool) for g in given]
-    while any(left.any() for left in todo):  # as often as the longest chain of frames is long
+    # as often as the longest chain of frames is long
+    while any(left.any() for left in todo):
         ready = [
-            left & (known.find(g.of) >= 0).all(axis=1) for g, left in zip(given, todo, strict=True)
+            left & (known.find(g.of) >= 0).all(axis=1)
+            for g, left in zip(given, todo, strict=True)
         ]
         if not any(r.any() for r in ready):
             rows = [
@@ -145,7 +160,9 @@ def frames(model: Model) -> Frames:
                 for g, left in zip(given, todo, strict=True)
                 for i in np.flatnonzero(left)
             ]
-            what = "refer to frames that are not in the deck, or to each other in a circle"
+            what = (
+                "refer to frames that are not in the deck, or to each other in a circle"
+            )
             raise card_error(model, *rows[0], f"{called(model, rows)} {what}")
         new = (_resolved(model, known, g, r) for g, r in zip(given, ready, strict=True))
         known = _joined([known, *new])
@@ -174,7 +191,8 @@ def _resolved(model: Model, known: Frames, g: _Given, ready: Bool) -> Frames:
 
 def _joined(parts: list[Frames]) -> Frames:
     cid, origin, axes_, kind = (
-        np.concatenate([getattr(p, n) for p in parts]) for n in ("cid", "origin", "axes", "kind")
+        np.concatenate([getattr(p, n) for p in parts])
+        for n in ("cid", "origin", "axes", "kind")
     )
     order = np.argsort(cid, kind="stable")
     return Frames(cid[order], origin[order], axes_[order], kind[order])

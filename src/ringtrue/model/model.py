@@ -120,8 +120,12 @@ class Table:
         """The rows (k,) of the table, in this order."""
         columns: dict[str, NDArray[Any] | Ragged] = {}
         for name, column in self.columns.items():
-            columns[name] = column.take(rows) if isinstance(column, Ragged) else column[rows]
-        return replace(self, columns=columns, file=self.file[rows], line=self.line[rows])
+            columns[name] = (
+                column.take(rows) if isinstance(column, Ragged) else column[rows]
+            )
+        return replace(
+            self, columns=columns, file=self.file[rows], line=self.line[rows]
+        )
 
     def with_column(self, name: str, values: NDArray[Any]) -> Table:
         """A copy with one column replaced."""
@@ -249,7 +253,9 @@ class Model:
         value = _SWITCH.get(value, value) if isinstance(value, str) else value
         if isinstance(value, str):
             where = self.files[0] if self.files else None
-            raise DeckError(f"{value!r} is not a number", path=where, card="PARAM", field=name)
+            raise DeckError(
+                f"{value!r} is not a number", path=where, card="PARAM", field=name
+            )
         return float(value)
 
     def with_values(
@@ -267,7 +273,9 @@ class Model:
         table = self.tables[card]
         at = table.find(ids)
         if (at < 0).any():
-            raise InputError(f"{card} {np.asarray(ids)[at < 0][:5].tolist()} not in the model")
+            raise InputError(
+                f"{card} {np.asarray(ids)[at < 0][:5].tolist()} not in the model"
+            )
         changed = table.with_values(field_name, at, values)
         return replace(self, tables={**self.tables, card: changed})
 
@@ -302,7 +310,9 @@ def _behind(columns: Sequence[NDArray[Any] | Ragged]) -> NDArray[Any] | Ragged:
     if not ragged:
         return np.concatenate([np.asarray(c) for c in columns])
     ends = np.cumsum(np.concatenate([c.sizes for c in ragged]))
-    return Ragged(np.concatenate([c.values for c in ragged]), np.concatenate([[0], ends]))
+    return Ragged(
+        np.concatenate([c.values for c in ragged]), np.concatenate([[0], ends])
+    )
 
 
 MOST = 6  # rows that a message names
@@ -311,7 +321,9 @@ MOST = 6  # rows that a message names
 def card_error(model: Model, table: Table, row: int, message: str) -> DeckError:
     """A DeckError at the place of a row of a table."""
     path, line = model.place(table, row)
-    return DeckError(message, path=path, line=line, card=f"{table.card} {table.ids[row]}")
+    return DeckError(
+        message, path=path, line=line, card=f"{table.card} {table.ids[row]}"
+    )
 
 
 def refuse_rows(model: Model, table: Table, rows: Int, message: str) -> None:
@@ -323,7 +335,9 @@ def refuse_rows(model: Model, table: Table, rows: Int, message: str) -> None:
 def unsupported_card(model: Model, table: Table, row: int, why: str) -> UnsupportedCard:
     """An UnsupportedCard at the place of a row of a table."""
     path, line = model.place(table, row)
-    return UnsupportedCard(table.card, path=path, line=line, why=f"{table.ids[row]} {why}")
+    return UnsupportedCard(
+        table.card, path=path, line=line, why=f"{table.ids[row]} {why}"
+    )
 
 
 def called(model: Model, rows: Sequence[tuple[Table, int]]) -> str:

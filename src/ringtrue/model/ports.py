@@ -60,14 +60,17 @@ class ModesResult:
 class Analysis(Protocol):
     """One model, opened in a solver; one factorisation behind all answers."""
 
-    capabilities: frozenset[str]  # of "modes", "derivatives", "frf", "static", "complex_modes"
+    # of "modes", "derivatives", "frf", "static", "complex_modes"
+    capabilities: frozenset[str]
     dofs: DofSet
 
     def modes(self, request: ModesRequest) -> ModesResult:
         """Natural modes."""
         ...
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at the nominal factors a = 1."""
         ...
 
@@ -127,7 +130,13 @@ class Linearisation:
         """Modes alone: the sensitivities have no columns."""
         d_lambda = np.zeros((len(frequencies), 0))
         d_shapes = np.zeros((*shapes.shape, 0))
-        return cls(np.array(x, dtype=float), frequencies, np.asarray(shapes), d_lambda, d_shapes)
+        return cls(
+            np.array(x, dtype=float),
+            frequencies,
+            np.asarray(shapes),
+            d_lambda,
+            d_shapes,
+        )
 
 
 class ObservedModel(Protocol):

@@ -92,7 +92,12 @@ REFERENCES: tuple[CardReference, ...] = (
     *_nodes("RBE3", "REFGRID G"),
     *_nodes("SPC", "G"),
     *_nodes("SPC1", "G"),
-    *(r for c in ("ASET", "OMIT", "QSET") for k in ("", "1") for r in _nodes(f"{c}{k}", "ID")),
+    *(
+        r
+        for c in ("ASET", "OMIT", "QSET")
+        for k in ("", "1")
+        for r in _nodes(f"{c}{k}", "ID")
+    ),
     *_nodes("EXTRN", "ID"),
     *_nodes("MPC", "G"),
     *_nodes("DMIG", "GJ GI"),
@@ -100,7 +105,10 @@ REFERENCES: tuple[CardReference, ...] = (
     CardReference("PSOLID", "CORDM", FRAMES, False),
     CardReference("CBUSH", "CID", FRAMES, False),
     CardReference("CBUSH", "OCID", FRAMES, False),
-    *(CardReference(c, "CID", FRAMES, False) for c in ("CONM1", "CONM2", "CBUSH1D", "CGAP")),
+    *(
+        CardReference(c, "CID", FRAMES, False)
+        for c in ("CONM1", "CONM2", "CBUSH1D", "CGAP")
+    ),
     CardReference("CROD", "PID", ("PROD",)),
     CardReference("CTUBE", "PID", ("PTUBE",)),
     CardReference("CBAR", "PID", ("PBAR",)),
@@ -112,7 +120,10 @@ REFERENCES: tuple[CardReference, ...] = (
     CardReference("CWELD", "PID", ("PWELD",)),
     *(CardReference("CWELD", f"SHID{side}", SHELLS, False) for side in "AB"),
     CardReference("CSHEAR", "PID", ("PSHEAR",)),
-    *(CardReference(c, "PID", ("PSOLID",)) for c in ("CTETRA", "CPENTA", "CHEXA", "CPYRAM")),
+    *(
+        CardReference(c, "PID", ("PSOLID",))
+        for c in ("CTETRA", "CPENTA", "CHEXA", "CPYRAM")
+    ),
     *(
         CardReference(f"C{k}{i}", "PID", (f"P{k}",))
         for k in ("ELAS", "MASS", "DAMP")
@@ -124,11 +135,23 @@ REFERENCES: tuple[CardReference, ...] = (
     CardReference("CGAP", "PID", ("PGAP",)),
     *(
         CardReference(c, "MID", ("MAT1",))
-        for c in ("CONROD", "PROD", "PTUBE", "PBAR", "PBEAM", "PBEND", "PSHEAR", "PWELD")
+        for c in (
+            "CONROD",
+            "PROD",
+            "PTUBE",
+            "PBAR",
+            "PBEAM",
+            "PBEND",
+            "PSHEAR",
+            "PWELD",
+        )
     ),
     CardReference("PSOLID", "MID", SOLID_MATERIALS),
     *(CardReference(c, "MID", PLY_MATERIALS) for c in ("PCOMP", "PCOMPG")),
-    *(CardReference("PSHELL", f, PLY_MATERIALS, False) for f in ("MID1", "MID2", "MID3", "MID4")),
+    *(
+        CardReference("PSHELL", f, PLY_MATERIALS, False)
+        for f in ("MID1", "MID2", "MID3", "MID4")
+    ),
 )
 
 
@@ -152,7 +175,8 @@ def unused(model: Model) -> dict[str, Int]:
                 if ref.card in model:
                     named[card].append(model[ref.card].entries(ref.field)[0])
     rows = {
-        c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids))) for c, ids in named.items()
+        c: np.flatnonzero(~np.isin(model[c].ids, np.concatenate(ids)))
+        for c, ids in named.items()
     }
     return {card: at for card, at in rows.items() if at.size}
 

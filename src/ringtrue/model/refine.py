@@ -29,13 +29,15 @@ from ringtrue.model.edit import BOTH_ENDS
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, Ragged, Table, stacked, table
 
-Corners = tuple[int, ...]  # whose middle a node of a part is; one where it is that corner
+# whose middle a node of a part is; one where it is that corner
+Corners = tuple[int, ...]
 Part = tuple[Corners, ...]
 
 LINES = ("CBAR", "CBEAM")
 _OFFSETS = ("W1A", "W2A", "W3A", "W1B", "W2B", "W3B")  # of their ends
 RODS = ("CROD", "CTUBE")
-CURVED = {  # kinds of elements with all their midside nodes: card, and that of their corners alone
+# kinds of elements with all their midside nodes: card, and that of their corners alone
+CURVED = {
     "CTRIA6": ("CTRIA6", "CTRIA3"),
     "CQUAD8": ("CQUAD8", "CQUAD4"),
     "CTETRA10": ("CTETRA", "CTETRA"),
@@ -61,7 +63,10 @@ NODES = {
     **dict.fromkeys(("CQUAD4", "CQUADR", "CTETRA"), ("G1", "G2", "G3", "G4")),
     "CPENTA": tuple(f"G{k}" for k in range(1, 7)),
     "CHEXA": tuple(f"G{k}" for k in range(1, 9)),
-    **{kind: tuple(f"G{k + 1}" for k in range(len(_SHAPES[kind].nodes(2)))) for kind in CURVED},
+    **{
+        kind: tuple(f"G{k + 1}" for k in range(len(_SHAPES[kind].nodes(2))))
+        for kind in CURVED
+    },
 }
 
 
@@ -73,7 +78,9 @@ def parts(card: str) -> tuple[Part, ...]:
     if card in CURVED:
         curved = []
         for part in parts(CURVED[card][1]):
-            corners = [np.eye(len(_SHAPES[card].corners))[list(c)].mean(axis=0) for c in part]
+            corners = [
+                np.eye(len(_SHAPES[card].corners))[list(c)].mean(axis=0) for c in part
+            ]
             middles = [(corners[i] + corners[j]) / 2 for i, j in _SHAPES[card].edges]
             curved.append(tuple(_midway(card, place) for place in (*corners, *middles)))
         return tuple(curved)
@@ -85,7 +92,9 @@ def parts(card: str) -> tuple[Part, ...]:
             for p in _read(_TRIANGLE)
             for k in range(3)
         ]
-        return tuple((*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2)
+        return tuple(
+            (*layers[i], *layers[i + 1]) for i in range(len(layers)) if i % 3 < 2
+        )
     brick = {
         2: ((0,), (1,)),
         4: _SQUARE,
@@ -119,7 +128,9 @@ def _midway(kind: str, place: Float) -> Corners:
 def _shares(kind: str) -> Float:
     """What share of each corner is in the place of each node, (n, c)."""
     corners = np.eye(len(_SHAPES[kind].corners))
-    return np.array([*corners, *((corners[i] + corners[j]) / 2 for i, j in _SHAPES[kind].edges)])
+    return np.array(
+        [*corners, *((corners[i] + corners[j]) / 2 for i, j in _SHAPES[kind].edges)]
+    )
 
 
 def corner_shares(kind: str, between: Corners) -> Float:
@@ -142,7 +153,9 @@ def weights(kind: str, between: Corners) -> Float:
 
 def _read(text: Sequence[str]) -> tuple[Part, ...]:
     """`"0 01"` as ((0,), (0, 1))."""
-    return tuple(tuple(tuple(int(c) for c in corner) for corner in part.split()) for part in text)
+    return tuple(
+        tuple(tuple(int(c) for c in corner) for corner in part.split()) for part in text
+    )
 
 
 def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Corners:
@@ -151,7 +164,9 @@ def _between(corners: Sequence[Corners], origin: Corners, corner: Corners) -> Co
     """
     allowed = [_HALVES[o + c] for o, c in zip(origin, corner, strict=True)]
     return tuple(
-        i for i, x in enumerate(corners) if all(v in a for v, a in zip(x, allowed, strict=True))
+        i
+        for i, x in enumerate(corners)
+        if all(v in a for v, a in zip(x, allowed, strict=True))
     )
 
 
@@ -171,7 +186,11 @@ def _midsides(model: Model, card: str) -> Bool:
     kind = next((k for k, (c, _) in CURVED.items() if c == card), card)
     straight = CURVED[kind][1] if kind in CURVED else card
     names = NODES[kind][len(NODES[straight]) :]
-    return model[card].stack(*names) > 0 if names else np.zeros((len(model[card]), 1), dtype=bool)
+    return (
+        model[card].stack(*names) > 0
+        if names
+        else np.zeros((len(model[card]), 1), dtype=bool)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +212,15 @@ class _Middles:
         _, same = np.unique(np.vstack([self.of, *keys]), axis=0, return_inverse=True)
         ids = np.zeros(same.size, dtype=np.int64)
         ids[same[: self.ids.size]] = self.ids
-        found = dict(zip(wanted, ids[same[self.ids.size :]].reshape(len(wanted), -1), strict=True))
-        return [np.stack([found.get(c, nodes[:, c[0]]) for c in part], axis=1) for part in pieces]
+        found = dict(
+            zip(
+                wanted, ids[same[self.ids.size :]].reshape(len(wanted), -1), strict=True
+            )
+        )
+        return [
+            np.stack([found.get(c, nodes[:, c[0]]) for c in part], axis=1)
+            for part in pieces
+        ]
 
     @cached_property
     def _about(self) -> tuple[Int, Int]:
@@ -266,7 +292,9 @@ def _refuse(model: Model) -> None:
         if (m.any(axis=1) & ~m.all(axis=1)).any()
     ]
     names += [
-        card for card in ("CTRIA6", "CQUAD8") if card in there and not there[card].any(axis=1).all()
+        card
+        for card in ("CTRIA6", "CQUAD8")
+        if card in there and not there[card].any(axis=1).all()
     ]
     if "CPYRAM" in model:
         names = names or ["CPYRAM"]
@@ -297,7 +325,9 @@ def _middles(model: Model) -> _Middles:
             nodes = model[card].stack(*names)[rows[~_whole(model, card)[rows]]]
             for c in {c for p in parts(kind) for c in p if len(c) > 1}:
                 keys.append(_key(nodes[:, list(c)]))
-                places.append(np.einsum("k,ekj->ej", weights(kind, c), x[grid.find(nodes)]))
+                places.append(
+                    np.einsum("k,ekj->ej", weights(kind, c), x[grid.find(nodes)])
+                )
     of, first = np.unique(np.concatenate(keys), axis=0, return_index=True)
     last = max(int(grid.ids.max()), *(_scalars(model) or [0]))
     return _Middles(last + 1 + np.arange(len(of)), of, np.concatenate(places)[first])
@@ -322,7 +352,9 @@ def _grids(model: Model, middles: _Middles) -> Table:
     there = middles.of > 0
     x = middles.xyz
     last = at[:, -1]
-    columns: dict[str, NDArray[Any]] = {n: np.asarray(c)[last] for n, c in grid.columns.items()}
+    columns: dict[str, NDArray[Any]] = {
+        n: np.asarray(c)[last] for n, c in grid.columns.items()
+    }
     held = []
     for row, ok in zip(at, there, strict=True):
         common = set.intersection(*(set(str(p)) for p in grid["PS"][row[ok]]))
@@ -348,9 +380,14 @@ def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
         pieces = parts(kind)
         nodes = whole.stack(*NODES[kind])[rows]
         ends = middles.corners(nodes, pieces)
-        able = np.all([(e > 0).all(axis=1) for e in ends], axis=0) & ~_whole(model, card)[rows]
+        able = (
+            np.all([(e > 0).all(axis=1) for e in ends], axis=0)
+            & ~_whole(model, card)[rows]
+        )
         first_ends = np.where(able[:, None], ends[0], nodes)
-        firsts.append(_part(model, kind, pieces[0], nodes=first_ends, at=rows, able=able))
+        firsts.append(
+            _part(model, kind, pieces[0], nodes=first_ends, at=rows, able=able)
+        )
         at = np.flatnonzero(able)
         others += [
             _part(model, kind, p, nodes=e[at], at=rows[at], able=able[at])
@@ -358,10 +395,14 @@ def _split(model: Model, card: str, middles: _Middles, first: int) -> Table:
         ]
     out = reduce(stacked, firsts + others)
     made = len(out) - len(whole)
-    return out.with_column("EID", np.concatenate([out.ids[: len(whole)], first + np.arange(made)]))
+    return out.with_column(
+        "EID", np.concatenate([out.ids[: len(whole)], first + np.arange(made)])
+    )
 
 
-def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) -> Table:
+def _part(
+    model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool
+) -> Table:
     """One part of each of the rows `at`; where these are not split, the whole."""
     card, _ = _rows(model, kind)
     t = model[card]
@@ -370,7 +411,10 @@ def _part(model: Model, kind: str, part: Part, nodes: Int, at: Int, able: Bool) 
     thick = [f"T{k + 1}" for k in range(len(part)) if f"T{k + 1}" in columns]
     if thick:
         corners = t.stack(*thick)[at]
-        columns |= {n: corners @ corner_shares(kind, c) for n, c in zip(thick, part, strict=False)}
+        columns |= {
+            n: corners @ corner_shares(kind, c)
+            for n, c in zip(thick, part, strict=False)
+        }
     piece = replace(
         t,
         columns={n: frozen(c) for n, c in columns.items()},
@@ -418,7 +462,9 @@ def _whole(model: Model, card: str) -> Bool:
         whole |= (np.char.find(offt, "O") >= 0) & (t.stack(*_OFFSETS) != 0).any(axis=1)
     if card == "CBEAM" and "PBEAM" in model:
         p = model["PBEAM"]
-        differ = [~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns]
+        differ = [
+            ~np.isclose(p[a], p[b]) for a, b in BOTH_ENDS.items() if a in p.columns
+        ]
         tapered = np.any(differ, axis=0)
         whole |= np.isin(t["PID"], p.ids[tapered | (p.ragged("X").sizes > 0)])
     return whole
@@ -432,7 +478,9 @@ def _held(model: Model, middles: _Middles) -> Iterator[tuple[str, Table]]:
             held.setdefault((sid, letter), []).append(np.atleast_1d(g))
     rows = []
     for (sid, letter), groups in sorted(held.items()):
-        grounded = model["GRID"].ids[np.char.find(model["GRID"]["PS"].astype(str), letter) >= 0]
+        grounded = model["GRID"].ids[
+            np.char.find(model["GRID"]["PS"].astype(str), letter) >= 0
+        ]
         new = middles.ids[middles.within(np.concatenate([*groups, grounded]))]
         if new.size:
             rows.append((sid, letter, new))
@@ -492,7 +540,9 @@ def _joints(model: Model) -> tuple[Int, Int, NDArray[np.str_]]:
         if card in model:
             t = model[card]
             at_a = t["CNA"] if card == "RBAR" else np.full(len(t), _ALL)
-            each = zip(t["GA"].tolist(), t["GB"].tolist(), at_a, t[components], strict=True)
+            each = zip(
+                t["GA"].tolist(), t["GB"].tolist(), at_a, t[components], strict=True
+            )
             found += [(b, a, str(c) or _ALL) for a, b, n, c in each if n == _ALL]
     found += _ties(model)
     found.sort()
@@ -528,10 +578,14 @@ def _seams(model: Model, middles: _Middles, first: int) -> Table:
         new = np.flatnonzero((middles.of > 0).sum(axis=1) == size)
         nodes = middles.of[new, -size:]
         at = np.searchsorted(dependent, nodes).clip(max=dependent.size - 1)
-        joined = (dependent[at] == nodes).all(axis=1) & (named[at] == named[at[:, :1]]).all(axis=1)
+        joined = (dependent[at] == nodes).all(axis=1) & (
+            named[at] == named[at[:, :1]]
+        ).all(axis=1)
         opposite = hubs_of[at[joined]]
         (hub,) = middles.corners(opposite, [(tuple(range(size)),)])
-        common = np.where((opposite == opposite[:, :1]).all(axis=1), opposite[:, 0], hub[:, 0])
+        common = np.where(
+            (opposite == opposite[:, :1]).all(axis=1), opposite[:, 0], hub[:, 0]
+        )
         hubs.append(common[common > 0])
         more.append(middles.ids[new[joined]][common > 0])
         like.append(at[joined, 0][common > 0])
@@ -546,5 +600,7 @@ def _common(nodes: Int, values: NDArray[Any], of: Int) -> NDArray[Any]:
     at = order[np.searchsorted(nodes[order], of).clip(max=nodes.size - 1)]
     there = of > 0
     if values.dtype.kind == "f":
-        return np.asarray(np.where(there, values[at], 0.0).sum(axis=1) / there.sum(axis=1))
+        return np.asarray(
+            np.where(there, values[at], 0.0).sum(axis=1) / there.sum(axis=1)
+        )
     return np.asarray(values[at[:, -1]])

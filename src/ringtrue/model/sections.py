@@ -86,7 +86,8 @@ def _box1(
     }
 
 
-Part = tuple[float, float, float, float]  # width along z, height along y, z and y of the centre
+# width along z, height along y, z and y of the centre
+Part = tuple[float, float, float, float]
 
 
 def _rectangles(*parts: Part) -> tuple[Properties, tuple[float, float]]:
@@ -103,7 +104,9 @@ def _rectangles(*parts: Part) -> tuple[Properties, tuple[float, float]]:
 
 
 def _open(
-    parts: tuple[Part, ...], strips: tuple[tuple[float, float], ...], centre: tuple[float, float]
+    parts: tuple[Part, ...],
+    strips: tuple[tuple[float, float], ...],
+    centre: tuple[float, float],
 ) -> Properties:
     """Rectangles, with the torsion of strips (length of the middle line, thickness) and a shear
     centre (y, z).
@@ -134,7 +137,9 @@ def _i(
     between = height - (t_bottom + t_top) / 2
     up = between * t_top * top**3 / (t_top * top**3 + t_bottom * bottom**3)
     values = _open(
-        parts, ((bottom, t_bottom), (top, t_top), (between, web)), (t_bottom / 2 + up, 0.0)
+        parts,
+        ((bottom, t_bottom), (top, t_top), (between, web)),
+        (t_bottom / 2 + up, 0.0),
     )
     return _sheared(values, clear * web, 5 / 6 * (bottom * t_bottom + top * t_top))
 
@@ -153,7 +158,9 @@ def _h(inside: float, sides: float, height: float, bar: float) -> Properties:
     side = sides / 2
     z = inside / 2 + sides / 4
     parts = ((side, height, -z, 0.0), (side, height, z, 0.0), (inside, bar, 0.0, 0.0))
-    values = _open(parts, ((height, side), (height, side), (inside + side, bar)), (0.0, 0.0))
+    values = _open(
+        parts, ((height, side), (height, side), (inside + side, bar)), (0.0, 0.0)
+    )
     return _sheared(values, 5 / 6 * sides * height, inside * bar)
 
 
@@ -163,7 +170,11 @@ def _cross(arms: float, upright: float, height: float, bar: float) -> Properties
     """
     _positive(arms, upright, height, bar, height - bar)
     z = upright / 2 + arms / 4
-    parts = ((upright, height, 0.0, 0.0), (arms / 2, bar, -z, 0.0), (arms / 2, bar, z, 0.0))
+    parts = (
+        (upright, height, 0.0, 0.0),
+        (arms / 2, bar, -z, 0.0),
+        (arms / 2, bar, z, 0.0),
+    )
     values = _open(parts, ((height, upright), (arms, bar)), (0.0, 0.0))
     return _sheared(values, 5 / 6 * upright * height, 5 / 6 * (arms + upright) * bar)
 
@@ -203,7 +214,11 @@ def _chan(width: float, height: float, web: float, flange: float) -> Properties:
     _positive(overhang, clear, web, flange)
     z = web / 2 + overhang / 2
     y = (height - flange) / 2
-    parts = ((web, height, 0.0, 0.0), (overhang, flange, z, y), (overhang, flange, z, -y))
+    parts = (
+        (web, height, 0.0, 0.0),
+        (overhang, flange, z, y),
+        (overhang, flange, z, -y),
+    )
     b = width - web / 2
     h = height - flange
     out = 3 * b**2 * flange / (6 * b * flange + h * web)
@@ -228,7 +243,9 @@ def _l(width: float, height: float, foot: float, upright: float) -> Properties:
     overhang = width - upright
     _positive(clear, overhang, foot, upright)
     parts = ((width, foot, overhang / 2, 0.0), (upright, clear, 0.0, height / 2))
-    values = _open(parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0))
+    values = _open(
+        parts, ((width - upright / 2, foot), (height - foot / 2, upright)), (0.0, 0.0)
+    )
     return _sheared(values, clear * upright, overhang * foot)
 
 
@@ -335,7 +352,9 @@ def _dbox(
             (clear, bottom, z + clear / 2, bottom / 2),
         ]
         depths.append(height - (top + bottom) / 2)
-        loops.append((wide * depths[-1], wide / top + wide / bottom + depths[-1] / wall))
+        loops.append(
+            (wide * depths[-1], wide / top + wide / bottom + depths[-1] / wall)
+        )
     shared = sum(depths) / 2 / web
     values, _ = _rectangles(*parts)
     return values | {
@@ -365,7 +384,9 @@ def _hexa(point: float, width: float, height: float) -> Properties:
     area = height * (middle + point)
     i1 = middle * height**3 / 12 + point * height**3 / 24
     out = middle / 2 + point / 3
-    i2 = height * middle**3 / 12 + 2 * (height * point**3 / 36 + height * point / 2 * out**2)
+    i2 = height * middle**3 / 12 + 2 * (
+        height * point**3 / 36 + height * point / 2 * out**2
+    )
     return {
         "A": area,
         "I1": i1,

@@ -71,7 +71,9 @@ def readable(shapes: Float, mass: float) -> Bool:
     mass : float
         Of the structure, in the unit of the shapes.
     """
-    return np.asarray(np.abs(shapes).max(axis=(0, 1), initial=0.0) * np.sqrt(mass) > 1e-6)
+    return np.asarray(
+        np.abs(shapes).max(axis=(0, 1), initial=0.0) * np.sqrt(mass) > 1e-6
+    )
 
 
 def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:
@@ -90,7 +92,9 @@ def effective_mass(shapes: Float, mass: Any, rigid: Float) -> Float:
     moved = mass @ rigid
     total = np.einsum("dk,dk->k", rigid, moved)
     taken = (shapes.T @ moved) ** 2
-    return np.asarray(np.divide(taken, total, out=np.zeros_like(taken), where=total > 0))
+    return np.asarray(
+        np.divide(taken, total, out=np.zeros_like(taken), where=total > 0)
+    )
 
 
 def kinetic_share(shapes: Float, mass: Any, regions: Sequence[Int]) -> Float:
@@ -182,7 +186,8 @@ def choose_targets(
     return Targets(
         modes,
         tuple(
-            ", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes) for k in modes
+            ", ".join(n for n, yes in zip(names, asked[:, k], strict=True) if yes)
+            for k in modes
         ),
     )
 
@@ -213,7 +218,9 @@ class Resolution:
     std_damping: Float
 
 
-def ambient_std(frequencies: Float, damping: Float | float, duration: float) -> tuple[Float, Float]:
+def ambient_std(
+    frequencies: Float, damping: Float | float, duration: float
+) -> tuple[Float, Float]:
     """Relative standard deviations (m,) of frequency and damping from `duration` s of white
     excitation.
 
@@ -237,7 +244,9 @@ def frf_averages(error: float, coherence: float) -> int:
     coherence : float, 0..1
         Of force and response, γ².
     """
-    return max(1, int(np.ceil((1 - coherence) / (2 * coherence * error**2) * (1 - 1e-9))))
+    return max(
+        1, int(np.ceil((1 - coherence) / (2 * coherence * error**2) * (1 - 1e-9)))
+    )
 
 
 def resolution(
@@ -262,7 +271,9 @@ def resolution(
     f = np.asarray(frequencies, dtype=np.float64)
     low = float(f.min())
     step = 0.5 * damping * low
-    block = max(1 / step, np.log(100) / (2 * np.pi * damping * low)) if low > 0 else np.inf
+    block = (
+        max(1 / step, np.log(100) / (2 * np.pi * damping * low)) if low > 0 else np.inf
+    )
     record = max(600.0, 1 / (precision**2 * 2 * np.pi * damping * low))
     record = float(np.ceil(record / 60) * 60)
     std_f, std_z = ambient_std(f, damping, record)
@@ -277,7 +288,8 @@ def resolution(
     )
 
 
-LEAST_REACH = 0.1  # of the best driving-point residue: below, the references miss a mode
+# of the best driving-point residue: below, the references miss a mode
+LEAST_REACH = 0.1
 _MOST_SETS = 200_000
 _CHUNK = 20_000
 
@@ -339,7 +351,9 @@ def rank_sets(
     if pool.size == r:
         return best
     better = [_exchanged(share, b.rows) for b in best]
-    return _ranked(share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), most)
+    return _ranked(
+        share, np.unique(np.stack([*better, *(b.rows for b in best)]), axis=0), most
+    )
 
 
 def _pool(share: Float, count: int) -> Int:
@@ -353,7 +367,12 @@ def _pool(share: Float, count: int) -> Int:
     level = np.argsort(-np.log(share + 1e-3).sum(axis=1), kind="stable")
     greedy = select_references(np.sqrt(share), count, np.ones(share.shape[1]))
     mixed = np.concatenate(
-        [greedy, np.stack([level[:size], np.resize(by_mode, min(size, level.size))], 1).ravel()]
+        [
+            greedy,
+            np.stack(
+                [level[:size], np.resize(by_mode, min(size, level.size))], 1
+            ).ravel(),
+        ]
     )
     _, first = np.unique(mixed, return_index=True)
     return np.sort(mixed[np.sort(first)][:size])
@@ -402,7 +421,9 @@ def reciprocity_pairs(
     test.
     """
     here = set(channels)
-    return tuple((a, b) for a, b in combinations([r for r in references if r in here], 2))
+    return tuple(
+        (a, b) for a, b in combinations([r for r in references if r in here], 2)
+    )
 
 
 def shares(shapes: Float, largest: Float | None = None) -> Float:

@@ -33,7 +33,9 @@ def in_boxes(xyz: Float, boxes: Sequence[Sequence[float]] | Float) -> Bool:
         If a box is not six numbers.
     """
     if any(len(b) != 6 for b in boxes):
-        raise InputError(f"boxes: {[list(b) for b in boxes]} must be x0 y0 z0 x1 y1 z1 each")
+        raise InputError(
+            f"boxes: {[list(b) for b in boxes]} must be x0 y0 z0 x1 y1 z1 each"
+        )
     corner = np.asarray(boxes, dtype=np.float64).reshape(-1, 2, 3)
     low = corner.min(axis=1)
     high = corner.max(axis=1)
@@ -67,7 +69,9 @@ def select_candidates(
     """
     lost = np.setdiff1d(np.array(exclude, dtype=np.int64), nodes)
     if lost.size:
-        raise InputError(f"{lost.size} nodes of the exclusions are not there: {lost[:8].tolist()}")
+        raise InputError(
+            f"{lost.size} nodes of the exclusions are not there: {lost[:8].tolist()}"
+        )
     keep = in_boxes(xyz, boxes) if len(boxes) else np.ones(nodes.size, dtype=np.bool_)
     keep &= ~np.isin(nodes, np.array(exclude, dtype=np.int64))
     keep &= ~in_boxes(xyz, keep_out) if len(keep_out) else True
@@ -117,7 +121,9 @@ def surface_normals(xyz: Float, triangles: Int) -> Float:
     normal = np.zeros_like(xyz, dtype=np.float64)
     np.add.at(normal, triangles.ravel(), np.repeat(area, 3, axis=0))
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray(np.divide(normal, length, out=np.zeros_like(normal), where=length > 0))
+    return np.asarray(
+        np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    )
 
 
 def along(shapes: Float, axes: Float) -> Float:
@@ -137,7 +143,12 @@ def mesh_edges(triangles: Int, lines: Int) -> Int:
     """Edges (e, 2) int64 of triangles (t, 3) and lines (l, 2), each once, ends ascending."""
     t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     every = np.concatenate(
-        [t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]], np.asarray(lines, dtype=np.int64).reshape(-1, 2)]
+        [
+            t[:, [0, 1]],
+            t[:, [1, 2]],
+            t[:, [2, 0]],
+            np.asarray(lines, dtype=np.int64).reshape(-1, 2),
+        ]
     )
     every = np.sort(every[every[:, 0] != every[:, 1]], axis=1)
     return np.unique(every, axis=0)
@@ -197,7 +208,9 @@ def wireframe(xyz: Float, edges: Int, chosen: Int) -> Int:
     pair, way = _thinned_lines(pair, way, c.size, DETOUR)
     straight = np.linalg.norm(xyz[c[pair[:, 0]]] - xyz[c[pair[:, 1]]], axis=1)
     # (l,) True for the lines of a least spanning tree
-    tree = csgraph.minimum_spanning_tree(_graph(pair, np.maximum(way, 1e-12), c.size)).tocoo()
+    tree = csgraph.minimum_spanning_tree(
+        _graph(pair, np.maximum(way, 1e-12), c.size)
+    ).tocoo()
     in_tree = np.isin(
         pair[:, 0] * c.size + pair[:, 1], tree.row.astype(np.int64) * c.size + tree.col
     )
@@ -230,9 +243,9 @@ def relative_neighbours(xyz: Float, groups: Sequence[str]) -> Int:
         keep = np.zeros(i.size, dtype=np.bool_)
         # to bound the memory
         for part in np.array_split(order, -(-order.size * at.size // CHUNK) or 1):
-            nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][:, None] * (
-                1 - 1e-9
-            )
+            nearer = np.maximum(gap[i[part]], gap[j[part]]) < gap[i[part], j[part]][
+                :, None
+            ] * (1 - 1e-9)
             keep[part] = ~nearer.any(axis=1)
         out.append(np.stack([at[i[keep]], at[j[keep]]], axis=1))
     every = np.concatenate(out)

@@ -92,10 +92,17 @@ def suspension_points(
     """
     n = len(shapes)
     if not 1 <= count <= n:
-        raise InputError(f"{count} suspension points of {n} candidates: must be 1 to {n}")
+        raise InputError(
+            f"{count} suspension points of {n} candidates: must be 1 to {n}"
+        )
     pool = _quiet_pool(quiet(shapes), xyz, count, min_distance)
-    sets = np.array(list(combinations(pool.tolist(), count)), dtype=np.int64).reshape(-1, count)
-    gap = np.linalg.norm(xyz[sets][:, :, None] - xyz[sets][:, None], axis=3) + np.eye(count) * 1e300
+    sets = np.array(list(combinations(pool.tolist(), count)), dtype=np.int64).reshape(
+        -1, count
+    )
+    gap = (
+        np.linalg.norm(xyz[sets][:, :, None] - xyz[sets][:, None], axis=3)
+        + np.eye(count) * 1e300
+    )
     sets = sets[gap.min(axis=(1, 2)) >= min_distance]
     if not sets.size:
         raise InputError(
@@ -114,8 +121,12 @@ def _quiet_pool(motion: Float, xyz: Float, count: int, distance: float) -> Int:
     while size < motion.size and comb(size + 1, count) <= _MOST_SETS:
         size += 1
     kept: list[int] = []
-    for i in np.argsort(motion, kind="stable").tolist():  # greedy by nature, stops at tens
-        if not kept or np.linalg.norm(xyz[kept] - xyz[i], axis=1).min() >= 0.5 * distance:
+    # greedy by nature, stops at tens
+    for i in np.argsort(motion, kind="stable").tolist():
+        if (
+            not kept
+            or np.linalg.norm(xyz[kept] - xyz[i], axis=1).min() >= 0.5 * distance
+        ):
             kept.append(i)
         if len(kept) >= size:
             break
@@ -133,7 +144,9 @@ def _between(plan: Float, point: Float) -> Bool:
         turns = np.stack([_cross(a, b), _cross(b, c), _cross(c, a)])
         area = np.abs(turns.sum(axis=0))
         tiny = 1e-9 * area
-        inside |= ((turns >= -tiny).all(axis=0) | (turns <= tiny).all(axis=0)) & (area > 0)
+        inside |= ((turns >= -tiny).all(axis=0) | (turns <= tiny).all(axis=0)) & (
+            area > 0
+        )
     return inside
 
 
@@ -163,7 +176,9 @@ def loaded_frequencies(frequencies: Float, shapes: Float, mass: Float) -> Float:
     """
     added = np.asarray(mass, dtype=np.float64)
     if added.shape != (len(shapes),) or (added < 0).any():
-        raise InputError(f"mass {added.shape}: one number >= 0 for each of {len(shapes)} points")
+        raise InputError(
+            f"mass {added.shape}: one number >= 0 for each of {len(shapes)} points"
+        )
     lam = (2 * np.pi * np.asarray(frequencies, dtype=np.float64)) ** 2
     M = np.eye(lam.size) + np.einsum("ndi,n,ndj->ij", shapes, added, shapes)
     values = linalg.eigh(np.diag(lam), M, eigvals_only=True)
@@ -204,7 +219,9 @@ class Setups(FrozenArrays):
         return np.flatnonzero(self.setup == setup)
 
 
-def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = None) -> Setups:
+def roving_setups(
+    shapes: Float, xyz: Float, at_hand: int, stay: Int | None = None
+) -> Setups:
     """References that see every mode, and neighbours together in each setup, as many as are at
     hand.
 
@@ -238,7 +255,9 @@ def roving_setups(shapes: Float, xyz: Float, at_hand: int, stay: Int | None = No
     share = square / np.maximum(square.mean(axis=0), 1e-300)
     most = max(1, int(0.5 * at_hand))  # of the sensors at hand, that stay at most
     chosen = [] if stay is None else list(dict.fromkeys(stay.tolist()))[:most]
-    while not chosen or (share[chosen].mean(axis=0).min() < SEEN**2 and len(chosen) < most):
+    while not chosen or (
+        share[chosen].mean(axis=0).min() < SEEN**2 and len(chosen) < most
+    ):
         trial = (share[chosen].sum(axis=0) + share) / (len(chosen) + 1)
         gain = np.log(np.clip(trial, 1e-6, SEEN**2)).sum(axis=1)
         gain[chosen] = -np.inf
@@ -316,7 +335,9 @@ class PlannedExcitation:
     def __post_init__(self) -> None:
         wanted = len(self.references), self.frequencies.size
         if self.reach.shape != wanted:
-            raise InputError(f"reach {self.reach.shape}: must be (reference, mode) = {wanted}")
+            raise InputError(
+                f"reach {self.reach.shape}: must be (reference, mode) = {wanted}"
+            )
 
 
 def write_test_sheet(
@@ -361,7 +382,9 @@ def write_test_sheet(
     struck = test.pick(references)
     folder.mkdir(parents=True, exist_ok=True)
     sensors, lines, excitation, modes, geometry, roving = (folder / n for n in NAMES)
-    write_sheet(sensors, test, test.channels, [sensor] * len(test.channels) if sensor else None)
+    write_sheet(
+        sensors, test, test.channels, [sensor] * len(test.channels) if sensor else None
+    )
     write_lines(lines, test)
     _table(
         excitation,
@@ -370,7 +393,9 @@ def write_test_sheet(
     )
     best = reach.max(axis=0, initial=0.0)
     owner = [references[i] for i in reach.argmax(axis=0).tolist()]
-    rows = zip(range(1, best.size + 1), frequencies.tolist(), best.tolist(), owner, strict=True)
+    rows = zip(
+        range(1, best.size + 1), frequencies.tolist(), best.tolist(), owner, strict=True
+    )
     _table(
         modes,
         ("target", "frequency_hz", "reach", "best_reference"),
@@ -380,7 +405,9 @@ def write_test_sheet(
     files = sensors, lines, excitation, modes, geometry
     if setups is None:
         return files
-    _table(roving, ("setup", "sensor", "point", "channels", "stays"), _places(test, setups))
+    _table(
+        roving, ("setup", "sensor", "point", "channels", "stays"), _places(test, setups)
+    )
     return *files, roving
 
 
@@ -399,11 +426,17 @@ def _places(test: TestModel, setups: Setups) -> list[tuple[object, ...]]:
     return out
 
 
-def _blows(struck: TestModel, frequencies: Float, reach: Float) -> list[tuple[object, ...]]:
+def _blows(
+    struck: TestModel, frequencies: Float, reach: Float
+) -> list[tuple[object, ...]]:
     """A row for each reference: where it is, and the target modes it excites best."""
     owner = reach.argmax(axis=0)
     place = zip(
-        struck.channels, struck.at.tolist(), struck.channel_xyz().tolist(), struck.axes, strict=True
+        struck.channels,
+        struck.at.tolist(),
+        struck.channel_xyz().tolist(),
+        struck.axes,
+        strict=True,
     )
     return [
         (
@@ -419,7 +452,10 @@ def _blows(struck: TestModel, frequencies: Float, reach: Float) -> list[tuple[ob
 
 
 def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic_write(path) as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(head)
         writer.writerows(rows)

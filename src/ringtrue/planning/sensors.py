@@ -38,7 +38,12 @@ def independence(shapes: Float) -> Float:
 
 
 def select_points(
-    shapes: Float, xyz: Float, count: int, *, fixed: Bool | None = None, min_distance: float = 0.0
+    shapes: Float,
+    xyz: Float,
+    count: int,
+    *,
+    fixed: Bool | None = None,
+    min_distance: float = 0.0,
 ) -> Int:
     """Points that distinguish the target modes, by backward elimination of the least independent.
 
@@ -65,7 +70,11 @@ def select_points(
         If the points asked for cannot distinguish the modes, or there are too few.
     """
     n, d, m = shapes.shape
-    held = np.zeros(n, dtype=np.bool_) if fixed is None else np.asarray(fixed, dtype=np.bool_)
+    held = (
+        np.zeros(n, dtype=np.bool_)
+        if fixed is None
+        else np.asarray(fixed, dtype=np.bool_)
+    )
     count = max(count, int(held.sum()))
     if count * d < m:
         raise InputError(
@@ -200,7 +209,9 @@ def _best_addition(gram: Float, shapes: Float) -> int:
         if bound[at[0]] > value * (1 + 1e-9):
             break
         part = shapes[at]
-        mac = (gram + np.swapaxes(part, 1, 2) @ part) ** 2 / (size[at, :, None] * size[at, None, :])
+        mac = (gram + np.swapaxes(part, 1, 2) @ part) ** 2 / (
+            size[at, :, None] * size[at, None, :]
+        )
         mac[:, np.arange(m), np.arange(m)] = 0.0
         worst = mac.max(axis=(1, 2))
         least = float(worst.min())
@@ -272,7 +283,9 @@ def worst_sensor_loss(shapes: Float, k: int) -> Loss:
         if exact
         else _built(rows, k)
     )
-    _, s, v = np.linalg.svd(rows[subsets].reshape(len(subsets), k * d, m), full_matrices=False)
+    _, s, v = np.linalg.svd(
+        rows[subsets].reshape(len(subsets), k * d, m), full_matrices=False
+    )
     worst = int(np.argmax(s[:, 0]))
     left = float(np.clip(1 - s[worst, 0] ** 2, 0, 1))
     return Loss(subsets[worst], left, np.linalg.solve(r, v[worst, 0]), exact)
@@ -287,7 +300,9 @@ def _built(rows: Float, k: int) -> Int:
         for s in subsets.tolist():  # a subset for each sensor: tens
             rest = np.setdiff1d(np.arange(c), s)
             trial = np.column_stack([np.tile(s, (rest.size, 1)), rest])
-            top = np.linalg.norm(rows[trial].reshape(len(trial), -1, m), ord=2, axis=(1, 2))
+            top = np.linalg.norm(
+                rows[trial].reshape(len(trial), -1, m), ord=2, axis=(1, 2)
+            )
             grown.append(trial[int(np.argmax(top))])
         subsets = np.array(grown)
     return subsets

@@ -156,7 +156,9 @@ class Conditions:
     sensor: Sensor = ICP
     hits: int = 5
     hammer: HammerPlan | None = None
-    pairing: PairingSettings = field(default_factory=lambda: PairingSettings(0.8, 0.03, reach=1.0))
+    pairing: PairingSettings = field(
+        default_factory=lambda: PairingSettings(0.8, 0.03, reach=1.0)
+    )
 
     def __post_init__(self) -> None:
         if (
@@ -170,7 +172,9 @@ class Conditions:
                 f"scatter and background {self.damping_scatter}, {self.background} (0 or more)"
             )
         if self.coherence is not None and not 0 < self.coherence <= 1:
-            raise InputError(f"virtual test: coherence {self.coherence} must be above 0, 1 at most")
+            raise InputError(
+                f"virtual test: coherence {self.coherence} must be above 0, 1 at most"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,7 +232,11 @@ class VirtualTest:
 
     def take(self, modes: Int) -> VirtualTest:
         """The chosen modes (k,) of the band, in the given order."""
-        arrays = [f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)]
+        arrays = [
+            f.name
+            for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)
+        ]
         return replace(self, **{name: getattr(self, name)[modes] for name in arrays})
 
 
@@ -290,7 +298,9 @@ def trials(
             1 + conditions.frequency_scatter * stream.standard_normal(zeta.size)
         )
         z = np.minimum(
-            zeta * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)), 0.5
+            zeta
+            * np.exp(conditions.damping_scatter * stream.standard_normal(zeta.size)),
+            0.5,
         )
         truth = ModeSet(
             frequencies=f[target],
@@ -325,11 +335,15 @@ def _whole(modes: ModeSet, channels: tuple[str, ...]) -> ModeSet:
     return replace(modes, shapes=shapes, labels=channels)
 
 
-def _outcome(frequencies: Float, error: Float, invented: int, force: float) -> VirtualTest:
+def _outcome(
+    frequencies: Float, error: Float, invented: int, force: float
+) -> VirtualTest:
     trials = error.shape[1]
     there = np.isfinite(error[0])
     hits = there.sum(axis=0)
-    low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), trials - hits + 1, 0.05), 0.0)
+    low = np.where(
+        hits > 0, betaincinv(np.maximum(hits, 1), trials - hits + 1, 0.05), 0.0
+    )
     some = np.where(hits > 0, hits, np.nan)
     value = np.where(there, error, 0.0)
     mean = value.sum(axis=1) / some
@@ -362,7 +376,9 @@ def rarely_found_modes(
     )
 
 
-def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5) -> HammerPlan:
+def fitting_hammer(
+    model: ModalModel, fmax: float, sensor: Sensor, *, hits: int = 5
+) -> HammerPlan:
     """A hammer whose impacts fill half the sensors' range at most and reach to `fmax`.
 
     The tip gives contact times of 0.4 to 0.7 over fmax (first zero of a half-sine at 1.5 over the
@@ -394,7 +410,9 @@ def fitting_hammer(model: ModalModel, fmax: float, sensor: Sensor, *, hits: int 
     )
 
 
-def _peak_response(model: ModalModel, contact: float, block: float, rate: float) -> float:
+def _peak_response(
+    model: ModalModel, contact: float, block: float, rate: float
+) -> float:
     """Largest acceleration of any output by an impact of 1 N at any input."""
     n = 2 * int(np.ceil(0.5 * min(block, 2000 / rate) * rate))
     top = 0.0
@@ -407,7 +425,12 @@ def _peak_response(model: ModalModel, contact: float, block: float, rate: float)
         )
         force = pulse_spectrum(impact, len(model.inputs), n, rate)
         top = max(
-            top, float(np.abs(fft.irfft(response_spectrum(model, force, lines(n, rate)), n)).max())
+            top,
+            float(
+                np.abs(
+                    fft.irfft(response_spectrum(model, force, lines(n, rate)), n)
+                ).max()
+            ),
         )
     return top
 
@@ -446,10 +469,13 @@ def simulate_impact_test(
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
         return identify_hammer(
-            measured(model, hammer, conditions, CHAIN.rate * plan.fmax, stream), settings
+            measured(model, hammer, conditions, CHAIN.rate * plan.fmax, stream),
+            settings,
         ).modes
 
-    result = trials(plan, conditions, find, rng, force=hammer.peak[1], progress=progress)
+    result = trials(
+        plan, conditions, find, rng, force=hammer.peak[1], progress=progress
+    )
     return replace(result, background=conditions.background)
 
 
@@ -480,7 +506,11 @@ def background_density(
     impacts = replace(hammer, hits=max(hammer.hits, CHAIN.impacts))
     for _ in range(2):
         frfs = measured(
-            model, impacts, replace(conditions, background=density), CHAIN.rate * band[1], rng
+            model,
+            impacts,
+            replace(conditions, background=density),
+            CHAIN.rate * band[1],
+            rng,
         )
         at = tuple(np.array(frfs.driving_points()).T)  # elsewhere may be no motion
         seen = frfs.coherence[(frfs.freqs > band[0]) & (frfs.freqs < band[1])][:, *at]
@@ -521,7 +551,9 @@ def measured(
         for c, s in zip(r.channels, sensors, strict=True)
     }
     block = round(hammer.block * rate) / rate
-    settings = HammerSettings(block=block - hammer.pretrigger, pretrigger=hammer.pretrigger)
+    settings = HammerSettings(
+        block=block - hammer.pretrigger, pretrigger=hammer.pretrigger
+    )
     return estimate_frf(records, settings, full_scale=full)[0]
 
 
@@ -540,15 +572,21 @@ def _record(
     rng: np.random.Generator,
 ) -> TimeHistory:
     hammer, rate = impacts.plan, impacts.rate
-    samples = 2 * int(np.ceil(0.5 * (float(impacts.times[-1]) + hammer.block + hammer.rest) * rate))
-    background = Background(white(len(model.inputs), conditions.background, samples, rate, rng))
+    samples = 2 * int(
+        np.ceil(0.5 * (float(impacts.times[-1]) + hammer.block + hammer.rest) * rate)
+    )
+    background = Background(
+        white(len(model.inputs), conditions.background, samples, rate, rng)
+    )
     volts, _, _ = hammer_record(
         model, impacts, chain, background=background, samples=samples, rng=rng
     )
     data = volts / np.array([s.sensitivity for s in chain.sensors])[:, None]
     struck = model.inputs[int(impacts.pulses.at[0])]
     force = replace(struck, id=f"F:{struck.id}")
-    return TimeHistory(data, rate, (force, *model.outputs), f"virtual test, {struck.id}")
+    return TimeHistory(
+        data, rate, (force, *model.outputs), f"virtual test, {struck.id}"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -602,11 +640,14 @@ def simulate_ambient_test(
     # forces at many rows are, for the modes, as many as there are modes: QR keeps the covariance of
     # ΦᵀF
     inputs = np.asarray(np.linalg.qr(plan.inputs, mode="r"))
-    few = replace(plan, inputs=inputs, references=tuple(f"F{k}" for k in range(len(inputs))))
+    few = replace(
+        plan, inputs=inputs, references=tuple(f"F{k}" for k in range(len(inputs)))
+    )
 
     def find(model: ModalModel, stream: np.random.Generator) -> ModeSet:
         return identify_ambient(
-            recorded(model, ambience, conditions, CHAIN.rate * plan.fmax, stream), settings
+            recorded(model, ambience, conditions, CHAIN.rate * plan.fmax, stream),
+            settings,
         ).modes
 
     return trials(few, conditions, find, rng, force=ambience.density, progress=progress)
@@ -629,15 +670,23 @@ def recorded(
     conditions : Conditions
     rate : float, Hz
     """
-    samples = 2 * fft.next_fast_len(int(np.ceil(0.5 * ambience.duration * rate)), real=True)
+    samples = 2 * fft.next_fast_len(
+        int(np.ceil(0.5 * ambience.duration * rate)), real=True
+    )
     forces = white(len(model.inputs), ambience.density, samples, rate, rng)
     motion = response_spectrum(model, forces, lines(samples, rate))
     loudest = np.sqrt(2 * (np.abs(motion) ** 2).sum(axis=1).max()) / samples
     wide = max(
-        conditions.sensor.range, CHAIN.headroom * conditions.sensor.sensitivity * float(loudest)
+        conditions.sensor.range,
+        CHAIN.headroom * conditions.sensor.sensitivity * float(loudest),
     )
-    chain = Chain.draw((replace(conditions.sensor, range=wide),) * len(model.outputs), rng)
+    chain = Chain.draw(
+        (replace(conditions.sensor, range=wide),) * len(model.outputs), rng
+    )
     volts, _ = record_volts(motion, chain, samples, rate, rng)
     return TimeHistory(
-        volts / conditions.sensor.sensitivity, rate, model.outputs, "virtual ambient test"
+        volts / conditions.sensor.sensitivity,
+        rate,
+        model.outputs,
+        "virtual ambient test",
     )

@@ -51,7 +51,9 @@ def tracking_page(title: str, tracked: Tracked, notes: Sequence[str]) -> str:
         ("Damping through time", dampings(tracked)),
     ]
     items = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    return figure_page(title, drawn, after=f"<h2>Notes</h2><ul>{items}</ul>" if items else "")
+    return figure_page(
+        title, drawn, after=f"<h2>Notes</h2><ul>{items}</ul>" if items else ""
+    )
 
 
 def _series(
@@ -94,7 +96,9 @@ def frequencies(tracked: Tracked) -> go.Figure:
 
 def dampings(tracked: Tracked) -> go.Figure:
     """Damping ratios over time with one standard deviation."""
-    fig = figure(340, xaxis=axis("Time, h"), yaxis=axis("Damping ratio, %", rangemode="tozero"))
+    fig = figure(
+        340, xaxis=axis("Time, h"), yaxis=axis("Damping ratio, %", rangemode="tozero")
+    )
     for i, t in enumerate(tracked.tracks):
         _series(
             fig,
@@ -193,7 +197,9 @@ def table_matrix(table: CorrelationTable, *, subspace: bool = False) -> go.Figur
         MatrixSide(names, b),
         name="subspace MAC of pairs" if subspace else "MAC",
     )
-    pairs = zip(table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True)
+    pairs = zip(
+        table.pairing.a.tolist(), (table.pairing.b - first).tolist(), strict=True
+    )
     fig.layout.shapes = [_outline(i, j) for i, j in pairs]
     return fig
 
@@ -211,7 +217,9 @@ def _outline(row: int, column: int, color: str = TEST) -> dict[str, object]:
     return {"type": "rect", **edges, "line": {"width": 1.5, "color": color}}
 
 
-def orthogonality(check: OrthogonalityCheck, table: CorrelationTable, height: int = 0) -> go.Figure:
+def orthogonality(
+    check: OrthogonalityCheck, table: CorrelationTable, height: int = 0
+) -> go.Figure:
     """A self- or cross-orthogonality matrix; what is beyond the gate is outlined. Columns from the
     first pair on.
     """
@@ -233,7 +241,9 @@ def orthogonality(check: OrthogonalityCheck, table: CorrelationTable, height: in
         name="orthogonality",
     )
     fig.update_layout(
-        shapes=[_outline(f.a, f.b - first, BAD) for f in check.verdict.failures[:OUTLINED]]
+        shapes=[
+            _outline(f.a, f.b - first, BAD) for f in check.verdict.failures[:OUTLINED]
+        ]
     )
     return fig
 
@@ -337,7 +347,9 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
             )
         numbers = tracks.index[::-1, k] + 1
         shared = ["", *(f", MAC with the step before {100 * o:.0f} %" for o in overlap)]
-        text = [f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)]
+        text = [
+            f"FE {n}: {x:.3f} Hz{s}" for n, x, s in zip(numbers, f, shared, strict=True)
+        ]
         mark = {"size": 6, "color": color}
         fig.add_scatter(
             x=list(range(last)),
@@ -357,7 +369,9 @@ def followed(tracks: Tracks, table: CorrelationTable) -> go.Figure:
                 line=look,
                 marker={"size": [0, 7], "color": TEST},
             )
-            fig.data[-1].hovertemplate = f"test {pair.test}: {pair.test_hz:.3f} Hz<extra></extra>"
+            fig.data[
+                -1
+            ].hovertemplate = f"test {pair.test}: {pair.test_hz:.3f} Hz<extra></extra>"
     return fig
 
 
@@ -487,7 +501,12 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
         color = STAGE_COLORS.get(name, FINAL)
         rows = table.rows()
         marks = ["circle" if r.used or name != "final" else "circle-open" for r in rows]
-        look = {"size": size, "color": color, "symbol": marks, "line": {"width": 2, "color": color}}
+        look = {
+            "size": size,
+            "color": color,
+            "symbol": marks,
+            "line": {"width": 2, "color": color},
+        }
         x = [names[r.test] for r in rows]
         partner = [f"FE {r.fe}" for r in rows]
         drawn = {
@@ -499,7 +518,9 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             "legendgroup": name,
         }
         fig.add_scatter(y=f32(table.deviation_percent), **drawn)
-        fig.data[-1].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
+        fig.data[
+            -1
+        ].hovertemplate = f"{name}, %{{text}}: %{{y:.2f}} %<extra>%{{x}} Hz</extra>"
         if alone:
             continue
         measures = (

@@ -56,7 +56,8 @@ CLASSES = (
 GLYPHS = {"natural": "▼", "doubtful": "▽", "harmonic": "◇"}  # of the classes, in texts
 LINE = {"symbol": "line-ns-open", "size": 12, "color": "#8e4a9e", "line": {"width": 2}}
 PEAK = {"symbol": "circle-open", "size": 6, "color": MUTED, "line": {"width": 1.2}}
-SPECTRUM = ("#8d9aa7", "#b4bec8", "#d2d9df")  # of the first, second and third singular value
+# of the first, second and third singular value
+SPECTRUM = ("#8d9aa7", "#b4bec8", "#d2d9df")
 COLUMNS = 500  # poles of one order nearer than a column of the whole band are one mark
 MOST = 4000  # marks of one kind of poles
 POINTS = 1500  # of a singular value
@@ -90,12 +91,24 @@ def identification_figure(
         if x.size:
             name = "singular values" if k == 0 else f"singular value {k + 1}"
             line = {"width": 1, "color": color}
-            look = {"showlegend": k == 0, "legendgroup": "spectrum", "hoverinfo": "skip"}
+            look = {
+                "showlegend": k == 0,
+                "legendgroup": "spectrum",
+                "hoverinfo": "skip",
+            }
             fig.add_scatter(
-                x=f32(x), y=f32(y), yaxis="y2", mode="lines", line=line, name=name, **look
+                x=f32(x),
+                y=f32(y),
+                yaxis="y2",
+                mode="lines",
+                line=line,
+                name=name,
+                **look,
             )
     for k, (name, color, size) in enumerate(POLES):
-        frequency, order, damping = _poles(shown, k, most) if most else (np.empty(0),) * 3
+        frequency, order, damping = (
+            _poles(shown, k, most) if most else (np.empty(0),) * 3
+        )
         for y, on, large in ((order, "y", size), (100 * damping, "y3", size - 1)):
             fig.add_scatter(
                 x=frequency,
@@ -111,7 +124,9 @@ def identification_figure(
     _add_beyond(fig, shown)
     _add_account(fig, shown, top)
     _add_modes(fig, shown, top)
-    fig.update_xaxes(range=[np.log10(low), np.log10(high)] if _wide(shown) else [low, high])
+    fig.update_xaxes(
+        range=[np.log10(low), np.log10(high)] if _wide(shown) else [low, high]
+    )
     return fig
 
 
@@ -122,16 +137,26 @@ def _wide(shown: IdentificationDiagram) -> bool:
 
 def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     """Orders and spectrum in the upper panel, damping in the lower one."""
-    frequency = axis("Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2})
+    frequency = axis(
+        "Frequency, Hz", anchor="y3", minor={"ticks": "outside", "ticklen": 2}
+    )
     if _wide(shown):
         frequency |= {"type": "log", "dtick": "D2", "tickformat": "~g"}
-    upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(shown.uncertainty.damping)
+    upper = np.nan_to_num(shown.modes.damping) + np.nan_to_num(
+        shown.uncertainty.damping
+    )
     # and of the poles that modes are made of
-    highest = 100 * float(np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, 2)[2])]).max())
+    highest = 100 * float(
+        np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, 2)[2])]).max()
+    )
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
-    level = axis("Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6)
+    level = axis(
+        "Singular values, dB", overlaying="y", side="right", showgrid=False, nticks=6
+    )
     level["tickmode"] = "auto"
-    ratio = axis("Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5)
+    ratio = axis(
+        "Damping, %", domain=[0.0, 0.28], range=[0, 1.15 * highest or 5.0], nticks=5
+    )
     fig = figure(height, xaxis=frequency, yaxis=order, yaxis2=level, yaxis3=ratio)
     fig.update_layout(hovermode="closest", margin={"r": 60, "t": 84})
     return fig
@@ -156,7 +181,9 @@ def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
     )
 
 
-def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, Float, Float]:
+def _poles(
+    shown: IdentificationDiagram, kind: int, most: int
+) -> tuple[Float, Float, Float]:
     """Frequency, order and damping of the poles of a kind, as many as can be distinguished."""
     f, order, damping = _of_kind(shown, kind)
     at = _apart(f, order, shown)
@@ -167,7 +194,9 @@ def _poles(shown: IdentificationDiagram, kind: int, most: int) -> tuple[Float, F
 def _of_kind(shown: IdentificationDiagram, kind: int) -> Float:
     """Frequency, order and damping (3, k) of all poles of a kind."""
     sets = [
-        np.stack([d.poles.frequencies, d.poles.order, d.poles.damping])[:, pole_kinds(d) == kind]
+        np.stack([d.poles.frequencies, d.poles.order, d.poles.damping])[
+            :, pole_kinds(d) == kind
+        ]
         for d in shown.diagrams
     ]
     return np.hstack([np.empty((3, 0)), *sets])
@@ -176,7 +205,11 @@ def _of_kind(shown: IdentificationDiagram, kind: int) -> Float:
 def _apart(f: Float, order: Float, shown: IdentificationDiagram) -> Int:
     """Positions of the poles that a mark does not hide."""
     low, high = shown.span
-    place = np.log(np.maximum(f, low) / low) / np.log(high / low) if _wide(shown) else f / high
+    place = (
+        np.log(np.maximum(f, low) / low) / np.log(high / low)
+        if _wide(shown)
+        else f / high
+    )
     cells = np.stack([np.floor(COLUMNS * place), order])
     _, first = np.unique(cells, axis=1, return_index=True)
     return np.sort(first)
@@ -187,7 +220,8 @@ def _add_account(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None
     peaks = shown.account.unexplained
     lines = shown.account.lines
     said = [
-        f"{p.frequency:.5g} Hz<br>{p.prominence:.0f} dB in singular value {p.value}" for p in peaks
+        f"{p.frequency:.5g} Hz<br>{p.prominence:.0f} dB in singular value {p.value}"
+        for p in peaks
     ]
     at = np.array([p.frequency for p in peaks])
     for name, f, text, look, height in (
@@ -221,12 +255,21 @@ def _add_modes(fig: go.Figure, shown: IdentificationDiagram, top: int) -> None:
             "line": {"width": 1.5, "color": color},
         }
         std = 100 * shown.uncertainty.damping[at]
-        bar = {"array": f32(np.nan_to_num(std)), "thickness": 1, "width": 3, "color": color}
-        sample = {**mark, "symbol": form}  # the legend keeps it where single marks change
+        bar = {
+            "array": f32(np.nan_to_num(std)),
+            "thickness": 1,
+            "width": 3,
+            "color": color,
+        }
+        # the legend keeps it where single marks change
+        sample = {**mark, "symbol": form}
         look = {"name": f"{name} mode", "legendgroup": name, "marker": sample}
         fig.add_scatter(x=[None], y=[None], mode="markers", **look)
         ratio = 100 * shown.modes.damping[at]
-        for y, on, bars in ((np.full(len(at), 1.06 * top), "y", None), (ratio, "y3", bar)):
+        for y, on, bars in (
+            (np.full(len(at), 1.06 * top), "y", None),
+            (ratio, "y3", bar),
+        ):
             fig.add_scatter(
                 x=shown.modes.frequencies[at],
                 y=f32(y),
@@ -283,7 +326,8 @@ def auto_mac(shown: IdentificationDiagram, height: int = 0) -> go.Figure:
 
 
 def damping(
-    sets: list[tuple[str, ModeSet, Uncertainty | None]], used: tuple[Float, Float] | None
+    sets: list[tuple[str, ModeSet, Uncertainty | None]],
+    used: tuple[Float, Float] | None,
 ) -> go.Figure:
     """Damping ratios over frequency with one standard deviation; `used` (f, ζ) is what the elastic
     modes carry.
@@ -294,7 +338,12 @@ def damping(
         color = (TEST, QUALITATIVE[0])[i % 2]
         bar = None
         if std:
-            bar = {"type": "data", "array": f32(100 * std.damping), "thickness": 1, "width": 3}
+            bar = {
+                "type": "data",
+                "array": f32(100 * std.damping),
+                "thickness": 1,
+                "width": 3,
+            }
         mark = {"size": 8, "color": color, "symbol": ("circle", "diamond")[i % 2]}
         f = f32(modes.frequencies)
         y = f32(100 * modes.damping)
@@ -360,7 +409,8 @@ def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
     f = f32(np.array([r["frequency_hz"] for r in rows]))
     for name, color in (("frequency", FE), ("damping", QUALITATIVE[4])):
         planned, found = (
-            f32(np.array([r[f"{k}_{name}"] for r in rows])) for k in ("planned", "found")
+            f32(np.array([r[f"{k}_{name}"] for r in rows]))
+            for k in ("planned", "found")
         )
         line = {"width": 1.6, "color": color}
         fig.add_scatter(
@@ -377,7 +427,9 @@ def verified(rows: Sequence[Mapping[str, float]]) -> go.Figure:
             marker={"size": 7, "color": color},
             name="found",
         )
-        fig.data[-1].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
+        fig.data[
+            -1
+        ].hovertemplate = f"%{{x:.3f}} Hz: {name} %{{y:.2g}} %<extra></extra>"
     return fig
 
 
@@ -387,7 +439,9 @@ def backbone(found: Backbone) -> go.Figure:
     """
     left = axis("Frequency, Hz", domain=[0.55, 1.0])
     right = axis("Damping ratio, %", domain=[0.0, 0.42], anchor="x")
-    fig = figure(360, xaxis=axis("Amplitude", type="log", anchor="y2"), yaxis=left, yaxis2=right)
+    fig = figure(
+        360, xaxis=axis("Amplitude", type="log", anchor="y2"), yaxis=left, yaxis2=right
+    )
     fig.update_layout(showlegend=False)
     for name, points, curve, factor, on in (
         ("frequency", found.frequency, found.fit_frequency, 1, "y"),
@@ -396,18 +450,28 @@ def backbone(found: Backbone) -> go.Figure:
         x = f32(found.amplitude)
         mark = {"size": 5, "color": TEST}
         fig.add_scatter(
-            x=x, y=f32(factor * points), yaxis=on, mode="markers", marker=mark, name=name
+            x=x,
+            y=f32(factor * points),
+            yaxis=on,
+            mode="markers",
+            marker=mark,
+            name=name,
         )
         line = {"width": 2, "color": FE}
         x = f32(found.fit_amplitude)
-        fig.add_scatter(x=x, y=f32(factor * curve), yaxis=on, mode="lines", line=line, name="fit")
+        fig.add_scatter(
+            x=x, y=f32(factor * curve), yaxis=on, mode="lines", line=line, name="fit"
+        )
     return fig
 
 
-SHAPE_BYTES = 4_000_000  # of all poles in a page; beyond it those taken into modes have theirs
+# of all poles in a page; beyond it those taken into modes have theirs
+SHAPE_BYTES = 4_000_000
 
 
-def picker_page(title: str, shown: IdentificationDiagram, test: TestModel | None = None) -> str:
+def picker_page(
+    title: str, shown: IdentificationDiagram, test: TestModel | None = None
+) -> str:
     """One self-contained HTML page: the diagram of the whole band, on which a click takes modes and
     poles up, a second one takes them out.
 
@@ -436,7 +500,9 @@ def _picker_data(shown: IdentificationDiagram, test: TestModel | None) -> str:
     data = {
         "kinds": [name for name, _, _ in POLES],
         "colors": {name: color for name, color, _ in CLASSES},
-        "summary": f"Peaks of the spectrum that nothing explains: {peaks}." if peaks else "",
+        "summary": f"Peaks of the spectrum that nothing explains: {peaks}."
+        if peaks
+        else "",
         "modes": _mode_rows(shown),
         "channels": channels,
         "shape": packed(_parts(shown.modes.shapes), "<f4"),
@@ -492,7 +558,11 @@ def _packed_poles(shown: IdentificationDiagram) -> dict[str, str]:
     shape = np.zeros((n, 0))
     if sets and all(p.shape.shape[0] == n for p in sets):
         whole = 2 * n * kind.size <= SHAPE_BYTES
-        kept = rank if whole else rank[: min(int((kind == 2).sum()), SHAPE_BYTES // (2 * n))]
+        kept = (
+            rank
+            if whole
+            else rank[: min(int((kind == 2).sum()), SHAPE_BYTES // (2 * n))]
+        )
         shape = np.concatenate([p.shape for p in sets], axis=1)[:, kept]
     columns = {
         "frequency": ("<f8", np.concatenate([empty, *(p.frequencies for p in sets)])),
@@ -508,7 +578,11 @@ def _packed_poles(shown: IdentificationDiagram) -> dict[str, str]:
 def _parts(shapes: Any_) -> Float:
     """(mode, channel, 2) real and imaginary parts, the largest component 1; 0 where unknown."""
     known = np.nan_to_num(shapes.astype(np.complex128))
-    top = np.argmax(np.abs(known), axis=0)[None] if known.size else np.empty((1, 0), np.int64)
+    top = (
+        np.argmax(np.abs(known), axis=0)[None]
+        if known.size
+        else np.empty((1, 0), np.int64)
+    )
     largest = np.take_along_axis(known, top, axis=0)
     turned = known / np.where(largest == 0, 1.0, largest)
     return np.stack([turned.real, turned.imag], axis=-1).transpose(1, 0, 2)
@@ -516,6 +590,8 @@ def _parts(shapes: Any_) -> Float:
 
 def _bars(channels: int) -> go.Figure:
     """The axes of a shape over its channels."""
-    fig = figure(300, xaxis=axis("", type="category", tickangle=-90 if channels > 6 else 0))
+    fig = figure(
+        300, xaxis=axis("", type="category", tickangle=-90 if channels > 6 else 0)
+    )
     fig.update_layout(yaxis_range=[-1.1, 1.1], margin={"l": 40, "r": 8}, bargap=0.15)
     return fig

@@ -31,7 +31,9 @@ def shown(unit: str) -> tuple[float, str]:
     return (1e3, "mm") if unit == "m" else (1.0, unit)
 
 
-def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: float) -> go.Figure:
+def run_up(
+    found: RunUp, outputs: Sequence[int], names: Sequence[str], service: float
+) -> go.Figure:
     """Amplitudes over speed, medians in their bands; grey: outside the validated band."""
     factor, unit = shown(found.units[outputs[0]])
     x = found.freqs
@@ -72,7 +74,9 @@ def run_up(found: RunUp, outputs: Sequence[int], names: Sequence[str], service: 
             name=name,
             legendgroup=name,
         )
-        fig.data[-1].hovertemplate = f"{name}<br>%{{x:.1f}} Hz: %{{y:.3g}} {unit}<extra></extra>"
+        fig.data[
+            -1
+        ].hovertemplate = f"{name}<br>%{{x:.1f}} Hz: %{{y:.3g}} {unit}<extra></extra>"
     start, end = found.validated
     fig.update_layout(
         shapes=[
@@ -117,7 +121,8 @@ def _note(x: float, text: str) -> dict[str, object]:
 
 
 LEAST = 0.02  # % of critical: the lower end of the axis
-DECADE = 10.0  # of the largest over the least damping ratio: above, the axis is logarithmic
+# of the largest over the least damping ratio: above, the axis is logarithmic
+DECADE = 10.0
 
 
 def regions(found: DampedRegions) -> go.Figure:
@@ -164,7 +169,9 @@ def regions(found: DampedRegions) -> go.Figure:
         marker=mark,
         error_x=bars,
     )
-    fig.data[-1].update(name="found, ± 1 σ", hovertemplate="%{y}: %{x:.4f}<extra></extra>")
+    fig.data[-1].update(
+        name="found, ± 1 σ", hovertemplate="%{y}: %{x:.4f}<extra></extra>"
+    )
     return fig
 
 
@@ -179,7 +186,9 @@ def modes(found: DampedModes) -> go.Figure:
     if ratios.max(initial=0.0) > DECADE * ratios.min(initial=np.inf):
         ticks = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20]
         y |= {"type": "log", "tickvals": ticks, "minor": {"ticks": "outside"}}
-    fig = figure(340, xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60), yaxis=y)
+    fig = figure(
+        340, xaxis=axis("Mode, Hz of the test", type="category", tickangle=-60), yaxis=y
+    )
     step = {"color": INITIAL, "width": 1.6, "shape": "hvh"}
     fig.add_scatter(
         x=x,

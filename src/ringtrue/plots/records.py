@@ -73,12 +73,16 @@ def signals(
         top = 1 - k / n
         name = f"yaxis{k + 1}" if k else "yaxis"
         domain = [top - 1 / n + (gap if k < n - 1 else 0), top]
-        label = axis(f"{c.id}<br>{_unit(c) or c.quantity}", domain=domain, anchor="x", nticks=4)
+        label = axis(
+            f"{c.id}<br>{_unit(c) or c.quantity}", domain=domain, anchor="x", nticks=4
+        )
         fig.update_layout({name: label | {"exponentformat": "power"}})
         on = f"y{k + 1}" if k else "y"
         line = {"width": 1, "color": QUALITATIVE[k % 8]}
         start, step, y = _path(seen, k, size, rate)
-        fig.add_scatter(x0=start, dx=step, y=y, yaxis=on, mode="lines", line=line, name=c.id)
+        fig.add_scatter(
+            x0=start, dx=step, y=y, yaxis=on, mode="lines", line=line, name=c.id
+        )
         fig.data[-1].hovertemplate = "%{x:.6g} s: %{y:.4g}<extra>" + c.id + "</extra>"
         level = (levels or {}).get(c.id, np.inf)
         _mark_clipped(fig, seen, k, on, level=level, rate=rate)
@@ -104,24 +108,40 @@ def _mark_clipped(
         if at.size:
             x = seen.first[at] / rate
             fig.add_scatter(x=x, y=f32(y[at]), yaxis=on, mode="markers", marker=FAULT)
-            fig.data[-1].update(name="clipped", hovertemplate="%{x:.6g} s: clipped<extra></extra>")
+            fig.data[-1].update(
+                name="clipped", hovertemplate="%{x:.6g} s: clipped<extra></extra>"
+            )
 
 
 def _lost(seen: Extremes, size: int, rate: float) -> list[dict[str, object]]:
     """Where samples are missing, as shaded parts."""
     lost: Bool = np.asarray(seen.lost.any(axis=0))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], lost, [False]]).astype(np.int8))
+    )
     shapes = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         x0, x1 = float(seen.first[a]) / rate, float(seen.first[b - 1] + size) / rate
-        ends = {"x0": x0, "x1": x1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 0}}
+        ends = {
+            "x0": x0,
+            "x1": x1,
+            "y0": 0,
+            "y1": 1,
+            "yref": "paper",
+            "line": {"width": 0},
+        }
         shapes.append({"type": "rect", "fillcolor": LEFT_OUT, "opacity": 0.18, **ends})
     return shapes
 
 
-def _hit_lines(hits: Sequence[MarkedHit], shown: tuple[float, float]) -> list[dict[str, object]]:
+def _hit_lines(
+    hits: Sequence[MarkedHit], shown: tuple[float, float]
+) -> list[dict[str, object]]:
     inside = [h for h in hits if shown[0] <= h.time <= shown[1]]
-    looks = [{"color": KEPT if h.kept else LEFT_OUT, "width": 1.5, "dash": "dot"} for h in inside]
+    looks = [
+        {"color": KEPT if h.kept else LEFT_OUT, "width": 1.5, "dash": "dot"}
+        for h in inside
+    ]
     return [rule(h.time, line=look) for h, look in zip(inside, looks, strict=True)]
 
 
@@ -137,7 +157,9 @@ def spectra(
     """Power spectral densities over each other; `modes` and `machines` (k,) Hz are marked."""
     units = {_unit(c) for c in channels}
     unit = f"({units.pop()})²/Hz" if len(units) == 1 else "SI²/Hz"
-    fig = figure(300, xaxis=axis("Frequency, Hz"), yaxis=axis(f"PSD, {unit}", type="log"))
+    fig = figure(
+        300, xaxis=axis("Frequency, Hz"), yaxis=axis(f"PSD, {unit}", type="log")
+    )
     fig.update_yaxes(exponentformat="power", dtick=2)
     fig.update_layout(margin={"t": 30, "l": 64}, dragmode="zoom")
     ok = freqs > 0
@@ -152,7 +174,10 @@ def spectra(
     if selected is not None and selected < top:
         shapes.append(rule(selected, line=SELECTED_LINE))
     fig.update_layout(shapes=shapes)
-    for name, line, there in (("mode", MODE_LINE, modes), ("machine", MACHINE_LINE, machines)):
+    for name, line, there in (
+        ("mode", MODE_LINE, modes),
+        ("machine", MACHINE_LINE, machines),
+    ):
         if there.size:
             fig.add_scatter(x=[None], y=[None], mode="lines", line=line, name=name)
     return fig
@@ -170,8 +195,14 @@ def spectrogram(channel: Channel, seen: Spectrogram, *, rate: float) -> go.Figur
         zmin=top - span,
         zmax=top,
         colorscale=[list(stop) for stop in SEQUENTIAL],
-        colorbar={"title": {"text": f"{channel.id}<br>dB"}, "thickness": 10, "len": 1.0},
-        hovertemplate="%{x:.5g} s, %{y:.4g} Hz: %{z:.0f} dB<extra>" + channel.id + "</extra>",
+        colorbar={
+            "title": {"text": f"{channel.id}<br>dB"},
+            "thickness": 10,
+            "len": 1.0,
+        },
+        hovertemplate="%{x:.5g} s, %{y:.4g} Hz: %{z:.0f} dB<extra>"
+        + channel.id
+        + "</extra>",
     )
     fig.update_layout(margin={"t": 30, "l": 56}, dragmode="zoom")
     return fig
@@ -206,7 +237,9 @@ def hit(
         xaxis2=axis("Frequency, Hz", domain=right, anchor="y2", range=[0, top]),
         yaxis2=axis("Force spectrum, dB", domain=upper, anchor="x2", range=[-60, 5]),
         xaxis3=axis("Time from the peak, s", domain=left, anchor="y3"),
-        yaxis3=axis(_motion(responses), domain=lower, anchor="x3", exponentformat="power"),
+        yaxis3=axis(
+            _motion(responses), domain=lower, anchor="x3", exponentformat="power"
+        ),
         xaxis4=axis("Frequency, Hz", domain=right, anchor="y4", matches="x2"),
         yaxis4=axis("Coherence", domain=lower, anchor="x4", range=[0, 1.03]),
     )
@@ -214,10 +247,16 @@ def hit(
     line = {"width": 1.6, "color": FE}
     mode = "lines+markers" if seen.force_time.size < 200 else "lines"
     fig.add_scatter(
-        x=f32(1000 * seen.force_time), y=f32(seen.force), mode=mode, line=line, marker={"size": 4}
+        x=f32(1000 * seen.force_time),
+        y=f32(seen.force),
+        mode=mode,
+        line=line,
+        marker={"size": 4},
     )
     fig.data[-1].update(name="force", showlegend=False)
-    fig.add_scatter(x=f32(seen.freqs), y=f32(seen.force_level), line=line, xaxis="x2", yaxis="y2")
+    fig.add_scatter(
+        x=f32(seen.freqs), y=f32(seen.force_level), line=line, xaxis="x2", yaxis="y2"
+    )
     fig.data[-1].update(name="force", showlegend=False)
     for k, c in enumerate(responses):
         look = {"width": 1.1, "color": QUALITATIVE[k % 8]}
@@ -225,14 +264,20 @@ def hit(
         at, y = np.arange(0, seen.time.size, bins), seen.response[k]
         if bins > 1:  # the largest value of each bin
             whole = y[: y.size // bins * bins].reshape(-1, bins)
-            y = np.take_along_axis(whole, np.abs(whole).argmax(axis=1)[:, None], axis=1)[:, 0]
+            y = np.take_along_axis(
+                whole, np.abs(whole).argmax(axis=1)[:, None], axis=1
+            )[:, 0]
             at = at[: y.size]
-        fig.add_scatter(x=f32(seen.time[at]), y=f32(y), line=look, xaxis="x3", yaxis="y3")
+        fig.add_scatter(
+            x=f32(seen.time[at]), y=f32(y), line=look, xaxis="x3", yaxis="y3"
+        )
         fig.data[-1].update(name=c.id, legendgroup=c.id)
         under = {"xaxis": "x4", "yaxis": "y4", "legendgroup": c.id, "showlegend": False}
         if stored is not None:
             faint = look | {"dash": "dot", "width": 1}
-            fig.add_scatter(x=f32(stored[0]), y=f32(stored[1][k]), line=faint, opacity=0.6, **under)
+            fig.add_scatter(
+                x=f32(stored[0]), y=f32(stored[1][k]), line=faint, opacity=0.6, **under
+            )
             fig.data[-1].update(name=f"{c.id}, last run")
         if freqs.size:
             fig.add_scatter(x=f32(freqs), y=f32(coherence[k]), line=look, **under)

@@ -65,7 +65,9 @@ def signals(record: TimeHistory) -> go.Figure:
     drawn = figure()
     step = max(1, record.data.shape[1] // MOST_SAMPLES)
     time = np.arange(0, record.data.shape[1], step) / record.rate
-    for channel, samples in zip(record.channels[:MOST_CHANNELS], record.data, strict=False):
+    for channel, samples in zip(
+        record.channels[:MOST_CHANNELS], record.data, strict=False
+    ):
         drawn.add_scatter(
             x=time,
             y=samples[::step],

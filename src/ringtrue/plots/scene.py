@@ -18,11 +18,26 @@ from ringtrue.plots.style import QUALITATIVE
 from ringtrue.study.opened import PairedShapes
 from ringtrue.study.results import Scene
 from ringtrue.study.scene import make_scene, scene_modes
-from ringtrue.viewer.scene import View, model_arrays, sensor_arrays, shape_arrays, test_arrays
+from ringtrue.viewer.scene import (
+    View,
+    model_arrays,
+    sensor_arrays,
+    shape_arrays,
+    test_arrays,
+)
 
 PLAIN = "#c3ccd5"
 SENSORS = tuple(QUALITATIVE[k] for k in (1, 0, 2, 3))
-SOFT = ("#9fb4c7", "#d8b98a", "#a9c3a1", "#c9a7b8", "#d9cf9c", "#a7cbd6", "#b8a692", "#b9c0c8")
+SOFT = (
+    "#9fb4c7",
+    "#d8b98a",
+    "#a9c3a1",
+    "#c9a7b8",
+    "#d9cf9c",
+    "#a7cbd6",
+    "#b8a692",
+    "#b9c0c8",
+)
 
 
 def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> View:
@@ -34,11 +49,15 @@ def model(scene: Scene, test: TestModel | None, kinds: Mapping[str, str]) -> Vie
     if test is not None:
         rest = "hammer test" if kinds else "sensors"
         drawn["sensors"] = sensor_arrays(test, kinds, SENSORS, rest)
-    legend = [{"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)]
+    legend = [
+        {"name": g, "color": c} for g, c in zip(scene.groups, colors, strict=True)
+    ]
     return View({"scene": drawn, "colors": colors, "legend": legend})
 
 
-def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]) -> View:
+def regions(
+    scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[str, str]
+) -> View:
     """The updated regions coloured: parameter -> groups; `notes` gives the change of each in words.
 
     What several parameters change has the colour of that which changes least besides it.
@@ -50,7 +69,9 @@ def regions(scene: Scene, changed: Mapping[str, Sequence[int]], notes: Mapping[s
         for g in groups:
             colors[g], alpha[g] = own[name], 1.0
     hidden = {name: "" if groups else ", not drawn" for name, groups in changed.items()}
-    legend = [(name + hidden[name], color, notes.get(name, "")) for name, color in own.items()]
+    legend = [
+        (name + hidden[name], color, notes.get(name, "")) for name, color in own.items()
+    ]
     return painted(scene, colors, alpha, legend)
 
 
@@ -65,7 +86,14 @@ def painted(
     """
     entries = [{"name": n, "color": c, "note": t} for n, c, t in legend]
     drawn = {"model": model_arrays(scene)}
-    return View({"scene": drawn, "colors": list(colors), "alpha": list(alpha), "legend": entries})
+    return View(
+        {
+            "scene": drawn,
+            "colors": list(colors),
+            "alpha": list(alpha),
+            "legend": entries,
+        }
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +114,9 @@ class Shown:
 
 def at_nodes(scene: Scene, modes: ModeSet, k: int) -> Float:
     """(node, 3) displacements of mode `k`; zero where the mode has no such degree of freedom."""
-    dofs = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    dofs = (
+        modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    )
     node = np.repeat(scene.node, 3)
     at = dofs.find(node, np.tile(np.array([1, 2, 3]), scene.node.size))
     value = np.real(modes.shapes[:, k])[at] * np.sign(dofs.direction[at])
@@ -140,7 +170,11 @@ def difference_at_points(
 
 
 def _mode(scene: Scene | None, test: TestModel | None, shown: Shown) -> dict[str, Any]:
-    out: dict[str, Any] = {"stage": shown.stage, "label": shown.label, "info": shown.info}
+    out: dict[str, Any] = {
+        "stage": shown.stage,
+        "label": shown.label,
+        "info": shown.info,
+    }
     if scene is not None and shown.fe is not None:
         out["fe"] = shape_arrays(at_nodes(scene, *shown.fe))
     elif test is not None and shown.seen is not None:
@@ -165,7 +199,11 @@ def modes(scene: Scene | None, test: TestModel | None, shown: Sequence[Shown]) -
 def model_modes(scene: Scene, shapes: ModeSet) -> View:
     """The mode shapes of a model in motion."""
     labels = _numbered(shapes)
-    return modes(scene, None, [Shown("model", s, s, fe=(shapes, k)) for k, s in enumerate(labels)])
+    return modes(
+        scene,
+        None,
+        [Shown("model", s, s, fe=(shapes, k)) for k, s in enumerate(labels)],
+    )
 
 
 def pair_modes_view(table: CorrelationTable, shapes: PairedShapes) -> View:
@@ -190,7 +228,11 @@ def pair_modes_view(table: CorrelationTable, shapes: PairedShapes) -> View:
 def test_modes(test: TestModel, shapes: ModeSet) -> View:
     """The mode shapes of a test in motion, on the wireframe of its sensor sheet."""
     labels = _numbered(shapes)
-    return modes(None, test, [Shown("test", s, s, test=(shapes, k)) for k, s in enumerate(labels)])
+    return modes(
+        None,
+        test,
+        [Shown("test", s, s, test=(shapes, k)) for k, s in enumerate(labels)],
+    )
 
 
 def _numbered(shapes: ModeSet) -> list[str]:
@@ -220,7 +262,10 @@ def thinned(scene: Scene, most: int) -> Scene:
     cell = _cells(scene, most)
     count = int(cell.max()) + 1
     size = np.bincount(cell, minlength=count)
-    mean = np.stack([np.bincount(cell, x, count) for x in scene.xyz.T], axis=1) / size[:, None]
+    mean = (
+        np.stack([np.bincount(cell, x, count) for x in scene.xyz.T], axis=1)
+        / size[:, None]
+    )
     order = np.lexsort((np.linalg.norm(scene.xyz - mean[cell], axis=1), cell))
     first = np.sort(order[np.r_[True, np.diff(cell[order]) > 0]])
     at = np.empty(count, dtype=np.int64)
@@ -252,7 +297,8 @@ def _cells(scene: Scene, most: int) -> Int:
         step = ((scene.xyz - corner) // size).astype(np.int64)
         top = step.max(axis=0) + 1
         _, cell = np.unique(
-            (step[:, 0] * top[1] + step[:, 1]) * top[2] + step[:, 2], return_inverse=True
+            (step[:, 0] * top[1] + step[:, 1]) * top[2] + step[:, 2],
+            return_inverse=True,
         )
         if int(cell.max()) < most:
             best = cell

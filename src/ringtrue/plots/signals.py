@@ -35,7 +35,8 @@ from ringtrue.plots.style import (
 )
 from ringtrue.study.results import ComparedFrfs, RecordPreview
 
-PHASE = {"(m/s²)/N": 90, "(m/s)/N": 0, "m/N": -90}  # of a driving point at resonance, degrees
+# of a driving point at resonance, degrees
+PHASE = {"(m/s²)/N": 90, "(m/s)/N": 0, "m/N": -90}
 _FRF_UNITS = {"accelerance": "(m/s²)/N", "mobility": "(m/s)/N", "receptance": "m/N"}
 
 
@@ -53,7 +54,8 @@ def record(preview: RecordPreview, unit: str) -> go.Figure:
     """
     unit = unit or "SI unit"
     ok = preview.freqs > 0
-    names = preview.channels[:1] if unit == "N" else preview.channels  # the rest are not forces
+    # the rest are not forces
+    names = preview.channels[:1] if unit == "N" else preview.channels
     fig = figure(
         250,
         showlegend=True,
@@ -160,7 +162,9 @@ def frfs(data: FrfSet, cmif: Float, marks: Float, top: float = np.inf) -> go.Fig
         )
     faint = {"width": 0.8, "color": "#8b97a3", "dash": "dot"}
     fig.update_layout(
-        shapes=[rule(f, 0.44, xref="x2", line=faint) for f in marks[marks <= top].tolist()]
+        shapes=[
+            rule(f, 0.44, xref="x2", line=faint) for f in marks[marks <= top].tolist()
+        ]
     )
     return fig
 
@@ -195,13 +199,17 @@ def frf_pair(frfs: ComparedFrfs, k: int, unit: str) -> go.Figure:
 
 def frf_page(title: str, data: FrfSet) -> str:
     """A self-contained page: a figure a force, with the responses to it over one another."""
-    drawn = [(f"Force at {c.id}", responses(data, j)) for j, c in enumerate(data.inputs)]
+    drawn = [
+        (f"Force at {c.id}", responses(data, j)) for j, c in enumerate(data.inputs)
+    ]
     return figure_page(f"{title}: {data.kind}", drawn)
 
 
 def responses(data: FrfSet, column: int) -> go.Figure:
     """Modulus above and phase below of all responses to one force."""
-    fig = _modulus_and_phase(520, frf_unit(data), [-180, -90, 0, 90, 180], showlegend=True)
+    fig = _modulus_and_phase(
+        520, frf_unit(data), [-180, -90, 0, 90, 180], showlegend=True
+    )
     for i, c in enumerate(data.outputs):
         h = data.data[:, i, column]
         line = {"width": 1.3, "color": QUALITATIVE[i % 8]}
@@ -211,7 +219,9 @@ def responses(data: FrfSet, column: int) -> go.Figure:
     return fig
 
 
-def _modulus_and_phase(height: int, unit: str, ticks: list[int], **layout: Any) -> go.Figure:
+def _modulus_and_phase(
+    height: int, unit: str, ticks: list[int], **layout: Any
+) -> go.Figure:
     """A figure for the moduli of FRFs above and their phases, with ticks in degrees, below."""
     return figure(
         height,
@@ -276,7 +286,9 @@ class Marks:
     selected: float | None = None
 
 
-def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False) -> go.Figure:
+def frf(
+    curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
+) -> go.Figure:
     """FRFs over each other: magnitude and phase, or real and imaginary part if `parts`."""
     middle = PHASE.get(unit, 0)
     ticks = [middle - 180, middle, middle + 180]
@@ -293,7 +305,9 @@ def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
         xaxis2=axis("Frequency, Hz", anchor="y2", range=[0, shown]),
         yaxis2=axis(f"Im H, {unit}", **lower)
         if parts
-        else axis("Phase, °", tickvals=ticks, range=[ticks[0] - 10, ticks[-1] + 10], **lower),
+        else axis(
+            "Phase, °", tickvals=ticks, range=[ticks[0] - 10, ticks[-1] + 10], **lower
+        ),
         margin={"l": 72, "r": 16, "t": 30, "b": 44},
         hovermode="closest",
         dragmode="zoom",
@@ -306,7 +320,12 @@ def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
             else:
                 one = np.maximum(np.abs(c.value), 1e-300)
                 two = (np.degrees(np.angle(c.value)) - ticks[0]) % 360 + ticks[0]
-            shared = {"x": f32(c.freqs), "mode": "lines", "line": look, "legendgroup": name}
+            shared = {
+                "x": f32(c.freqs),
+                "mode": "lines",
+                "line": look,
+                "legendgroup": name,
+            }
             hover = "%{x:.5g} Hz: %{y:.4g}<extra>" + name + "</extra>"
             fig.add_scatter(y=f32(one), name=name, hovertemplate=hover, **shared)
             fig.add_scatter(
@@ -323,17 +342,27 @@ def frf(curves: Sequence[Curve], unit: str, marks: Marks, *, parts: bool = False
 
 def _marked(marks: Marks, top: float) -> list[dict[str, object]]:
     """Modes as lines, the selected one stronger, and what is outside of the band shaded."""
-    shapes = [rule(f, xref="x2", line=MODE) for f in marks.modes[marks.modes < top].tolist()]
+    shapes = [
+        rule(f, xref="x2", line=MODE) for f in marks.modes[marks.modes < top].tolist()
+    ]
     if marks.selected is not None and marks.selected < top:
         shapes.append(rule(marks.selected, xref="x2", line=SELECTED))
     for x0, x1 in ((0.0, marks.band[0]), (marks.band[1], top)) if marks.band else ():
         if x1 > x0:
-            ends = {"x0": x0, "x1": x1, "xref": "x2", "line": {"width": 0}, "opacity": 0.12}
+            ends = {
+                "x0": x0,
+                "x1": x1,
+                "xref": "x2",
+                "line": {"width": 0},
+                "opacity": 0.12,
+            }
             shapes.append(OUTSIDE | ends)
     return shapes
 
 
-def frac_map(found: FrfComparison, selected: tuple[str, str] | None = None) -> go.Figure:
+def frac_map(
+    found: FrfComparison, selected: tuple[str, str] | None = None
+) -> go.Figure:
     """FRAC of each FRF, outputs along and inputs up; `selected` (output, input) is framed."""
     fig = figure(
         110 + 24 * len(found.inputs),
@@ -353,11 +382,21 @@ def frac_map(found: FrfComparison, selected: tuple[str, str] | None = None) -> g
         hovertemplate="%{x} / %{y}: FRAC %{z:.3f}<extra></extra>",
     )
     fig.update_layout(margin={"l": 60, "r": 10, "t": 6, "b": 52})
-    if selected is not None and selected[0] in found.outputs and selected[1] in found.inputs:
+    if (
+        selected is not None
+        and selected[0] in found.outputs
+        and selected[1] in found.inputs
+    ):
         x, y = found.outputs.index(selected[0]), found.inputs.index(selected[1])
         line = {"color": QUALITATIVE[4], "width": 2.5}
         fig.add_shape(
-            type="rect", x0=x - 0.5, x1=x + 0.5, y0=y - 0.5, y1=y + 0.5, line=line, fillcolor=None
+            type="rect",
+            x0=x - 0.5,
+            x1=x + 0.5,
+            y0=y - 0.5,
+            y1=y + 0.5,
+            line=line,
+            fillcolor=None,
         )
     return fig
 
@@ -383,6 +422,8 @@ def fitted(
         for k, (x, y) in enumerate(zip(freqs, levels, strict=True)):
             fig.add_scatter(x=f32(x), y=f32(y), mode="lines", line=look, name=name)
             fig.data[-1].update(legendgroup=name, showlegend=k == 0)
-            fig.data[-1].hovertemplate = "%{x:.5g} Hz: %{y:.1f} dB<extra>" + name + "</extra>"
+            fig.data[-1].hovertemplate = (
+                "%{x:.5g} Hz: %{y:.1f} dB<extra>" + name + "</extra>"
+            )
     fig.update_layout(margin={"t": 26, "l": 56, "r": 60, "b": 40})
     return fig

@@ -14,7 +14,9 @@ from plotly.offline import get_plotlyjs
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.viewer.scene import script_json
 
-FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+FONT = (
+    "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+)
 INK = "#1c2733"
 MUTED = "#5c6b7a"
 GRID = "#e3e8ed"
@@ -116,7 +118,8 @@ def figure(height: int = 340, **layout: Any) -> go.Figure:
         "xaxis": axis(),
         "yaxis": axis(),
     }
-    return go.Figure(layout=base | layout)  # an update of the layout takes ten times as long
+    # an update of the layout takes ten times as long
+    return go.Figure(layout=base | layout)
 
 
 def f32(a: Any_) -> Any_:
@@ -126,7 +129,9 @@ def f32(a: Any_) -> Any_:
 
 def packed(a: Any_, kind: str) -> str:
     """An array as base64 of numbers of one kind, such as `<f4`."""
-    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode("ascii")
+    return base64.b64encode(np.ascontiguousarray(a, dtype=kind).tobytes()).decode(
+        "ascii"
+    )
 
 
 def joined(x: Float, y: Float) -> tuple[Any_, Any_]:
@@ -147,7 +152,12 @@ def rule(x: float, top: float = 1.0, **more: Any) -> dict[str, Any]:
 
 
 def above_and_below(
-    fig: go.Figure, name: str, look: dict[str, Any], x: Float, upper: Float, lower: Float
+    fig: go.Figure,
+    name: str,
+    look: dict[str, Any],
+    x: Float,
+    upper: Float,
+    lower: Float,
 ) -> None:
     """A curve in the upper and one in the lower half of a figure, under one name."""
     drawn = {"x": f32(x), "name": name, "line": look, "legendgroup": name}
@@ -164,7 +174,9 @@ def above_and_below(
 def ticks(x: Float, low: Float, high: Float) -> tuple[Any_, Any_]:
     """Short vertical strokes at `x` (k,) from `low` to `high` (k,) as one broken line."""
     nan = np.full(x.shape, np.nan)
-    return f32(np.stack([x, x, nan], 1).ravel()), f32(np.stack([low, high, nan], 1).ravel())
+    return f32(np.stack([x, x, nan], 1).ravel()), f32(
+        np.stack([low, high, nan], 1).ravel()
+    )
 
 
 def thinned_log(x: Float, y: Float, bins: int) -> tuple[Any_, Any_]:
@@ -189,9 +201,9 @@ def thinned(y: Float, bins: int) -> tuple[Any_, Any_]:
     whole = k // step * step
     block = y[:, :whole].reshape(curves, -1, step)
     at = np.abs(block).argmax(axis=2)
-    return np.arange(0, whole, step) + step // 2, np.take_along_axis(block, at[:, :, None], 2)[
-        :, :, 0
-    ]
+    return np.arange(0, whole, step) + step // 2, np.take_along_axis(
+        block, at[:, :, None], 2
+    )[:, :, 0]
 
 
 _PAGE_STYLE = (
@@ -226,7 +238,8 @@ def figure_page(
     """
     specs = "[" + ",".join(str(f.to_json()) for _, f in figures) + "]"
     divs = "".join(
-        f'<h2>{html.escape(h)}</h2><div id="figure-{i}"></div>' for i, (h, _) in enumerate(figures)
+        f'<h2>{html.escape(h)}</h2><div id="figure-{i}"></div>'
+        for i, (h, _) in enumerate(figures)
     )
     name = html.escape(title)
     return (

@@ -30,7 +30,9 @@ from ringtrue.study.results import (
 from ringtrue.viewer.scene import View
 
 
-def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float) -> go.Figure:
+def sensitivity(
+    stage: SensitivityStage, values: Float, name: str, modes: Float
+) -> go.Figure:
     """Heat map of one (mode, candidate) table; `modes` (mode,) Hz, `name` with its unit."""
     peak = float(np.nanmax(np.abs(values), initial=1e-12))
     y = [f"{i + 1}: {f:.2f} Hz" for i, f in zip(stage.fe_modes, modes, strict=True)]
@@ -76,14 +78,24 @@ def sensitivity(stage: SensitivityStage, values: Float, name: str, modes: Float)
 def _whole(count: int, most: int) -> dict[str, object]:
     """An axis of `count` iterations with at most about `most` whole ticks."""
     step = next((d for d in (1, 2, 5, 10, 20, 50) if count <= d * most), 100)
-    return {"dtick": step, "tick0": 0, "range": [-0.03 * count - 0.2, count - 0.8 + 0.03 * count]}
+    return {
+        "dtick": step,
+        "tick0": 0,
+        "range": [-0.03 * count - 0.2, count - 0.8 + 0.03 * count],
+    }
 
 
 def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
     """Objective, mean |Δf| and mean subspace MAC by iteration for every set."""
     seen = any(np.isfinite(s.history.subspace_mac).any() for s in sets)
-    thirds = ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
-    titles = ("Objective J, relative to the start", "Mean |Δf|, %", "Mean subspace MAC, %")
+    thirds = (
+        ([0, 0.25], [0.375, 0.625], [0.75, 1.0]) if seen else ([0, 0.44], [0.56, 1.0])
+    )
+    titles = (
+        "Objective J, relative to the start",
+        "Mean |Δf|, %",
+        "Mean subspace MAC, %",
+    )
     fig = figure(300)
     longest = max((s.history.objective.size for s in sets), default=1)
     numbers = ("", "2", "3")
@@ -103,7 +115,11 @@ def convergence(sets: tuple[SetResult, ...], chosen: int) -> go.Figure:
         name = s.name + (" (chosen)" if i == chosen else "")
         h = s.history
         start = float(h.objective[0]) if h.objective.size else 0.0
-        curves = (h.objective / (start if start > 0 else 1.0), h.deviation, h.subspace_mac)
+        curves = (
+            h.objective / (start if start > 0 else 1.0),
+            h.deviation,
+            h.subspace_mac,
+        )
         for n, y, _ in zip(numbers, curves, thirds, strict=False):
             x = np.arange(y.size)
             fig.add_scatter(
@@ -130,7 +146,9 @@ def factor_ticks(low: float, high: float) -> list[float]:
     if high > 2 * low:
         return [m * 10.0**k for k in range(-3, 4) for m in (1, 2, 3, 5, 7)]
     step = next(
-        s for s in (m * 10.0**k for k in range(-4, 4) for m in (1, 2, 5)) if high - low <= 8 * s
+        s
+        for s in (m * 10.0**k for k in range(-4, 4) for m in (1, 2, 5))
+        if high - low <= 8 * s
     )
     return [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
 
@@ -141,7 +159,9 @@ def path(result: SetResult) -> go.Figure:
     spread = path[-1] * result.std
     reach = np.nan_to_num(spread)
     shown = np.concatenate([path.ravel(), path[-1] - reach, path[-1] + reach])
-    ticks = factor_ticks(max(shown.min(initial=1.0), 1e-3), float(shown.max(initial=1.0)))
+    ticks = factor_ticks(
+        max(shown.min(initial=1.0), 1e-3), float(shown.max(initial=1.0))
+    )
     fig = figure(
         320,
         xaxis=axis("Iteration", **_whole(len(path), 18)),
@@ -178,7 +198,9 @@ MOST = 4.0
 def color(value: float) -> str:
     """Grey up to an even spread, then from amber to red."""
     if not np.isfinite(value) or value <= EVEN:
-        return _mix(COLD, WARM, max((np.nan_to_num(value) - 0.5) / (EVEN - 0.5), 0.0) * 0.35)
+        return _mix(
+            COLD, WARM, max((np.nan_to_num(value) - 0.5) / (EVEN - 0.5), 0.0) * 0.35
+        )
     t = min((value - EVEN) / (MOST - EVEN), 1.0)
     return _mix(WARM, HOT, t)
 
@@ -234,7 +256,9 @@ def view(scene: Scene, stage: LocaliseStage) -> View:
     found = stage.indicators
     value = dict(zip(found.regions, found.concentration.tolist(), strict=True))
     shown = [value.get(g, np.nan) for g in scene.groups]
-    strong = sorted((g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g])
+    strong = sorted(
+        (g for g in scene.groups if value.get(g, 0.0) > EVEN), key=lambda g: -value[g]
+    )
     legend = [(g, color(value[g]), f"{value[g]:.1f} ×") for g in strong[:TOLD]]
     alpha = [1.0 if x > EVEN else 0.35 for x in shown]
     return painted(scene, [color(x) for x in shown], alpha, legend)
@@ -245,9 +269,14 @@ def sizes(stage: LocaliseStage) -> go.Figure:
     tested.
     """
     p = stage.proposal
-    fig = figure(260, xaxis=axis("Parameters", dtick=1), yaxis=axis("AICc + price of the search"))
+    fig = figure(
+        260, xaxis=axis("Parameters", dtick=1), yaxis=axis("AICc + price of the search")
+    )
     best = int(np.argmin(p.criteria))
-    marks = {"size": 8, "color": [TEST if i == best else FE for i in range(p.sizes.size)]}
+    marks = {
+        "size": 8,
+        "color": [TEST if i == best else FE for i in range(p.sizes.size)],
+    }
     fig.add_scatter(
         x=p.sizes,
         y=f32(p.criteria),
@@ -312,7 +341,9 @@ def parameters(stage: UncertaintyStage) -> go.Figure:
     )
     fig.data[-1].hovertemplate = "%{text}: × %{x:.3f}<extra></extra>"
     fig.update_layout(shapes=[rule(1)])
-    drawn = np.concatenate([[1.0], *(np.ravel(t.x) for t in fig.data)]).astype(np.float64)
+    drawn = np.concatenate([[1.0], *(np.ravel(t.x) for t in fig.data)]).astype(
+        np.float64
+    )
     low, high = np.log10([np.nanmin(drawn), np.nanmax(drawn)])
     room = 0.04 * (high - low) + 0.01
     fig.update_xaxes(range=[low - room, high + room])  # strokes end inside
@@ -384,7 +415,12 @@ def bands(stage: UncertaintyStage) -> go.Figure:
         ("left out of it", ~b.used, TEST, "diamond-open"),
     ):
         at = there & which
-        marker = {"size": 9, "symbol": symbol, "color": color, "line": {"width": 2, "color": color}}
+        marker = {
+            "size": 9,
+            "symbol": symbol,
+            "color": color,
+            "line": {"width": 2, "color": color},
+        }
         error = {
             "type": "data",
             "array": f32(reach[at]),
@@ -400,6 +436,8 @@ def bands(stage: UncertaintyStage) -> go.Figure:
             error_y=error,
         )
         fig.data[-1].update(name=name, customdata=f32(reach[at]))
-        fig.data[-1].hovertemplate = "%{x} Hz: %{y:.2f} ± %{customdata:.2f} %<extra></extra>"
+        fig.data[
+            -1
+        ].hovertemplate = "%{x} Hz: %{y:.2f} ± %{customdata:.2f} %<extra></extra>"
     fig.layout.xaxis.update(categoryorder="array", categoryarray=names[there].tolist())
     return fig

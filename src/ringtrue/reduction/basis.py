@@ -22,7 +22,11 @@ from ringtrue.fem.assembly import System
 from ringtrue.fem.parametrisation.derivatives import affine_terms
 from ringtrue.fem.parametrisation.interpolation import on_axis
 from ringtrue.fem.parametrisation.parameter_groups import Pair
-from ringtrue.fem.parametrisation.polynomials import AffineTerm, ParameterFunction, Product
+from ringtrue.fem.parametrisation.polynomials import (
+    AffineTerm,
+    ParameterFunction,
+    Product,
+)
 from ringtrue.model.model import Model
 
 CHUNK = 32  # right-hand sides solved together
@@ -57,7 +61,9 @@ class AffineSystem:
         """
         own = [t for t in self.terms if which in t.function.which]
         if all(isinstance(t.function, Product) for t in own):
-            return tuple((t.stiffness, t.mass) for t in own if t.function.which == (which,))
+            return tuple(
+                (t.stiffness, t.mass) for t in own if t.function.which == (which,)
+            )
         k = sparse.csr_array(self.stiffness.shape)
         m = sparse.csr_array(self.mass.shape)
         only = replace(self, stiffness=k, mass=m, terms=tuple(own))
@@ -166,7 +172,10 @@ def project(
         corner = (right[n:] + right[n:].T) / 2
         return np.block([[kept, right[:n]], [right[:n].T, corner]])
 
-    pairs = [(system.stiffness, system.mass), *((t.stiffness, t.mass) for t in system.terms)]
+    pairs = [
+        (system.stiffness, system.mass),
+        *((t.stiffness, t.mass) for t in system.terms),
+    ]
     kept: list[tuple[Float | None, Float | None]] = [(None, None)] * len(pairs)
     if old is not None:
         kept = [(old.stiffness, old.mass), *((k, m) for _, k, m in old.terms)]
@@ -174,7 +183,9 @@ def project(
         (block(k, kept_k), block(m, kept_m))
         for (k, m), (kept_k, kept_m) in zip(pairs, kept, strict=True)
     ]
-    terms = tuple((t.function, *b) for t, b in zip(system.terms, blocks[1:], strict=True))
+    terms = tuple(
+        (t.function, *b) for t, b in zip(system.terms, blocks[1:], strict=True)
+    )
     return ProjectedSystem(
         parameters=system.parameters,
         vectors=vectors,
@@ -188,7 +199,9 @@ def project(
 Inner = Callable[[Float, Float], Float]  # aᵀ(K − σM)b of columns a, b: (k, l)
 
 
-def inner_product(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> Inner:
+def inner_product(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float
+) -> Inner:
     """That of the energy K − σM, for columns over all free DOFs."""
     energy = sparse.csr_array(stiffness - shift * mass)
     return lambda a, b: np.asarray(a.T @ (energy @ b))
@@ -245,7 +258,9 @@ class StaticSensitivities:
         load = np.zeros((len(self.shapes), columns))
         for term in terms:  # over parameters and their powers
             rows, forces = self._forces(term)
-            mixture = rng.standard_normal((self.values.size, columns)) / np.sqrt(columns)
+            mixture = rng.standard_normal((self.values.size, columns)) / np.sqrt(
+                columns
+            )
             load[rows] += forces @ mixture
         return self.respond(load, progress)
 
@@ -259,7 +274,9 @@ class StaticSensitivities:
         return rows, (stiffness[rows] @ phi - (mass[rows] @ phi) * lam) * scale
 
 
-def _responses(pencil: Pencil, modes: EigenModes, load: Float, progress: Progress) -> Float:
+def _responses(
+    pencil: Pencil, modes: EigenModes, load: Float, progress: Progress
+) -> Float:
     """Static responses to loads (f, k), both free of the modes; by columns, as the factor takes and
     gives them.
     """
@@ -295,7 +312,9 @@ def compress(inner: Inner, x: Float, most: int, drop: float) -> Float:
 def _scaled(inner: Inner, x: Float) -> Float:
     """Each column with unit energy; few at a time, of which no other products are needed."""
     parts = [x[:, s : s + CHUNK] for s in range(0, x.shape[1], CHUNK)]
-    energy = np.concatenate([np.empty(0), *(np.diag(inner(part, part)) for part in parts)])
+    energy = np.concatenate(
+        [np.empty(0), *(np.diag(inner(part, part)) for part in parts)]
+    )
     return np.asarray(x / np.sqrt(energy))
 
 

@@ -94,14 +94,17 @@ def _without(system: System, inner: Bool, modes: ComponentModes, name: str) -> S
         around.size,
         found,
     )
-    columns = np.concatenate([np.searchsorted(kept, around), kept.size + np.arange(found)])
+    columns = np.concatenate(
+        [np.searchsorted(kept, around), kept.size + np.arange(found)]
+    )
     select = sparse.coo_array(
         (np.ones(kept.size), (kept, np.arange(kept.size))),
         shape=(inner.size, kept.size + found),
     )
     inner_rows = sparse.coo_array(part.transform[: inside.size, : around.size + found])
     motion = sparse.coo_array(
-        (inner_rows.data, (inside[inner_rows.row], columns[inner_rows.col])), shape=select.shape
+        (inner_rows.data, (inside[inner_rows.row], columns[inner_rows.col])),
+        shape=select.shape,
     )
     T = sparse.csr_array(select + motion)
     return _projected(system, T, kept, modes.modal.take(np.arange(found)))
@@ -166,9 +169,13 @@ class ReductionSettings:
         if not self.below > 0:
             raise ConfigError(f"below {self.below:g} Hz: must be above 0")
         if (self.method == "dynamic") != (self.at is not None):
-            raise ConfigError("a frequency `at`, Hz, belongs to the method dynamic, which needs it")
+            raise ConfigError(
+                "a frequency `at`, Hz, belongs to the method dynamic, which needs it"
+            )
         if self.modes is not None and self.method != "craig-bampton":
-            raise ConfigError(f"{self.modes} modes: only craig-bampton has component modes")
+            raise ConfigError(
+                f"{self.modes} modes: only craig-bampton has component modes"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,13 +206,17 @@ def kept_rows(free: DofSet, points: DofSet) -> Int:
         If one is not free.
     """
     rows = []
-    for node, direction in zip(points.node.tolist(), points.direction.tolist(), strict=True):
+    for node, direction in zip(
+        points.node.tolist(), points.direction.tolist(), strict=True
+    ):
         here = np.flatnonzero(free.node == node)
         if direction:
             here = here[np.abs(free.direction[here]) == abs(direction)]
         if not here.size:
             name = DofSet(np.array([node]), np.array([direction])).labels()[0]
-            raise InputError(f"keep {name}: it is not in the model, held, or moved by others")
+            raise InputError(
+                f"keep {name}: it is not in the model, held, or moved by others"
+            )
         rows.append(here)
     found = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *rows]))
     return found[np.argsort(free.key[found])]
@@ -233,7 +244,11 @@ def reduce_part(system: System, kept: Int, settings: ReductionSettings) -> Conde
     while True:
         part = craig_bampton(K, M, kept, count, labels=labels)
         inside = int((part.frequencies <= settings.margin * settings.below).sum())
-        if inside < part.frequencies.size or part.frequencies.size < count or count == most:
+        if (
+            inside < part.frequencies.size
+            or part.frequencies.size < count
+            or count == most
+        ):
             size = kept.size + inside
             return Condensed(
                 part.stiffness[:size, :size],
@@ -245,7 +260,9 @@ def reduce_part(system: System, kept: Int, settings: ReductionSettings) -> Conde
         count = min(2 * count, most)
 
 
-def reduction_error(model: Model, system: System, part: Condensed, below: float) -> ReductionError:
+def reduction_error(
+    model: Model, system: System, part: Condensed, below: float
+) -> ReductionError:
     """What the reduction does to the modes of the part up to `below`, Hz, its kept points free."""
     held, _ = without_massless_rotations(model, system)
     pencil = Pencil(held.stiffness, held.mass)

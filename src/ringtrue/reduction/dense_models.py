@@ -50,7 +50,9 @@ class ProjectedModel:
     base: Float
     scale: int = 0
     # the lowest modes at the last x; `replace` begins without
-    _last: dict[bytes, tuple[Float, Float]] = field(default_factory=dict, init=False, repr=False)
+    _last: dict[bytes, tuple[Float, Float]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @property
     def parameters(self) -> ParameterSet:
@@ -76,7 +78,9 @@ class ProjectedModel:
         """x of all parameters (P,) from that of the active ones (p,)."""
         x = np.asarray(x, dtype=np.float64)
         if x.shape != (len(self.active),):
-            raise InputError(f"x {x.shape}; there are {len(self.active)} active parameters")
+            raise InputError(
+                f"x {x.shape}; there are {len(self.active)} active parameters"
+            )
         out = self.base.copy()
         out[list(self.active)] = x
         return out
@@ -91,17 +95,26 @@ class ProjectedModel:
         weights = np.zeros((len(self.active), len(self.basis.terms)))
         for i, which in enumerate(self.active):  # over parameters
             for t in self.basis.of.get(which, []):
-                weights[i, t] = self.basis.terms[t][0].derivative(a, which) * slope[which]
+                weights[i, t] = (
+                    self.basis.terms[t][0].derivative(a, which) * slope[which]
+                )
         lam, y = self._solve(everything, all_modes=True)
         dk, dm = (_products(acting, weights, y, m) for acting in self.basis.acting)
-        d_lambda = np.einsum("pii->ip", dk[:, :m]) - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
+        d_lambda = (
+            np.einsum("pii->ip", dk[:, :m])
+            - np.einsum("pii->ip", dm[:, :m]) * lam[:m, None]
+        )
         c = np.empty((len(self.active), lam.size, m))
         for i in range(len(self.active)):
             c[i] = modal_coefficients(dk[i], dm[i], lam, low=self.scale)
         seen = self.basis.observe @ y
         d_shapes = np.moveaxis(seen @ c, 0, -1)
         return Linearisation(
-            np.array(x, dtype=float), frequencies(lam[:m]), seen[:, :m], d_lambda, d_shapes
+            np.array(x, dtype=float),
+            frequencies(lam[:m]),
+            seen[:, :m],
+            d_lambda,
+            d_shapes,
         )
 
     def modes(self, x: Float) -> Linearisation:
@@ -136,7 +149,9 @@ class ProjectedModel:
                     total += values[t] * matrix
         return both
 
-    def derivative(self, a: Float, which: int, slope: float = 1.0) -> tuple[Float, Float]:
+    def derivative(
+        self, a: Float, which: int, slope: float = 1.0
+    ) -> tuple[Float, Float]:
         """∂K/∂a and ∂M/∂a (r, r) of one parameter, by position, times da/dx, at the factors a of
         all.
         """
@@ -157,7 +172,9 @@ class ProjectedModel:
         r = k.shape[0]
         some = None if all_modes else (r - self.count, r - 1)
         try:
-            theta, y = linalg.eigh(m, k - self.shift * m, subset_by_index=some, check_finite=False)
+            theta, y = linalg.eigh(
+                m, k - self.shift * m, subset_by_index=some, check_finite=False
+            )
         except linalg.LinAlgError as e:
             far = float(np.abs(everything).max(initial=0.0))
             raise NumericalError(
@@ -170,7 +187,8 @@ class ProjectedModel:
         theta = np.maximum(theta, MASSLESS * theta[0])
         y = y / np.sqrt(theta)
         lam = self.shift + 1 / theta
-        low = y[:, :moving]  # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
+        # far from the shift, 1/θ has lost digits that Rayleigh quotients keep
+        low = y[:, :moving]
         low /= np.sqrt(np.einsum("ij,ij->j", low, m @ low))
         lam[:moving] = np.einsum("ij,ij->j", low, k @ low)
         return lam, y
@@ -187,7 +205,9 @@ class ProjectedModel:
         """
         everything = replace(self, count=self.basis.size)
         lam, _ = everything._solve(self.base, all_modes=False)
-        count = int(np.searchsorted(lam, 100**2 * abs(lam[self.count - 1]), side="right"))
+        count = int(
+            np.searchsorted(lam, 100**2 * abs(lam[self.count - 1]), side="right")
+        )
         return replace(self, count=count, scale=self.scale or self.count)
 
 
@@ -214,7 +234,11 @@ class ReducingAnalysis(Analysis, Protocol):
     """An analysis that reduces its model where its matrices are."""
 
     def reduced(
-        self, parameters: ParameterSet, readings: sparse.csr_array, count: int, fmax: float
+        self,
+        parameters: ParameterSet,
+        readings: sparse.csr_array,
+        count: int,
+        fmax: float,
     ) -> HeldModel:
         """The reduced model that returns the lowest `count` modes, up to `fmax`, Hz, seen by
         readings (channel, dof).
@@ -357,12 +381,18 @@ class DenseModel:
             count=len(stiffness),
         )
 
-    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> DenseModel:
+    def with_parameters(
+        self, active: Sequence[int], base: Float | None = None
+    ) -> DenseModel:
         """The model with some of its parameters, by position; the others stay at `base` (p,),
         nominal if not given.
         """
         at = list(active)
-        hold = np.zeros(len(self.parameters)) if base is None else np.array(base, dtype=np.float64)
+        hold = (
+            np.zeros(len(self.parameters))
+            if base is None
+            else np.array(base, dtype=np.float64)
+        )
         hold[at] = 0.0
         stiffness, mass = self._at(hold)
         return replace(
@@ -384,7 +414,10 @@ class DenseModel:
         """K, M and their derivatives at x (p,)."""
         slope = self.parameters.derivative(x)[:, None, None]
         return MatricesAtPoint(
-            *self._at(x), self.d_stiffness * slope, self.d_mass * slope, self.observation
+            *self._at(x),
+            self.d_stiffness * slope,
+            self.d_mass * slope,
+            self.observation,
         )
 
     def modes(self, x: Float) -> Linearisation:
@@ -398,7 +431,9 @@ class DenseModel:
         lam, phi = linalg.eigh(*self._at(x))
         c = min(self.count, lam.size)
         slope = self.parameters.derivative(x)
-        dk = np.einsum("ni,pnk,kj->pij", phi, self.d_stiffness, phi[:, :c], optimize=True)
+        dk = np.einsum(
+            "ni,pnk,kj->pij", phi, self.d_stiffness, phi[:, :c], optimize=True
+        )
         dm = np.einsum("ni,pnk,kj->pij", phi, self.d_mass, phi[:, :c], optimize=True)
         force = (dk - lam[:c] * dm) * slope[:, None, None]  # (p, all, c)
         kept = np.arange(c)
@@ -409,7 +444,9 @@ class DenseModel:
         mix[:, kept, kept] = -0.5 * dm[:, kept, kept] * slope[:, None]
         seen = self.observation @ phi
         d_shapes = np.einsum("ni,pij->njp", seen, mix, optimize=True)
-        return Linearisation(np.asarray(x), frequencies(lam[:c]), seen[:, :c], d_lambda, d_shapes)
+        return Linearisation(
+            np.asarray(x), frequencies(lam[:c]), seen[:, :c], d_lambda, d_shapes
+        )
 
 
 def matrices_at(model: object, x: Float) -> MatricesAtPoint:
@@ -438,5 +475,7 @@ def _reduced(model: ProjectedModel, x: Float) -> MatricesAtPoint:
     slope = model.basis.parameters.derivative(everything)
     k, m = model.projected(a)
     both = [model.derivative(a, i, float(slope[i])) for i in model.active]
-    dk, dm = (np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2))
+    dk, dm = (
+        np.reshape([pair[j] for pair in both], (len(both), *k.shape)) for j in range(2)
+    )
     return MatricesAtPoint(k, m, dk, dm, model.basis.observe)

@@ -70,11 +70,17 @@ class ShapeReadings:
 
 
 def _result(
-    method: str, u: Any_, y: Any_, observe: sparse.csr_array | Float, weight: Float | None = None
+    method: str,
+    u: Any_,
+    y: Any_,
+    observe: sparse.csr_array | Float,
+    weight: Float | None = None,
 ) -> Expanded:
     size = np.linalg.norm(y, axis=0)
     misfit = np.linalg.norm(observe @ u - y, axis=0) / np.where(size > 0, size, 1.0)
-    return Expanded(method, u, misfit, np.zeros(y.shape[1]) if weight is None else weight)
+    return Expanded(
+        method, u, misfit, np.zeros(y.shape[1]) if weight is None else weight
+    )
 
 
 def expand_serep(modes: Float, observe: sparse.csr_array, shapes: Any_) -> Expanded:
@@ -119,9 +125,13 @@ def expand_hybrid(
     modes : (f, k) float64
         Of the model; they may be more than the channels.
     """
-    basis = _Basis.of(stiffness, mass, sparse.csr_array(readings.observe), modes, labels)
+    basis = _Basis.of(
+        stiffness, mass, sparse.csr_array(readings.observe), modes, labels
+    )
     q, weights = basis.fitted(readings)
-    return _result("hybrid", basis.vectors @ q, readings.shapes, readings.observe, weights)
+    return _result(
+        "hybrid", basis.vectors @ q, readings.shapes, readings.observe, weights
+    )
 
 
 def expand_reduced(
@@ -203,7 +213,9 @@ class _Basis:
         load = v.T @ (self.seen.T @ y)
 
         def at(gamma: float) -> Any_:
-            return np.asarray(v @ (load / np.maximum(share + gamma * (1 - share), 1e-14)))
+            return np.asarray(
+                v @ (load / np.maximum(share + gamma * (1 - share), 1e-14))
+            )
 
         def excess(log: float) -> float:
             miss = np.linalg.norm(self.seen @ at(float(np.exp(log))) - y)

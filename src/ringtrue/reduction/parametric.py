@@ -75,7 +75,9 @@ class ReducedModel(ProjectedModel):
         root = linalg.cholesky(vectors.T @ (energy @ vectors), lower=True)
         fresh = np.asarray(linalg.solve_triangular(root, vectors.T, lower=True)).T
         return replace(
-            self, basis=project(self.system, fresh), count=min(self.count, vectors.shape[1])
+            self,
+            basis=project(self.system, fresh),
+            count=min(self.count, vectors.shape[1]),
         )
 
     def enrich(
@@ -112,7 +114,9 @@ class ReducedModel(ProjectedModel):
         fresh = orthonormal_part(inner, self.basis.vectors, fresh)
         basis = project(self.system, np.hstack([self.basis.vectors, fresh]), self.basis)
         seen = np.asarray(self.system.observe @ modes.vectors)
-        return replace(self, basis=basis), Linearisation.of_modes(x, modes.frequencies, seen)
+        return replace(self, basis=basis), Linearisation.of_modes(
+            x, modes.frequencies, seen
+        )
 
 
 def _static(
@@ -126,9 +130,12 @@ def _static(
     """
     count = sensitivities.values.size
     inner = sensitivities.inner
-    drop = 1e-5  # share of the largest (strain energy norm) below which directions are left out
+    # share of the largest (strain energy norm) below which directions are left out
+    drop = 1e-5
     if len(terms) * count > max(MANY, 4 * most):
-        return compress(inner, sensitivities.mixed(terms, 2 * most, progress), most, drop)
+        return compress(
+            inner, sensitivities.mixed(terms, 2 * most, progress), most, drop
+        )
     block = max(1, 800 // max(count, 1))  # what is held in memory
     x = None
     for first in range(0, len(terms), block):
@@ -211,7 +218,9 @@ def reduced_model(
     modes = known.modes
     wanted = modes_of(count)
     if modes is None or modes.values.size < wanted:
-        modes = solve_modes(pencil, wanted, shift=known.shift, progress=part(progress, 0.0, 0.3))
+        modes = solve_modes(
+            pencil, wanted, shift=known.shift, progress=part(progress, 0.0, 0.3)
+        )
     n = min(count, modes.values.size)
     vectors = basis_vectors(
         modes.vectors / np.sqrt(modes.values - modes.shift),

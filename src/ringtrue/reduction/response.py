@@ -53,14 +53,19 @@ def with_responses(
     17.
     """
     a = model.system.parameters.factors(model.full_vector(x))
-    pencil = Pencil(*model.system.at(a), method=model.pencil.method, labels=model.pencil.labels)
+    pencil = Pencil(
+        *model.system.at(a), method=model.pencil.method, labels=model.pencil.labels
+    )
     shift, factor = _definite(pencil, model.shift)
     load = model.system.observe[channels].T.toarray()
     u = _solved(factor, load)
     fresh = [u]
     if sensitivities:
         for i in model.active:
-            fresh += [_solved(factor, k @ u - shift * (m @ u)) for k, m in model.system.terms_of(i)]
+            fresh += [
+                _solved(factor, k @ u - shift * (m @ u))
+                for k, m in model.system.terms_of(i)
+            ]
     pencil.close()
     k, m = model.projected(a)
     seen = model.basis.observe[channels]
@@ -71,7 +76,9 @@ def with_responses(
     new = np.hstack(fresh)
     new = new[:, np.abs(new).max(axis=0) > 0]
     inner = inner_product(model.system.stiffness, model.system.mass, model.shift)
-    vectors = np.hstack([model.basis.vectors, orthonormal_part(inner, model.basis.vectors, new)])
+    vectors = np.hstack(
+        [model.basis.vectors, orthonormal_part(inner, model.basis.vectors, new)]
+    )
     return model.with_basis(project(model.system, vectors, model.basis)), error
 
 
@@ -96,7 +103,9 @@ def responding(model: ReducedModel, channels: Int, x: Float) -> tuple[Float, Flo
     lam, y = model.coordinates(x)
     energy = k if lam[0] > 0 and elastic(frequencies(lam))[0] else k - model.shift * m
     loads = model.basis.observe[channels]
-    some = np.hstack([y, linalg.solve(energy, loads[loads.any(axis=1)].T, assume_a="sym")])
+    some = np.hstack(
+        [y, linalg.solve(energy, loads[loads.any(axis=1)].T, assume_a="sym")]
+    )
     some = some / np.sqrt(np.einsum("ij,ij->j", some, energy @ some))
     size, turn = linalg.eigh(some.T @ energy @ some)
     some = some @ (turn / np.sqrt(size))[:, size > 1e-10]
@@ -202,7 +211,9 @@ def response_basis(
             f"{search.loss} > 0 are needed"
         )
     at = _HarmonicResidual(pencil.stiffness, pencil.mass, loads, w2, search.loss)
-    span = _Span.of(pencil.stiffness, pencil.mass, start).grown(pencil.at(-float(w2[0])), loads, 1)
+    span = _Span.of(pencil.stiffness, pencil.mass, start).grown(
+        pencil.at(-float(w2[0])), loads, 1
+    )
     every = np.arange(f.size)
     residual = at.residual(span, every)
     lines = list[float]()
@@ -270,7 +281,9 @@ class _Span:
         x = _orthonormal(self.m, self.outside(_orthonormal(self.m, x)))
         side = self.vectors.T @ (self.k @ x)
         corner = x.T @ (self.k @ x)
-        stiffness = np.block([[self.stiffness, side], [side.T, (corner + corner.T) / 2]])
+        stiffness = np.block(
+            [[self.stiffness, side], [side.T, (corner + corner.T) / 2]]
+        )
         return _Span(self.k, self.m, np.hstack([self.vectors, x]), stiffness)
 
 

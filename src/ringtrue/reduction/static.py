@@ -88,7 +88,9 @@ def craig_bampton(
     frequencies = np.zeros(0)
     if inner.size:
         K, M = (sparse.csr_array(A)[inner][:, inner] for A in (stiffness, mass))
-        names: Labels | None = (lambda rows: labels(inner[rows])) if labels is not None else None
+        names: Labels | None = (
+            (lambda rows: labels(inner[rows])) if labels is not None else None
+        )
         pencil = Pencil(K, M, labels=names)
         try:
             transform[inner] = _constraint_modes(
@@ -129,7 +131,9 @@ def _constraint_modes(pencil: Pencil, K_ib: sparse.csr_array) -> Float:
     columns = K_ib.tocsc()
     for first in range(0, K_ib.shape[1], CHUNK):  # of right-hand sides
         block = slice(first, first + CHUNK)
-        out[:, block] = -factor.solve(columns[:, block].toarray()).reshape(K_ib.shape[0], -1)
+        out[:, block] = -factor.solve(columns[:, block].toarray()).reshape(
+            K_ib.shape[0], -1
+        )
     return out
 
 
@@ -234,9 +238,9 @@ def _held(
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
     """K + αCᵀC with α of the size of K's diagonal, and a zero mass."""
     gram = sparse.csr_array(observe.T @ observe)
-    alpha = float(np.median(np.abs(stiffness.diagonal()[gram.diagonal() > 0]))) or float(
-        np.abs(stiffness.data).max()
-    )
+    alpha = float(
+        np.median(np.abs(stiffness.diagonal()[gram.diagonal() > 0]))
+    ) or float(np.abs(stiffness.data).max())
     alpha /= float(gram.diagonal().max())
     return sparse.csr_array(stiffness + alpha * gram), sparse.csr_array(
         stiffness.shape, dtype=np.float64
@@ -251,7 +255,9 @@ def select(rows: Any_, size: int) -> sparse.csr_array:
         or (at.size and (at.min() < 0 or at.max() >= size))
         or np.unique(at).size != at.size
     ):
-        raise InputError(f"rows {at.tolist()[:8]}: must be different rows of a model of {size}")
+        raise InputError(
+            f"rows {at.tolist()[:8]}: must be different rows of a model of {size}"
+        )
     ones = (np.ones(at.size), (np.arange(at.size), at))
     return sparse.csr_array(sparse.coo_array(ones, shape=(at.size, size)))
 
@@ -289,7 +295,9 @@ def tam(
         If the channels cannot distinguish the modes, or read the same.
     """
     if modes is None and method in ("serep", "hybrid"):
-        raise ConfigError(f"a {method} test-analysis model needs the modes of the model")
+        raise ConfigError(
+            f"a {method} test-analysis model needs the modes of the model"
+        )
     observe = sparse.csr_array(observe)
     if method == "serep" and modes is not None:
         return _test_analysis_model(
@@ -344,7 +352,9 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
     _, r, pivot = linalg.qr(dense, mode="economic", pivoting=True)
     size = np.abs(np.diag(r))
     if read.size < c or size[-1] <= DEPENDENT * size[0]:
-        raise InputError(f"{c} channels: at least one reads what others read already, or nothing")
+        raise InputError(
+            f"{c} channels: at least one reads what others read already, or nothing"
+        )
     gone = read[pivot[:c]]
     left = read[pivot[c:]]
     inverse = np.linalg.inv(dense[:, pivot[:c]])  # well conditioned by the pivots
@@ -353,7 +363,10 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
     values = [np.ones(kept.size)]
     rows = [kept]
     columns = [np.arange(kept.size)]
-    for block, at in ((-inverse @ dense[:, pivot[c:]], place), (inverse, kept.size + np.arange(c))):
+    for block, at in (
+        (-inverse @ dense[:, pivot[c:]], place),
+        (inverse, kept.size + np.arange(c)),
+    ):
         i, j = np.nonzero(block)
         values = [*values, block[i, j]]
         rows = [*rows, gone[i]]
@@ -363,7 +376,10 @@ def readings_kept(observe: sparse.csr_array) -> sparse.csr_array:
 
 
 def craig_bampton_of(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, observe: sparse.csr_array, count: int
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    observe: sparse.csr_array,
+    count: int,
 ) -> Condensed:
     """The Craig-Bampton model of the readings of sensors anywhere, and of `count` modes with all
     readings held.
@@ -388,7 +404,9 @@ def craig_bampton_of(
     return craig_bampton(k, m, np.arange(k.shape[0] - c, k.shape[0]), count)
 
 
-def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: Float) -> Any_:
+def craig_bampton_coordinates(
+    condensed: Condensed, shapes: Any_, frequencies: Float
+) -> Any_:
     """Coordinates (b + n, m) in a Craig-Bampton model of shapes read at its kept DOFs.
 
     The modal coordinates that no sensor reads follow from the dynamics at each mode's own
@@ -413,7 +431,9 @@ def craig_bampton_coordinates(condensed: Condensed, shapes: Any_, frequencies: F
     f = np.asarray(frequencies, dtype=np.float64)
     b = condensed.kept.size
     if y.shape != (b, f.size):
-        raise InputError(f"shapes {y.shape} and frequencies {f.shape} for {b} kept DOFs")
+        raise InputError(
+            f"shapes {y.shape} and frequencies {f.shape} for {b} kept DOFs"
+        )
     lam = (2 * np.pi * f) ** 2
     load = condensed.stiffness[b:, :b] @ y - (condensed.mass[b:, :b] @ y) * lam
     own = (2 * np.pi * condensed.frequencies) ** 2

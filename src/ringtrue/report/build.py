@@ -307,7 +307,9 @@ def deliver(
     """
     summary = finite(summarise(run) | dict(extra or {}))
     with atomic_write(run.folder / "summary.json") as part:
-        part.write_text(json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        part.write_text(
+            json.dumps(summary, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
     return write_report(run, run.folder / "report.html", checks)
 
 
@@ -322,7 +324,8 @@ def write_report(
     config: StudyConfig = run.config
     captions = [*config.report.captions, *[""] * len(config.report.photos)]
     photos = [
-        Photo(run.session.base / p, t) for p, t in zip(config.report.photos, captions, strict=False)
+        Photo(run.session.base / p, t)
+        for p, t in zip(config.report.photos, captions, strict=False)
     ]
     stages = {k: v for k, v in run.results.items() if v is not None}
     report = assemble(

@@ -48,7 +48,13 @@ from ringtrue.report.parts import (
 from ringtrue.solvers.runner import run_program
 
 VARIABLE = "RINGTRUE_CHROMIUM"
-_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_NAMES = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+)
 _FLAGS = (
     "--headless",
     "--disable-gpu",
@@ -113,7 +119,9 @@ def print_page(page: str, target: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="ringtrue-") as name:
         folder = Path(name)
         printed = folder / "report.pdf"
-        log = _run(page, folder, "", f"--print-to-pdf={printed}", "--no-pdf-header-footer")
+        log = _run(
+            page, folder, "", f"--print-to-pdf={printed}", "--no-pdf-header-footer"
+        )
         if not printed.is_file():
             raise SolverFailed(f"Chromium did not print the report: {log[-500:]}")
         shutil.copyfile(printed, target)
@@ -131,10 +139,14 @@ def pictures(page: str) -> list[Drawn]:
     """
     with tempfile.TemporaryDirectory(prefix="ringtrue-") as name:
         # virtual time passes while nothing is drawn: it ends once all is
-        log = _run(page, Path(name), "#pictures", "--virtual-time-budget=10000", "--dump-dom")
+        log = _run(
+            page, Path(name), "#pictures", "--virtual-time-budget=10000", "--dump-dom"
+        )
     found = re.search(r'<pre id="pictures">(.+?)</pre>', log, re.DOTALL)
     if found is None:
-        raise SolverFailed(f"Chromium did not draw the figures of the report: {log[-500:]}")
+        raise SolverFailed(
+            f"Chromium did not draw the figures of the report: {log[-500:]}"
+        )
     return [_drawn(figure) for figure in json_value(html.unescape(found[1]), "figures")]
 
 
@@ -168,11 +180,19 @@ def _png(address: str) -> bytes:
     return base64.b64decode(address.partition(",")[2])
 
 
-COLORS = {"good": "0B6B55", "bad": "A4351C", "warn": "8A5A00", "muted": "5C6B7A", "doubt": "A4351C"}
+COLORS = {
+    "good": "0B6B55",
+    "bad": "A4351C",
+    "warn": "8A5A00",
+    "muted": "5C6B7A",
+    "doubt": "A4351C",
+}
 NOT_DRAWN = "Not drawn: there was no Chromium. The page, report.html, has this figure."
 
 
-def write_word(data: Stages, sections: Sequence[Section], page: str, target: Path) -> None:
+def write_word(
+    data: Stages, sections: Sequence[Section], page: str, target: Path
+) -> None:
     """Write the document.
 
     Parameters
@@ -343,7 +363,9 @@ class WordWriter:
             column.width = width
         for at, (row, cells) in enumerate(zip(table.rows, rows, strict=True)):
             bold = at == 0 or (bool(block.foot) and at == len(rows) - 1)
-            for place, cell, text, width in zip(row.cells, cells, left, widths, strict=True):
+            for place, cell, text, width in zip(
+                row.cells, cells, left, widths, strict=True
+            ):
                 place.width = width
                 _fill(place, cell, left=text, bold=bold, size=size)
             row._tr.get_or_add_trPr().append(OxmlElement("w:cantSplit"))
@@ -358,7 +380,9 @@ class WordWriter:
         ):
             before = f"{fact.before} → " if fact.before else ""
             _fill(label, Cell(fact.label, "muted"), left=True, bold=False)
-            _fill(value, f"{before}{fact.value} {fact.unit}".strip(), left=True, bold=True)
+            _fill(
+                value, f"{before}{fact.value} {fact.unit}".strip(), left=True, bold=True
+            )
         self.document.add_paragraph()
 
     def _checks(self, block: Checks) -> None:
@@ -425,7 +449,9 @@ class WordWriter:
         try:
             self.document.add_picture(str(photo.path), width=self.width)
         except UnrecognizedImageError:
-            self._paragraph(f"{photo.path.name}: Word takes PNG, JPEG and GIF alone.", "muted")
+            self._paragraph(
+                f"{photo.path.name}: Word takes PNG, JPEG and GIF alone.", "muted"
+            )
         self._caption(f"Figure {self.figures}", photo.caption)
 
     def _listing(self, text: str) -> None:
@@ -436,7 +462,9 @@ class WordWriter:
         run.font.size = Pt(7.5)
 
 
-def columns(rows: Sequence[Sequence[str | Cell]], left: Sequence[bool]) -> tuple[Float, float]:
+def columns(
+    rows: Sequence[Sequence[str | Cell]], left: Sequence[bool]
+) -> tuple[Float, float]:
     """Shares of the width of a table for its columns (c,), and its size of letters over the usual
     one.
 
@@ -450,7 +478,9 @@ def columns(rows: Sequence[Sequence[str | Cell]], left: Sequence[bool]) -> tuple
             words = text.split()
             if row is not rows[0] and not is_text and any(map(str.isdigit, text)):
                 words = [text]
-            least[k] = max(least[k], *(len(word) + ROOM.margin for word in words), ROOM.margin)
+            least[k] = max(
+                least[k], *(len(word) + ROOM.margin for word in words), ROOM.margin
+            )
             whole[k] = max(whole[k], len(text) + ROOM.margin)
     more = whole - least
     wanted = least + max(ROOM.line - least.sum(), 0) * more / max(more.sum(), 1)
@@ -464,7 +494,9 @@ def _colour(run: Any, tone: str) -> None:
         run.font.color.rgb = RGBColor.from_string(COLORS[tone])
 
 
-def _fill(place: Any, cell: str | Cell, *, left: bool, bold: bool, size: float = 1.0) -> None:
+def _fill(
+    place: Any, cell: str | Cell, *, left: bool, bold: bool, size: float = 1.0
+) -> None:
     """Write one cell of a table."""
     from docx.enum.text import WD_ALIGN_PARAGRAPH
     from docx.shared import Pt

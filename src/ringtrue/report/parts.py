@@ -82,7 +82,9 @@ class Photo:
         """
         mime = IMAGES.get(self.path.suffix.lower())
         if mime is None:
-            raise ConfigError(f"photo {self.path}: allowed are {', '.join(sorted(IMAGES))}")
+            raise ConfigError(
+                f"photo {self.path}: allowed are {', '.join(sorted(IMAGES))}"
+            )
         if not self.path.is_file():
             raise InputError(f"photo {self.path}: no such file")
         raw = base64.b64encode(self.path.read_bytes()).decode("ascii")
@@ -118,7 +120,9 @@ class ReportTable:
         in them.
         """
         named = [i for i, h in enumerate(self.heads) if head in h]
-        blank = [i for i in named if not any(re.search(r"\d", str(r[i])) for r in self.rows)]
+        blank = [
+            i for i in named if not any(re.search(r"\d", str(r[i])) for r in self.rows)
+        ]
 
         def rest(cells: Sequence[str | Cell], first: int = 0) -> list[str | Cell]:
             return [c for i, c in enumerate(cells, start=first) if i not in blank]
@@ -338,7 +342,11 @@ class Stages:
         info = self.info
         run = [f"ringtrue {__version__}"]
         if (p := self.provenance) is not None:
-            run = [p.started[:16].replace("T", " "), f"ringtrue {p.version}", f"seed {p.seed}"]
+            run = [
+                p.started[:16].replace("T", " "),
+                f"ringtrue {p.version}",
+                f"seed {p.seed}",
+            ]
         client = f"for {info.client}" if info.client else ""
         revision = f"revision {info.revision}" if info.revision else ""
         people = [part for part in (client, revision, info.author) if part]

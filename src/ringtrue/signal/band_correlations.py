@@ -85,7 +85,9 @@ class Segments:
     factor: int
 
 
-def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -> Segments:
+def segments(
+    samples: int, blocks: int, lags: int, band: Fir, decimation: Fir
+) -> Segments:
     """A cut of `samples` into equal blocks, with room for a filter of the band and one that
     decimates.
     """
@@ -96,12 +98,24 @@ def segments(samples: int, blocks: int, lags: int, band: Fir, decimation: Fir) -
     # long ones overlap less, but each block has the inverse transforms of all its correlations, and
     # products of many short ones take less time
     each = max(
-        1, round(max(np.sqrt(COSTS.inverse * block / overhang), block / (COSTS.longest * overhang)))
+        1,
+        round(
+            max(
+                np.sqrt(COSTS.inverse * block / overhang),
+                block / (COSTS.longest * overhang),
+            )
+        ),
     )
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + overhang) // factor), real=True))
     return Segments(
-        blocks=blocks, each=each, hop=hop, lead=lead, size=size, lags=lags, factor=factor
+        blocks=blocks,
+        each=each,
+        hop=hop,
+        lead=lead,
+        size=size,
+        lags=lags,
+        factor=factor,
     )
 
 
@@ -142,7 +156,11 @@ class Signals:
         return int(self.data.shape[1])
 
     def part(
-        self, start: int, stop: int, rows: Int | slice = slice(None), out: Any_ | None = None
+        self,
+        start: int,
+        stop: int,
+        rows: Int | slice = slice(None),
+        out: Any_ | None = None,
     ) -> Any_:
         """(ch, stop − start) float32, zero beyond the ends; in `out`, if given."""
         a = max(start, 0)
@@ -156,7 +174,9 @@ class Signals:
         out[:, : a - start], out[:, b - start :] = 0.0, 0.0
         inner = out[:, a - start : b - start]
         if isinstance(rows, slice):
-            np.subtract(self.data[rows, a:b], level[:, None], out=inner, casting="same_kind")
+            np.subtract(
+                self.data[rows, a:b], level[:, None], out=inner, casting="same_kind"
+            )
         else:  # channels one by one: all at once would be copied first
             for x, k, own in zip(inner, rows, level, strict=True):
                 np.subtract(self.data[k, a:b], own, out=x, casting="same_kind")
@@ -189,7 +209,9 @@ def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
     some segments.
     """
     every = cut.blocks * cut.each
-    some = np.unique(np.linspace(0, every - 1, min(COSTS.looks, every)).round().astype(np.int64))
+    some = np.unique(
+        np.linspace(0, every - 1, min(COSTS.looks, every)).round().astype(np.int64)
+    )
     gain = _gain(band, cut.size)
     turn = np.exp(2j * np.pi * np.arange(gain.size) / cut.size).astype(np.complex64)
     ch = signals.level.size
@@ -213,10 +235,13 @@ def pairs(cut: Segments, samples: int, keep: Any_ | None = None) -> Float:
     begin = np.arange(cut.blocks)[:, None] * block
     if keep is None:
         return np.asarray(
-            np.clip(samples - np.arange(cut.lags + 1) - begin, 1, block), dtype=np.float64
+            np.clip(samples - np.arange(cut.lags + 1) - begin, 1, block),
+            dtype=np.float64,
         )
     total = np.append(0.0, np.cumsum(keep, dtype=np.float64))
-    last = (np.minimum(begin + block, samples - np.arange(cut.lags + 1))).clip(0, samples)
+    last = (np.minimum(begin + block, samples - np.arange(cut.lags + 1))).clip(
+        0, samples
+    )
     return np.asarray(np.maximum(total[last] - total[np.minimum(begin, last)], 1.0))
 
 
@@ -265,10 +290,14 @@ def run(
             start = k * cut.hop
             x = _cut_out(signals, cut, start, count, room)
             y = _spectra(x, cut, count)
-            ref = _references(x, cut, count, references, _kept(keep, start, count * cut.hop))
+            ref = _references(
+                x, cut, count, references, _kept(keep, start, count * cut.hop)
+            )
             cross += np.matmul(y, ref, out=some)
             if q > 1:
-                lower[:, start // q : (start + count * cut.hop) // q] = _decimated(y, cut, low)
+                lower[:, start // q : (start + count * cut.hop) // q] = _decimated(
+                    y, cut, low
+                )
         cross *= (gain**2)[:, None, None]
         r[b] = irfft(cross, cut.size, axis=0)[cut.lead : cut.lead + cut.lags + 1]
     r /= pairs(cut, n, keep)[:, :, None, None].astype(np.float32)
@@ -279,7 +308,9 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
     """(ch, sample) float32 decimated signals."""
     ch = signals.level.size
     n = signals.samples
-    cut = segments(n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation)
+    cut = segments(
+        n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation
+    )
     gain = _gain(decimation, cut.size)
     q = cut.factor
     out = np.empty((ch, cut.blocks * cut.each * cut.hop // q), dtype=np.float32)
@@ -303,7 +334,9 @@ def _together(cut: Segments, ch: int, count: int) -> int:
     return -(-count // -(-count // most))
 
 
-def _cut_out(signals: Signals, cut: Segments, start: int, count: int, room: Any_) -> Any_:
+def _cut_out(
+    signals: Signals, cut: Segments, start: int, count: int, room: Any_
+) -> Any_:
     """(ch, sample) of `count` segments from `start`, with what leads and follows, in `room`: new
     memory costs time.
     """
@@ -328,7 +361,9 @@ def _kept(keep: Any_ | None, start: int, size: int) -> Any_ | None:
     return out
 
 
-def _references(x: Any_, cut: Segments, count: int, references: Int, keep: Any_ | None) -> Any_:
+def _references(
+    x: Any_, cut: Segments, count: int, references: Int, keep: Any_ | None
+) -> Any_:
     """(freq, segment, ref) conjugate spectra of the samples of each segment that count."""
     padded = np.zeros((references.size, count, cut.size), dtype=np.float32)
     for row, k in zip(padded[:, :, : cut.hop], references, strict=True):
@@ -343,8 +378,14 @@ def _decimated(y: Any_, cut: Segments, gain: Any_) -> Any_:
     """
     q = cut.factor
     m = cut.size // cut.factor
-    z = irfft(y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0)
-    return z[cut.lead // q : (cut.lead + cut.hop) // q].transpose(1, 2, 0).reshape(y.shape[1], -1)
+    z = irfft(
+        y[: m // 2 + 1] * (gain[: m // 2 + 1, None, None] / np.float32(q)), m, axis=0
+    )
+    return (
+        z[cut.lead // q : (cut.lead + cut.hop) // q]
+        .transpose(1, 2, 0)
+        .reshape(y.shape[1], -1)
+    )
 
 
 def threads() -> int:
@@ -352,7 +393,9 @@ def threads() -> int:
     cores.
     """
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
-    return min(max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, COSTS.at_once)
+    return min(
+        max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, COSTS.at_once
+    )
 
 
 def map_in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:

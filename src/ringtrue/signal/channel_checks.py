@@ -88,7 +88,9 @@ class WrapLimits:
 WRAPS = WrapLimits()
 
 
-def check_channels(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tuple[Note, ...]:
+def check_channels(
+    history: TimeHistory, limits: ChannelLimits = LIMITS
+) -> tuple[Note, ...]:
     """Notes on channels: errors on those that cannot be used, warnings on others.
 
     Raises
@@ -106,7 +108,9 @@ def check_channels(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tupl
         raise DataError(
             f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that"
         )
-    level = np.array([_level(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)])
+    level = np.array(
+        [_level(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)]
+    )
     notes = []
     for i, x in enumerate(data):
         fatal = _no_signal(x, level[i], limits)
@@ -123,7 +127,10 @@ def check_channels(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tupl
             _odd_level(level[i], peers, limits),
             _same_samples(data, i, ids),
         )
-        notes += [Note(code, "warning", ids[i], values) for code, values in filter(None, found)]
+        notes += [
+            Note(code, "warning", ids[i], values)
+            for code, values in filter(None, found)
+        ]
     return tuple(notes)
 
 
@@ -166,7 +173,8 @@ def _wraps(x: Any_, limits: ChannelLimits) -> int:
     count = int(np.count_nonzero(over))
     if count <= max(WRAPS.steps, x.size // 50000):
         return 0
-    if np.abs(np.sign(steps[over]).sum()) > 0.5 * count:  # most of them in one direction
+    # most of them in one direction
+    if np.abs(np.sign(steps[over]).sum()) > 0.5 * count:
         return 0
     others = steps[~over]
     if not others.any() or _clipping(x, "", limits) is not None:
@@ -193,7 +201,12 @@ def _clipping(x: Any_, unit: str, limits: ChannelLimits) -> _Finding | None:
         return None
     count = int(sum(np.count_nonzero(np.isclose(x, end, rtol=1e-9)) for end in ends))
     value = max(map(abs, ends))
-    return "channel clipped", {"value": value, "unit": unit, "samples": count, "total": x.size}
+    return "channel clipped", {
+        "value": value,
+        "unit": unit,
+        "samples": count,
+        "total": x.size,
+    }
 
 
 def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
@@ -214,7 +227,8 @@ def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
     for end in (float(x.max()), float(x.min())):
         inner = np.abs(x - end) > same
         count = x.size - int(np.count_nonzero(inner))
-        if count < least or abs(end - rest) < 0.1 * span:  # a channel at rest is not clipped
+        # a channel at rest is not clipped
+        if count < least or abs(end - rest) < 0.1 * span:
             continue
         neighbour = float(x[inner].max() if end > rest else x[inner].min())
         if count >= ratio * np.count_nonzero(np.abs(x - neighbour) <= same):
@@ -222,7 +236,9 @@ def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
     return out
 
 
-def _odd_level(level: float, peers: Sequence[float], limits: ChannelLimits) -> _Finding | None:
+def _odd_level(
+    level: float, peers: Sequence[float], limits: ChannelLimits
+) -> _Finding | None:
     """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a
     node.
     """
@@ -274,7 +290,9 @@ def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[Note, ...]]:
     return (history.pick(good) if bad else history), notes
 
 
-def find_spikes(history: TimeHistory, limits: ChannelLimits = LIMITS) -> tuple[Note, ...]:
+def find_spikes(
+    history: TimeHistory, limits: ChannelLimits = LIMITS
+) -> tuple[Note, ...]:
     """A note on each channel with spikes."""
     out = []
     for channel, x in zip(history.channels, history.data, strict=True):
@@ -320,7 +338,8 @@ def _spikes(x: Any_, least: float) -> tuple[Bool, Float]:
     around = np.where(candidate, 0.0, size)
     quiet = maximum_filter1d(around, reach, mode="nearest") < 0.3 * size
     steps = np.abs(np.diff(np.asarray(x, dtype=np.float64), append=x[-1]))
-    steps[candidate | np.append(candidate[1:], False)] = 0.0  # into and out of the candidates
+    # into and out of the candidates
+    steps[candidate | np.append(candidate[1:], False)] = 0.0
     # a crest of a smooth signal is no spike
     smooth = maximum_filter1d(steps, reach, mode="nearest") < 0.3 * off
     return candidate & quiet & smooth, size
@@ -332,7 +351,9 @@ def clipping_levels(record: TimeHistory) -> dict[str, float]:
     for channel, x in zip(record.channels, record.data, strict=True):
         ends = clipped_ends(x, 4, LIMITS.clipped_ratio)
         # equal peaks of equal impacts are no clipping: somewhere two samples in a row stand there
-        held = [end for end in ends if any(last > first for first, last in runs(x == end))]
+        held = [
+            end for end in ends if any(last > first for first, last in runs(x == end))
+        ]
         if held:
             out[channel.id] = min(map(abs, held))
     return out
@@ -340,7 +361,9 @@ def clipping_levels(record: TimeHistory) -> dict[str, float]:
 
 def clipping(record: TimeHistory) -> tuple[str, ...]:
     """A sentence on each channel that is clipped."""
-    return tuple(sentence(n) for n in check_channels(record) if n.code == "channel clipped")
+    return tuple(
+        sentence(n) for n in check_channels(record) if n.code == "channel clipped"
+    )
 
 
 @contextmanager
@@ -358,14 +381,22 @@ def explain_clipping(lines: Sequence[str]) -> Iterator[None]:
         raise
 
 
-def overloaded(record: TimeHistory, block: Any_, ranges: Mapping[str, float]) -> list[str]:
+def overloaded(
+    record: TimeHistory, block: Any_, ranges: Mapping[str, float]
+) -> list[str]:
     """Ids of the channels of a block (channel, sample) that reach the end of their range."""
     peak = np.abs(block).max(axis=1)
     full = np.array([ranges.get(c.id, np.inf) for c in record.channels])
-    return [c.id for c, over in zip(record.channels, peak >= 0.985 * full, strict=True) if over]
+    return [
+        c.id
+        for c, over in zip(record.channels, peak >= 0.985 * full, strict=True)
+        if over
+    ]
 
 
-def mostly_overloaded(responses: Set[str], over: Sequence[Sequence[str]]) -> tuple[str, ...]:
+def mostly_overloaded(
+    responses: Set[str], over: Sequence[Sequence[str]]
+) -> tuple[str, ...]:
     """Ids of the responses that overload in more than half of the impacts, none if all do; `over`
     is a list an impact.
     """
@@ -481,7 +512,8 @@ def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
     if not held:
         return history, Gaps(nothing, notes)
     share = {
-        c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0 for c in history.channels
+        c.id: np.count_nonzero(held[c.id]) / size if c.id in held else 0.0
+        for c in history.channels
     }
     typical = float(np.median(list(share.values())))
     keep = [i for i, part in share.items() if part <= typical + LOSSES.most]
@@ -533,7 +565,11 @@ def _each_by_itself(
 
     To leave these out in all channels would leave little: each has a straight line there by itself.
     """
-    common = np.sum(list(held.values()), axis=0) * 2 > len(history.channels) if held else lost
+    common = (
+        np.sum(list(held.values()), axis=0) * 2 > len(history.channels)
+        if held
+        else lost
+    )
     alone = {i: h & ~common for i, h in held.items()}
     most = max((float(h.mean()) for h in alone.values()), default=0.0)
     if (lost & ~common).mean() < max(LOSSES.scattered, LOSSES.each * most):
@@ -543,11 +579,15 @@ def _each_by_itself(
         if c.id in alone:
             _bridge(data[k], alone[c.id])
     count = sum(bool(h.any()) for h in alone.values())
-    note = Note("scattered losses", "warning", f"{count} channels", {"percent": 100 * most})
+    note = Note(
+        "scattered losses", "warning", f"{count} channels", {"percent": 100 * most}
+    )
     return replace(history, data=data), common, note
 
 
-def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[Note, ...]]:
+def _filled(
+    history: TimeHistory,
+) -> tuple[TimeHistory, dict[str, Bool], tuple[Note, ...]]:
     """The record with straight lines over samples that are not finite, the long runs of these
     (sample,), and notes.
     """
@@ -571,7 +611,9 @@ def _filled(history: TimeHistory) -> tuple[TimeHistory, dict[str, Bool], tuple[N
         if long.any():
             missing[name] = long
         if count := np.count_nonzero(none & ~long):
-            notes.append(Note("channel interpolated", "warning", name, {"count": int(count)}))
+            notes.append(
+                Note("channel interpolated", "warning", name, {"count": int(count)})
+            )
     return replace(history, data=data), missing, tuple(notes)
 
 
@@ -585,7 +627,9 @@ def _held(x: Any_) -> Bool | None:
     long = length > HOLDS.least + HOLDS.typical * float(np.percentile(length, 99))
     at = np.flatnonzero(long)
     near = length[
-        (at[:, None] + np.arange(-HOLDS.neighbours, HOLDS.neighbours + 1)).clip(0, length.size - 1)
+        (at[:, None] + np.arange(-HOLDS.neighbours, HOLDS.neighbours + 1)).clip(
+            0, length.size - 1
+        )
     ]
     long[at] = length[at] > HOLDS.least + HOLDS.typical * np.median(near, axis=1)
     if not long.any():  # as nearly always
@@ -625,7 +669,9 @@ def overlap(before: TimeHistory, later: TimeHistory) -> int:
     return 0
 
 
-def remove_overlap(before: TimeHistory | None, later: TimeHistory) -> tuple[TimeHistory, str]:
+def remove_overlap(
+    before: TimeHistory | None, later: TimeHistory
+) -> tuple[TimeHistory, str]:
     """A record without the samples that the one before it ends with, and what is to be said of
     that.
     """

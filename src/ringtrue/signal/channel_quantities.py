@@ -104,7 +104,9 @@ def with_learned_quantities(
     """
     limits = settings or QuantitySettings()
     unknown = np.array([c.quantity == "unknown" for c in history.channels])
-    length, starts = segments_of(history.data.shape[1], limits.segments, limits.shortest)
+    length, starts = segments_of(
+        history.data.shape[1], limits.segments, limits.shortest
+    )
     if len(unknown) < 3 or not unknown.any() or not starts.size:
         return history, ()
     phases = _phase_agreement(segment_lines(history.data, length, starts), limits)
@@ -120,7 +122,10 @@ def with_learned_quantities(
     odd = (ratio > LIMITS.level_ratio) | (ratio * LIMITS.level_ratio < 1)
     stray = unknown & odd & (total < limits.stray * np.median(total[seen])) & ~silent
     notes = []
-    for code, out in (("channel without motion", silent), ("channel of another kind", stray)):
+    for code, out in (
+        ("channel without motion", silent),
+        ("channel of another kind", stray),
+    ):
         if out.any():
             notes.append(Note(code, "warning", " ".join(ids[out].tolist())))
     kept = ~(silent | stray)
@@ -132,7 +137,9 @@ def with_learned_quantities(
     quantities = [c.quantity for c in history.channels]
     for at, quantity in _learned(quantities, unknown & seen, seen, phases, limits):
         names = " ".join(history.channels[i].id for i in at.tolist())
-        notes.append(Note("channel quantity", "information", names, {"quantity": quantity}))
+        notes.append(
+            Note("channel quantity", "information", names, {"quantity": quantity})
+        )
         for i in at.tolist():
             quantities[i] = cast("Quantity", quantity)
     channels = tuple(
@@ -152,10 +159,14 @@ def _phase_agreement(lines: Any_, limits: QuantitySettings) -> _PhaseAgreement:
     same: Int = np.zeros(channels, dtype=np.int64)
     for k in range(channels):  # all pairs at once would be channels² spectra
         cross = np.einsum("fsc,fs->fc", lines, lines[:, :, k].conj())
-        turned, coherence = in_one_motion(cross, power * power[:, [k]], limits.segments, same)
+        turned, coherence = in_one_motion(
+            cross, power * power[:, [k]], limits.segments, same
+        )
         counted = np.where(coherence > limits.coherence, coherence**2, 0.0)
         weight[k] = counted.sum(axis=0)
-        agreement[k] = (counted * turned.real).sum(axis=0) / np.maximum(weight[k], 1e-12)
+        agreement[k] = (counted * turned.real).sum(axis=0) / np.maximum(
+            weight[k], 1e-12
+        )
         by_line += counted.sum(axis=1) - counted[:, k]
     return _PhaseAgreement(agreement, weight, by_line, power / limits.segments)
 

@@ -100,7 +100,8 @@ DELAY = DelaySettings()
 DRIFT = DriftSettings()
 DRIFT_STEP = 0.25  # samples
 DRIFT_FINE = 4  # values of J between those of the transform: eight to a sample
-TAPS = 24  # each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
+# each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
+TAPS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +140,9 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     m = len(history.channels)
     samples = history.data.shape[1]
     near = 0.3  # samples: gains of channels of one recorder
-    nothing = Phases(np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_))
+    nothing = Phases(
+        np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_)
+    )
     length, starts = segments_of(samples, DELAY.segments)
     if m < 2 or not starts.size:
         return nothing
@@ -148,14 +151,18 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     root, turned, coherence = _against_one(lines, order)
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
-        gain = shared(gain + gained(turned_back(lines, gain, starts), root, order, starts), near)
+        gain = shared(
+            gain + gained(turned_back(lines, gain, starts), root, order, starts), near
+        )
         root, turned, coherence = _against_one(turned_back(lines, gain, starts), order)
     weight = np.where(coherence > DELAY.coherence, coherence**2, 0.0)
     total = weight.sum(axis=1)
     known = (total > DELAY.lines) & (np.arange(m) != root)
     if not known.any():
         return nothing
-    at, best, second = _delays(turned[known] * weight[known] / total[known, None], length)
+    at, best, second = _delays(
+        turned[known] * weight[known] / total[known, None], length
+    )
     none = (turned[known].real * weight[known]).sum(axis=1) / total[known]
     clear = (
         (best > DELAY.agreement)
@@ -179,7 +186,9 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
 
 def segments_of(samples: int, segments: int, shortest: int = 1024) -> tuple[int, Int]:
     """Length of the segments of a record, and their first samples; none of one too short."""
-    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // segments, shortest, 4096))))
+    length = int(
+        2 ** np.floor(np.log2(np.clip(2 * samples // segments, shortest, 4096)))
+    )
     if samples < 16 * length:
         return length, np.empty(0, dtype=np.int64)
     return length, np.linspace(0, samples - length, segments).astype(np.int64)
@@ -196,7 +205,8 @@ def segment_lines(data: Any_, length: int, starts: Int) -> Any_:
     size = data[:, :: max(data.shape[1] // 65_536, 1)].std(axis=1)
     gain = (win / np.where(size > 0, size, 1.0)[:, None]).astype(np.float32)
     out = np.empty((length // 2 + 1, starts.size, len(data)), dtype=np.complex64)
-    for k, start in enumerate(starts.tolist()):  # a segment of all channels is in the cache
+    # a segment of all channels is in the cache
+    for k, start in enumerate(starts.tolist()):
         part = data[:, start : start + length]
         out[:, k] = rfft(
             (part - part.mean(axis=1, keepdims=True)).astype(np.float32) * gain, axis=1
@@ -230,14 +240,18 @@ def _delays(z: Complex, length: int) -> tuple[Float, Float, Float]:
     fine = 8  # values of J between those of the transform
     n = fine * length
     j = irfft(z, n, axis=1) * n / 2
-    lag = np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n) * length / (2.0 * n)
+    lag = (
+        np.where(np.arange(n) < n // 2, np.arange(n), np.arange(n) - n)
+        * length
+        / (2.0 * n)
+    )
     j[:, np.abs(lag) > 0.25 * length] = -1.0
     top = j.argmax(axis=1)
     rows = np.arange(len(j))
     left, mid, right = (j[rows, (top + k) % n] for k in (-1, 0, 1))
-    at = lag[top] + 0.5 * (left - right) / np.minimum(left - 2 * mid + right, -1e-12) * length / (
-        2.0 * n
-    )
+    at = lag[top] + 0.5 * (left - right) / np.minimum(
+        left - 2 * mid + right, -1e-12
+    ) * length / (2.0 * n)
     second = np.array([_beyond(x, int(k)) for x, k in zip(j, top, strict=True)])
     return at, mid, second
 
@@ -258,7 +272,9 @@ def _usual(delay: Float, near: float) -> float:
     return float(np.median(delay[same[same.sum(axis=1).argmax()]]))
 
 
-def in_step(history: TimeHistory, delay: Float, drift: Float | None = None) -> TimeHistory:
+def in_step(
+    history: TimeHistory, delay: Float, drift: Float | None = None
+) -> TimeHistory:
     """The record with its channels moved back by `delay` (ch,) s, without the ends that not all of
     them have.
 
@@ -296,7 +312,9 @@ def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
     u = np.asarray((middle - middle.mean()) / np.ptp(starts), dtype=np.float64)
     most = max(int(np.ceil(DRIFT.most * np.ptp(starts) / DRIFT_STEP)), 1)
     grid = DRIFT_STEP * np.arange(-most, most + 1, dtype=np.float64)
-    for i in np.flatnonzero((total > DRIFT.parts * DRIFT.lines) & (np.arange(out.size) != root)):
+    for i in np.flatnonzero(
+        (total > DRIFT.parts * DRIFT.lines) & (np.arange(out.size) != root)
+    ):
         j = _along(turned[:, :, i] * weight[:, :, i] / total[i], length)
         alone = float(j.sum(axis=0).max())
         if j.max(axis=1).sum() - alone > DRIFT.loss:
@@ -314,7 +332,9 @@ def turned_back(lines: Any_, gain: Float, starts: Int) -> Any_:
     u = (starts - starts.mean()) / np.ptp(starts)
     out = lines.copy()
     for i in np.flatnonzero(gain):
-        out[:, :, i] *= np.exp(2j * np.pi * f[:, None] * (gain[i] * u)).astype(np.complex64)
+        out[:, :, i] *= np.exp(2j * np.pi * f[:, None] * (gain[i] * u)).astype(
+            np.complex64
+        )
     return out
 
 
@@ -352,7 +372,9 @@ def summed_power(x: Any_) -> Any_:
     return np.asarray(both[..., ::2] + both[..., 1::2])
 
 
-def in_one_motion(cross: Any_, powers: Any_, segments: int, steps: Int) -> tuple[Any_, Any_]:
+def in_one_motion(
+    cross: Any_, powers: Any_, segments: int, steps: Int
+) -> tuple[Any_, Any_]:
     """Squared phase factors as of one motion, and squared coherences less the bias of few segments,
     (freq, ...) each.
 
@@ -392,7 +414,9 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     width = j.shape[1] - 2 * room
     tops = np.array(
         [
-            sum(x[room + k : room + k + width] for x, k in zip(j, row, strict=True)).max()
+            sum(
+                x[room + k : room + k + width] for x, k in zip(j, row, strict=True)
+            ).max()
             for row in shift
         ]
     )
@@ -404,7 +428,10 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     ):
         return 0.0
     left, mid, right = tops[k - 1 : k + 2]
-    gain = float(grid[k] + 0.5 * DRIFT_STEP * (left - right) / min(left - 2 * mid + right, -1e-12))
+    gain = float(
+        grid[k]
+        + 0.5 * DRIFT_STEP * (left - right) / min(left - 2 * mid + right, -1e-12)
+    )
     return gain if abs(gain) > DRIFT.least else 0.0
 
 
@@ -415,7 +442,11 @@ def at_positions(data: Any_, positions: Float) -> Float:
     rows = 1024  # of the table of taps; straight between them is 4e-7 off
     out = np.empty((data.shape[0], positions.size))
     part = np.linspace(0, 1, rows + 1)[:, None] + np.arange(TAPS - 1, -TAPS - 1, -1)
-    table = np.sinc(part) * np.i0(9.0 * np.sqrt(np.clip(1 - (part / TAPS) ** 2, 0, 1))) / np.i0(9.0)
+    table = (
+        np.sinc(part)
+        * np.i0(9.0 * np.sqrt(np.clip(1 - (part / TAPS) ** 2, 0, 1)))
+        / np.i0(9.0)
+    )
     padded = np.pad(data, ((0, 0), (TAPS, TAPS)))
     size = 1 << 14
     # blocks, as the taps take 48 times the memory of the samples

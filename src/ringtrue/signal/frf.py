@@ -26,7 +26,14 @@ from ringtrue.core.channels import (
     input_id,
 )
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.signals import Channel, FrfSet, Impacts, Quantity, TimeHistory, join_impacts
+from ringtrue.core.signals import (
+    Channel,
+    FrfSet,
+    Impacts,
+    Quantity,
+    TimeHistory,
+    join_impacts,
+)
 from ringtrue.errors import ConfigError, DataError, did_you_mean
 from ringtrue.signal.frf_sets import join_frfs
 from ringtrue.signal.impacts import (
@@ -110,7 +117,9 @@ def shaker_frfs(
         different kinds, or the record has too few segments for its inputs.
     """
     if estimator not in _ESTIMATORS:
-        raise ConfigError(f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}")
+        raise ConfigError(
+            f"estimator {estimator!r}{did_you_mean(estimator, _ESTIMATORS)}"
+        )
     ordered, q = sorted_channels(history, inputs)
     if estimator == "H2" and q > 1:
         raise ConfigError(f"H2 of {q} inputs is not determined; take H1 or Hv")
@@ -118,7 +127,9 @@ def shaker_frfs(
     length = round(history.rate / settings.resolution)
     n = independent_segments(history.data.shape[1], length, settings) - (q - 1)
     if n < 2:
-        raise DataError(f"{history.source}: {n + q - 1:.3g} independent segments for {q} inputs")
+        raise DataError(
+            f"{history.source}: {n + q - 1:.3g} independent segments for {q} inputs"
+        )
     g = spectra.data[1:]  # the mean is taken out, there is nothing at 0 Hz
     h, partial, ordinary, multiple, condition = _estimate(g, q, estimator)
     frfs = FrfSet(
@@ -135,7 +146,9 @@ def shaker_frfs(
     return ShakerFrfs(frfs, ordinary, multiple, condition)
 
 
-def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[TimeHistory, int]:
+def sorted_channels(
+    history: TimeHistory, inputs: Sequence[str] = ()
+) -> tuple[TimeHistory, int]:
     """The record with its forces first, and their number.
 
     Raises
@@ -145,7 +158,9 @@ def sorted_channels(history: TimeHistory, inputs: Sequence[str] = ()) -> tuple[T
         different kinds.
     """
     forces = list(inputs) or [c.id for c in history.channels if c.quantity in FORCES]
-    others = [c for c in history.channels if c.id not in forces and c.quantity not in FORCES]
+    others = [
+        c for c in history.channels if c.id not in forces and c.quantity not in FORCES
+    ]
     kinds = {LINEAR.get(c.quantity, c.quantity) for c in others}
     if not forces or len(kinds) != 1 or not kinds <= set(FRF_KIND):
         raise DataError(
@@ -173,7 +188,9 @@ def _check(history: TimeHistory) -> None:
             )
 
 
-def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float, Float, Float]:
+def _estimate(
+    g: Complex, q: int, estimator: str
+) -> tuple[Complex, Float, Float, Float, Float]:
     """FRFs (f, out, in), partial and ordinary coherence (f, out, in), multiple (f, out), condition
     (f,).
     """
@@ -191,11 +208,19 @@ def _estimate(g: Complex, q: int, estimator: str) -> tuple[Complex, Float, Float
     multiple = np.clip(np.einsum("foi,foi->fo", h1, yf.conj()).real, 0.0, 1.0)
     # power of one input, others taken out
     alone = np.abs(h1) ** 2 / np.einsum("fii->fi", inverse).real[:, None, :]
-    partial = alone / np.maximum(alone + (1 - multiple)[:, :, None], np.finfo(np.float64).tiny)
+    partial = alone / np.maximum(
+        alone + (1 - multiple)[:, :, None], np.finfo(np.float64).tiny
+    )
     h = {"H1": h1, "H2": h1 / np.maximum(multiple, 1e-12)[:, :, None]}.get(estimator)
     h = _total(c, q) if h is None else h
     h = h * scale[:, q:, None] / scale[:, None, :q]
-    return h, np.clip(partial, 0.0, 1.0), np.clip(np.abs(yf) ** 2, 0.0, 1.0), multiple, condition
+    return (
+        h,
+        np.clip(partial, 0.0, 1.0),
+        np.clip(np.abs(yf) ** 2, 0.0, 1.0),
+        multiple,
+        condition,
+    )
 
 
 def _total(c: Complex, q: int) -> Complex:
@@ -317,7 +342,9 @@ def estimate_frf(
         is absent.
     """
     records = [records] if isinstance(records, TimeHistory) else records
-    columns, reports = estimate_columns(records, settings, full_scale=full_scale, progress=progress)
+    columns, reports = estimate_columns(
+        records, settings, full_scale=full_scale, progress=progress
+    )
     return join_frfs(columns), reports
 
 
@@ -337,7 +364,9 @@ def estimate_columns(
     settings = settings or HammerSettings()
     cuts = [_cut(r, settings) for r in records]
     # a triggered record of one hit may have less before it than the pretrigger asked for
-    room = min([float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf])
+    room = min(
+        [float(c.hits[0]) / c.record.rate for c in cuts if c.hits.size == 1] or [np.inf]
+    )
     settings = replace(settings, pretrigger=min(settings.pretrigger, room))
     length = min(c.length for c in cuts)
     if len({c.record.rate for c in cuts}) > 1:
@@ -351,7 +380,9 @@ def estimate_columns(
         )
     cuts, reports = _checked(cuts, length, settings, full_scale)
     reports = decided(reports, settings.hits)
-    good = [c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)]
+    good = [
+        c.hits[[r.accepted for r in rep]] for c, rep in zip(cuts, reports, strict=True)
+    ]
     _check_used(cuts, reports)
     decay = max(_decay(c, g, length, settings) for c, g in zip(cuts, good, strict=True))
     sums: dict[tuple[str, ...], _Sums] = {}
@@ -361,7 +392,9 @@ def estimate_columns(
         key = (new.input, *(c.id for c in new.outputs))
         sums[key] = sums[key].plus(new) if key in sums else new
     source = ", ".join(dict.fromkeys(r.source for r in records if r.source))
-    struck = np.all([s.ff > HITS.no_force * s.ff.max(initial=0.0) for s in sums.values()], axis=0)
+    struck = np.all(
+        [s.ff > HITS.no_force * s.ff.max(initial=0.0) for s in sums.values()], axis=0
+    )
     last = max(
         min(_last_heard(s) for s in sums.values()),
         int((settings.keep_to or 0.0) * length / cuts[0].record.rate),
@@ -371,12 +404,22 @@ def estimate_columns(
     return columns, tuple(r for rep in reports for r in rep)
 
 
-def _check_used(cuts: Sequence[_Cut], reports: Sequence[Sequence[ImpactReport]]) -> None:
+def _check_used(
+    cuts: Sequence[_Cut], reports: Sequence[Sequence[ImpactReport]]
+) -> None:
     for cut, rep in zip(cuts, reports, strict=True):
         if not any(r.accepted for r in rep):
-            listed = "; ".join(f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5])
-            spoilt = all(any(w.startswith("overload of ") for w in r.reasons) for r in rep)
-            way = "; leave such responses out, or measure with a wider range" if spoilt else ""
+            listed = "; ".join(
+                f"{r.time:.2f} s: {', '.join(r.reasons)}" for r in rep[:5]
+            )
+            spoilt = all(
+                any(w.startswith("overload of ") for w in r.reasons) for r in rep
+            )
+            way = (
+                "; leave such responses out, or measure with a wider range"
+                if spoilt
+                else ""
+            )
             raise DataError(
                 f"{cut.record.source}: none of {len(rep)} hits can be used: {listed}{way}"
             )
@@ -388,24 +431,41 @@ def _cut(record: TimeHistory, settings: HammerSettings) -> _Cut:
     hits = find_impacts(force - np.median(force), record.rate, settings)
     if not hits.size:
         raise DataError(f"{record.source}: no hit in channel {record.channels[at].id}")
-    return _Cut(record, at, hits, block_length(hits, record.data.shape[1], record.rate, settings))
+    return _Cut(
+        record,
+        at,
+        hits,
+        block_length(hits, record.data.shape[1], record.rate, settings),
+    )
 
 
 def _checked(
-    cuts: list[_Cut], length: int, settings: HammerSettings, full_scale: Mapping[str, float] | None
+    cuts: list[_Cut],
+    length: int,
+    settings: HammerSettings,
+    full_scale: Mapping[str, float] | None,
 ) -> tuple[list[_Cut], list[tuple[ImpactReport, ...]]]:
     """The verdict on all hits, without responses that overload in most of those of a record."""
     reports = [
         check_impacts(
-            c.record, c.force, hits=c.hits, length=length, settings=settings, full_scale=full_scale
+            c.record,
+            c.force,
+            hits=c.hits,
+            length=length,
+            settings=settings,
+            full_scale=full_scale,
         )
         for c in cuts
     ]
     lost = tuple(dict.fromkeys(c for rep in reports for r in rep for c in r.lost))
     if not lost:
         return cuts, reports
-    cuts, reports = _checked([_without(c, lost) for c in cuts], length, settings, full_scale)
-    return cuts, [tuple(replace(r, lost=(*lost, *r.lost)) for r in rep) for rep in reports]
+    cuts, reports = _checked(
+        [_without(c, lost) for c in cuts], length, settings, full_scale
+    )
+    return cuts, [
+        tuple(replace(r, lost=(*lost, *r.lost)) for r in rep) for rep in reports
+    ]
 
 
 def _without(cut: _Cut, lost: Sequence[str]) -> _Cut:
@@ -416,7 +476,9 @@ def _without(cut: _Cut, lost: Sequence[str]) -> _Cut:
             f"{cut.record.source}: no response is left: {' '.join(lost)} overload in most impacts"
         )
     return replace(
-        cut, record=cut.record.pick(kept), force=kept.index(cut.record.channels[cut.force].id)
+        cut,
+        record=cut.record.pick(kept),
+        force=kept.index(cut.record.channels[cut.force].id),
     )
 
 
@@ -446,7 +508,8 @@ class _Sums:
             xx=self.xx + other.xx,
             quiet=self.quiet + other.quiet,
             impacts=join_impacts(both, [b.weight for b in both if b]),
-            kept=(self.kept * self.count + other.kept * other.count) / (self.count + other.count),
+            kept=(self.kept * self.count + other.kept * other.count)
+            / (self.count + other.count),
         )
 
 
@@ -511,7 +574,9 @@ def _decay(cut: _Cut, hits: Int, length: int, settings: HammerSettings) -> float
     if settings.exp_end is not None:
         return float(-np.log(settings.exp_end) / duration)
     pre = round(settings.pretrigger * cut.record.rate)
-    block = _block(np.delete(cut.record.data, cut.force, axis=0), int(hits[0]) - pre, length)
+    block = _block(
+        np.delete(cut.record.data, cut.force, axis=0), int(hits[0]) - pre, length
+    )
     part = max(length // 20, 2)
     first = np.sqrt(np.mean(block[:, pre : pre + part] ** 2))
     last = np.sqrt(np.mean(block[:, -part:] ** 2))
@@ -535,14 +600,20 @@ def _force_window(
     )
     t = np.arange(force.size) - pre
     if not settings.force_window and noise > 0:
-        seen = t[(np.abs(force) > QUIET.deviations * noise) & (t >= -keep) & (t <= keep)]
-        keep = min(keep, max(int(seen.max(initial=0)) + 1, 2 * int(-seen.min(initial=0)), 1))
+        seen = t[
+            (np.abs(force) > QUIET.deviations * noise) & (t >= -keep) & (t <= keep)
+        ]
+        keep = min(
+            keep, max(int(seen.max(initial=0)) + 1, 2 * int(-seen.min(initial=0)), 1)
+        )
     down = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - keep) / max(keep, 1), 0, 1))
     up = np.clip((t + max(keep, 1) + 1) / max(keep / 2, 1), 0, 1)
     return np.asarray(down * up)
 
 
-def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings) -> _Sums:
+def _spectra(
+    cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSettings
+) -> _Sums:
     rate = cut.record.rate
     at = cut.force
     (lead, rise), last = _lead(cut, hits), cut.record.data.shape[1] - length
@@ -559,13 +630,18 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     force = np.asarray(cut.record.data[at], dtype=np.float64)
     # of the force between the impacts, which take little of the record
     noise = float(np.median(np.abs(force - np.median(force)))) / QUIET.median
-    for hit in hits.tolist():  # a few dozen hits; all at once would hold the record twice
+    # a few dozen hits; all at once would hold the record twice
+    for hit in hits.tolist():
         start = min(hit - lead, last)
         block = _block(cut.record.data, start, length)
         window = _force_window(block[at], hit - start, rate, settings, noise)
         pulse = block[at] * window
         quiet.append(noise**2 * float(np.square(window * fade).sum()))
-        kept += (length - float(np.arange(length) @ pulse) / float(pulse.sum())) / rate / hits.size
+        kept += (
+            (length - float(np.arange(length) @ pulse) / float(pulse.sum()))
+            / rate
+            / hits.size
+        )
         f = np.fft.rfft(pulse * fade)
         x = np.fft.rfft(np.delete(block, at, axis=0) * fade, axis=1).T
         pulses.append(np.abs(f) ** 2)
@@ -575,7 +651,12 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     name = input_id(cut.record.channels[at].id)
     force = np.asarray(cut.record.data[at], dtype=np.float64)
     impacts = impacts_of(
-        force - np.median(force), rate, hits=cut.hits, used=hits, pulses=pulses, quiet=quiet
+        force - np.median(force),
+        rate,
+        hits=cut.hits,
+        used=hits,
+        pulses=pulses,
+        quiet=quiet,
     )
     return _Sums(
         input=name,
@@ -592,7 +673,9 @@ def _spectra(cut: _Cut, hits: Int, length: int, decay: float, settings: HammerSe
     )
 
 
-def estimators(ff: Float, xf: Complex, xx: Float, which: Estimator) -> tuple[Complex, Float]:
+def estimators(
+    ff: Float, xf: Complex, xx: Float, which: Estimator
+) -> tuple[Complex, Float]:
     """FRF and coherence, each (freq, out), from spectra of force (freq,), cross and response (freq,
     out).
 
@@ -620,7 +703,9 @@ def _of_kind(c: Channel, kind: Quantity) -> Channel:
     return replace(c, quantity=quantity, unit=UNIT[quantity])
 
 
-def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, source: str) -> FrfSet:
+def _column(
+    s: _Sums, struck: Bool, decay: float, settings: HammerSettings, source: str
+) -> FrfSet:
     kinds = [LINEAR.get(c.quantity, c.quantity) for c in s.outputs]
     if not kinds or not set(kinds) <= set(FRF_KIND):
         raise DataError(
@@ -630,7 +715,8 @@ def _column(s: _Sums, struck: Bool, decay: float, settings: HammerSettings, sour
     kind = max(dict.fromkeys(kinds), key=kinds.count)
     h, coherence = estimators(s.ff, s.xf, s.xx, settings.estimator)
     if s.count < 2:
-        coherence = np.full(coherence.shape, np.nan)  # one hit has coherence 1 whatever its noise
+        # one hit has coherence 1 whatever its noise
+        coherence = np.full(coherence.shape, np.nan)
     freqs = np.fft.rfftfreq(s.length, 1 / s.rate)
     power = np.array([DERIVATIVE[kind] - DERIVATIVE[k] for k in kinds])
     keep = (

@@ -64,7 +64,8 @@ def join_frfs(parts: Sequence[FrfSet]) -> FrfSet:
             np.array([column[c.id] for c in p.inputs]),
         )
         n = np.broadcast_to(
-            np.where(np.isfinite(p.averages), p.averages, 1.0), (len(p.outputs), len(p.inputs))
+            np.where(np.isfinite(p.averages), p.averages, 1.0),
+            (len(p.outputs), len(p.inputs)),
         )
         data[:, at[0], at[1]] += p.data * n
         coherence[:, at[0], at[1]] += p.coherence * n
@@ -144,7 +145,12 @@ def _part(p: FrfSet, at: Int, kind: FrfKind) -> FrfSet:
     data = as_motion(p.data[at], p.freqs[at], motion, wanted, p.window_decay)
     outputs = tuple(replace(channel(c.id, wanted), sensor=c.sensor) for c in p.outputs)
     return replace(
-        p, data=data, freqs=p.freqs[at], coherence=p.coherence[at], outputs=outputs, kind=kind
+        p,
+        data=data,
+        freqs=p.freqs[at],
+        coherence=p.coherence[at],
+        outputs=outputs,
+        kind=kind,
     )
 
 
@@ -158,7 +164,11 @@ def exchange_by_reciprocity(frfs: FrfSet) -> tuple[FrfSet, str]:
         Exchanged if there are more inputs than outputs, and the outputs are motions of one kind.
     """
     kinds = {LINEAR.get(c.quantity, c.quantity) for c in frfs.outputs}
-    if len(frfs.inputs) <= len(frfs.outputs) or len(kinds) != 1 or not kinds <= set(MOTION):
+    if (
+        len(frfs.inputs) <= len(frfs.outputs)
+        or len(kinds) != 1
+        or not kinds <= set(MOTION)
+    ):
         return frfs, ""
     quantity = kinds.pop()
     unit = frfs.outputs[0].unit
@@ -166,7 +176,9 @@ def exchange_by_reciprocity(frfs: FrfSet) -> tuple[FrfSet, str]:
         frfs,
         data=frfs.data.swapaxes(1, 2),
         outputs=tuple(
-            Channel(c.id, quantity, unit) if quantity == "unknown" else channel(c.id, quantity)
+            Channel(c.id, quantity, unit)
+            if quantity == "unknown"
+            else channel(c.id, quantity)
             for c in frfs.inputs
         ),
         inputs=tuple(channel(c.id, "force") for c in frfs.outputs),
@@ -200,7 +212,9 @@ def passive(
     what sign it likes.
     """
     use = (frfs.freqs > max(low, 0.0)) & (frfs.freqs <= high)
-    bands = np.array_split(mobility(frfs)[use, output, reference], min(_BANDS, int(use.sum()) or 1))
+    bands = np.array_split(
+        mobility(frfs)[use, output, reference], min(_BANDS, int(use.sum()) or 1)
+    )
     share, peak = np.transpose([_sign_and_peak(h) for h in bands])
     weight = np.abs(share) * peak
     return float((share * weight).sum() / max(weight.sum(), 1e-300))
@@ -319,7 +333,9 @@ def _factors(setups: Sequence[FrfSet], channel: str) -> tuple[Float, Float]:
     """(k,) factor of each setup over the median of the others, and share of its FRFs that it
     explains.
     """
-    common = [i.id for i in setups[0].inputs if all(i.id in _ids(s.inputs) for s in setups)]
+    common = [
+        i.id for i in setups[0].inputs if all(i.id in _ids(s.inputs) for s in setups)
+    ]
     if not common:
         return np.full(len(setups), np.nan), np.zeros(len(setups))
     readings = []
@@ -334,14 +350,18 @@ def _factors(setups: Sequence[FrfSet], channel: str) -> tuple[Float, Float]:
     np.fill_diagonal(ratio, np.nan)
     like = np.abs(product) / np.sqrt(power[:, None] * power)
     np.fill_diagonal(like, np.nan)
-    return np.asarray(np.nanmedian(ratio, axis=0)), np.asarray(np.nanmedian(like, axis=0))
+    return np.asarray(np.nanmedian(ratio, axis=0)), np.asarray(
+        np.nanmedian(like, axis=0)
+    )
 
 
 def _ids(channels: Sequence[Channel]) -> list[str]:
     return [c.id for c in channels]
 
 
-def without_gains(frfs: FrfSet, gains: Sequence[SetupGain], setups: Sequence[FrfSet]) -> FrfSet:
+def without_gains(
+    frfs: FrfSet, gains: Sequence[SetupGain], setups: Sequence[FrfSet]
+) -> FrfSet:
     """FRFs of one of the setups with the factors of its channels taken out."""
     mine = [_ids(s.outputs) == _ids(frfs.outputs) for s in setups].index(True)
     factor = {g.channel: g.factor for g in gains if g.setup == mine}

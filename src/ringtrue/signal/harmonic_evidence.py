@@ -106,11 +106,14 @@ def _narrow(
     skirt = int(np.ceil(m * step_f / width))
     power = power[:, skirt : m * samples // n - skirt]
     mean = power.mean(axis=1, dtype=np.float64)
-    power *= (1 / np.maximum(mean, np.finfo(power.dtype).tiny)).astype(power.dtype)[:, None]
+    power *= (1 / np.maximum(mean, np.finfo(power.dtype).tiny)).astype(power.dtype)[
+        :, None
+    ]
     each = np.einsum("cs,cs->c", power, power) / power.shape[1] * mean
     loudest = power[mean.argmax()]
     top = float(
-        loudest.max() / max(np.quantile(loudest, 1 - AMPLITUDE.loud), np.finfo(power.dtype).tiny)
+        loudest.max()
+        / max(np.quantile(loudest, 1 - AMPLITUDE.loud), np.finfo(power.dtype).tiny)
     )
     return float(1.5 * each.sum() / max(mean.sum(), 1e-300)), float(mean.sum()), top
 
@@ -156,7 +159,10 @@ def amplitude_evidence(
     duration = samples / history.rate
     width = np.maximum(6 * z * f, 20 / duration)
     cycles = 2 * np.pi * z * f * duration
-    distance = np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf) - 120 / duration
+    distance = (
+        np.abs(f[:, None] - np.asarray(lines)).min(axis=1, initial=np.inf)
+        - 120 / duration
+    )
     edge = 0.9 * np.minimum(f, history.rate / 2 - f)
     out = [""] * f.size
     tried = (z < AMPLITUDE.damping) & (cycles > 40)
@@ -171,7 +177,14 @@ def amplitude_evidence(
             continue
         widths = [float(w) for w in width[k] * np.array([1.0, 2.0, 4.0]) if w < room]
         bands = [
-            _narrow(spectrum, n, samples=samples, rate=history.rate, frequency=float(f[k]), width=w)
+            _narrow(
+                spectrum,
+                n,
+                samples=samples,
+                rate=history.rate,
+                frequency=float(f[k]),
+                width=w,
+            )
             for w in widths
         ]
         near = [band for band in bands if band[1] < bands[0][1] / AMPLITUDE.near]
@@ -240,7 +253,9 @@ def phase_evidence(
         together = float(np.abs((weight * turn).sum()) / weight.sum())
         periods = 2 * half * min(f[k], f[j]) / step
         if together**2 * periods > PHASE.evidence:
-            out[k] = f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
+            out[k] = (
+                f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
+            )
     return tuple(out)
 
 
@@ -249,13 +264,17 @@ def _ratio(x: float) -> tuple[int, int] | None:
     1.
     """
     pairs: Sequence[tuple[int, int]] = (
-        [(p, 1) for p in PHASE.orders[1:]] + [(1, q) for q in PHASE.orders[1:]] + [(3, 2), (2, 3)]
+        [(p, 1) for p in PHASE.orders[1:]]
+        + [(1, q) for q in PHASE.orders[1:]]
+        + [(3, 2), (2, 3)]
     )
     p, q = min(pairs, key=lambda r: abs(x * r[1] / r[0] - 1))
     return (p, q) if abs(x * q / p - 1) < PHASE.near else None
 
 
-def _instants(spectrum: Any_, step: float, frequency: float, half: float, count: int) -> Complex:
+def _instants(
+    spectrum: Any_, step: float, frequency: float, half: float, count: int
+) -> Complex:
     """(count,) the one-sided band of a relative half width at instants of the record, of the
     channel loudest there.
     """

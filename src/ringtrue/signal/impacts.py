@@ -18,10 +18,16 @@ from ringtrue.core.channels import FORCES, input_id
 from ringtrue.core.choice import SAME_HIT_S, Hit
 from ringtrue.core.signals import Impacts, TimeHistory, pad_rows
 from ringtrue.errors import ConfigError, DataError, did_you_mean
-from ringtrue.signal.channel_checks import clipping_levels, mostly_overloaded, overloaded
+from ringtrue.signal.channel_checks import (
+    clipping_levels,
+    mostly_overloaded,
+    overloaded,
+)
 
 Estimator = Literal["H1", "H2", "Hv"]
-_HAMMER = re.compile(r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE)
+_HAMMER = re.compile(
+    r"(?<![a-z])(force|hammer|impact|impulse|kraft|f)(?![a-z])", re.IGNORECASE
+)
 _BEGUN = 0.05  # of the peak, that no sample before it is below
 _BAD_RINGING = 0.2  # rms before the hit to rms after it
 _NOISE_LINES = 128  # that the noise is kept at
@@ -136,7 +142,11 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
     """
     ids = [c.id for c in record.channels]
     if settings.force:
-        like = [settings.force] if settings.force in ids else fnmatch.filter(ids, settings.force)
+        like = (
+            [settings.force]
+            if settings.force in ids
+            else fnmatch.filter(ids, settings.force)
+        )
         if not like:
             raise DataError(
                 f"{record.source}: no channel {settings.force!r}{did_you_mean(settings.force, ids)}"
@@ -149,7 +159,9 @@ def force_channel(record: TimeHistory, settings: HammerSettings) -> int:
         return ids.index(like[0])
     at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES]
     at = at or [
-        i for i, c in enumerate(record.channels) if c.quantity == "unknown" and _HAMMER.search(c.id)
+        i
+        for i, c in enumerate(record.channels)
+        if c.quantity == "unknown" and _HAMMER.search(c.id)
     ]
     if len(at) != 1:
         raise DataError(
@@ -250,7 +262,9 @@ def check_impacts(
     quietest = min(unrest) if len(unrest) > 1 else 0.0
     blocks = [record.data[:, max(h - pre, 0) : h - pre + length] for h in hits.tolist()]
     over = [overloaded(record, b, limits) for b in blocks]
-    lost = mostly_overloaded({c.id for k, c in enumerate(record.channels) if k != at}, over)
+    lost = mostly_overloaded(
+        {c.id for k, c in enumerate(record.channels) if k != at}, over
+    )
     for k, hit in enumerate(hits.tolist()):  # a few dozen hits
         start = hit - pre
         stop = hit - pre + length
@@ -350,7 +364,9 @@ def pulse_width(force: Float, hit: int) -> int:
     return right - left - 1
 
 
-def _double(force: Float, hit: int, stop: int, rate: float, settings: HammerSettings) -> list[str]:
+def _double(
+    force: Float, hit: int, stop: int, rate: float, settings: HammerSettings
+) -> list[str]:
     """A second pulse of the same sign, once the first has come down."""
     sign = np.sign(force[hit])
     width = pulse_width(force, hit)
@@ -375,10 +391,15 @@ def _unrest(responses: Any_, pre: int) -> float:
     if pre < 4 or not responses.shape[0]:
         return 0.0
     centred = responses - np.median(responses, axis=1, keepdims=True)
-    before = np.sqrt(np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1))
+    before = np.sqrt(
+        np.mean(np.square(centred[:, : pre // 2], dtype=np.float64), axis=1)
+    )
     after = np.sqrt(
         np.mean(
-            np.square(centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64), axis=1
+            np.square(
+                centred[:, pre : pre + responses.shape[1] // 4], dtype=np.float64
+            ),
+            axis=1,
         )
     )
     return float(np.quantile(before / np.maximum(after, 1e-300), 0.25))
@@ -394,7 +415,12 @@ def _ringing(share: float, quietest: float) -> list[str]:
 
 
 def impacts_of(
-    force: Float, rate: float, hits: Int, used: Int, pulses: Sequence[Float], quiet: Sequence[float]
+    force: Float,
+    rate: float,
+    hits: Int,
+    used: Int,
+    pulses: Sequence[Float],
+    quiet: Sequence[float],
 ) -> Impacts:
     """Impacts of one record; the weights (impact, 1, 1) are their squared impulses.
 
@@ -414,7 +440,10 @@ def impacts_of(
     at = np.searchsorted(hits, used).tolist()
     step = max(1, pulses[0].size // _NOISE_LINES)
     noise = np.array(
-        [q / np.maximum(p[::step], max(q, 1e-300)) for p, q in zip(pulses, quiet, strict=True)]
+        [
+            q / np.maximum(p[::step], max(q, 1e-300))
+            for p, q in zip(pulses, quiet, strict=True)
+        ]
     )
     return Impacts(
         pad_rows([time[k] - time[:k] for k in at]),

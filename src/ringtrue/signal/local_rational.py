@@ -107,10 +107,14 @@ def is_continuous(history: TimeHistory) -> bool:
     impacts.
     """
     forces = [
-        x for c, x in zip(history.channels, history.data, strict=True) if c.quantity in FORCES
+        x
+        for c, x in zip(history.channels, history.data, strict=True)
+        if c.quantity in FORCES
     ]
     size = [np.abs(x - np.median(x)) for x in forces]
-    return bool(size) and all(float(np.mean(x > FORCE.loud * x.max())) > FORCE.long for x in size)
+    return bool(size) and all(
+        float(np.mean(x > FORCE.loud * x.max())) > FORCE.long for x in size
+    )
 
 
 def spacing(history: TimeHistory) -> float:
@@ -170,7 +174,8 @@ def local_frfs(
         )
     at = np.flatnonzero(seen)
     return tuple(
-        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at]) for f, _ in found
+        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at])
+        for f, _ in found
     )
 
 
@@ -185,22 +190,32 @@ def _random_frfs(
     unknowns = _unknowns(q)
     width = (
         _width(
-            lines[:, :q], max(MODEL.overlap * resolution * n / ordered.rate / MODEL.spare, unknowns)
+            lines[:, :q],
+            max(MODEL.overlap * resolution * n / ordered.rate / MODEL.spare, unknowns),
         )
         | 1
     )
     if width > lines.shape[0] // 2:
-        raise DataError(f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs")
-    freqs = np.arange(1, int(0.5 * ordered.rate / resolution), dtype=np.float64) * resolution
+        raise DataError(
+            f"{history.source}: {ordered.duration:.4g} s are too short for {q} inputs"
+        )
+    freqs = (
+        np.arange(1, int(0.5 * ordered.rate / resolution), dtype=np.float64)
+        * resolution
+    )
     middle = freqs * (n / ordered.rate)
-    first = np.clip(np.rint(middle).astype(np.int64) - width // 2, 1, lines.shape[0] - width)
+    first = np.clip(
+        np.rint(middle).astype(np.int64) - width // 2, 1, lines.shape[0] - width
+    )
     h, variance = _all_fits(lines, q, middle, first, width)
     freedom = width - unknowns + MODEL.degree - MODEL.degree / n_out
     power = np.abs(h) ** 2
-    coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
-    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1).min(
+    coherence = power / np.maximum(
+        power + 2 * freedom * variance, np.finfo(np.float64).tiny
+    )
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(
         axis=1
-    ) > MODEL.seen
+    ).min(axis=1) > MODEL.seen
     kind = MOTIONS[ordered.channels[q].quantity]
     forces = tuple(as_input(c) for c in ordered.channels[:q])
     responses = ordered.channels[q:]
@@ -223,7 +238,8 @@ def spectra(data: Any_) -> Complex:
     """(freq, channel) transform of a record (channel, sample) without its means."""
     x = np.asarray(data, dtype=np.float64)
     return np.asarray(
-        rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]), dtype=np.complex128
+        rfft(x - x.mean(axis=1, keepdims=True), axis=1).T / np.sqrt(x.shape[1]),
+        dtype=np.complex128,
     )
 
 
@@ -247,12 +263,16 @@ def _all_fits(
     windows at a time.
     """
     n_out = lines.shape[1] - q
-    h, variance = (np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64))
+    h, variance = (
+        np.empty((middle.size, n_out, q), dtype=t) for t in (np.complex128, np.float64)
+    )
     size = max(1, MODEL.batch // (width * n_out * (MODEL.degree + 1)))
     for a in range(0, middle.size, size):  # all windows at once would not fit in memory
         at = first[a : a + size, None] + np.arange(width)
         r = (at - middle[a : a + size, None]) / (0.5 * width)
-        h[a : a + size], variance[a : a + size] = _fit(lines[at][..., :q], lines[at][..., q:], r)
+        h[a : a + size], variance[a : a + size] = _fit(
+            lines[at][..., :q], lines[at][..., q:], r
+        )
     return h, variance
 
 
@@ -264,7 +284,9 @@ def _filled(lines: Complex, width: int) -> float:
     p = np.abs(lines[: count * width].reshape(count, -1, lines.shape[1])) ** 2
     total = p.sum(axis=1)
     square = np.maximum((p**2).sum(axis=1), np.finfo(np.float64).tiny)
-    return float(((total**3 / square).sum(axis=0) / total.sum(axis=0)).min() / p.shape[1])
+    return float(
+        ((total**3 / square).sum(axis=0) / total.sum(axis=0)).min() / p.shape[1]
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,7 +341,9 @@ def solved(
     coefficients[:, 0] = 1
     for _ in range(MODEL.turns):
         weight = 1 / np.maximum(np.abs(powers @ coefficients[..., None]), MODEL.close)
-        reduced = _reduced(np.asarray(regressors * weight, dtype=np.complex128), data * weight)
+        reduced = _reduced(
+            np.asarray(regressors * weight, dtype=np.complex128), data * weight
+        )
         rest = reduced.rest.reshape(*shape, n_out, MODEL.degree + 1)
         coefficients = _denominator(rest, _error(rest, coefficients))
     noise = _error(rest, coefficients)
@@ -344,7 +368,9 @@ def _error(rest: Complex, coefficients: Complex) -> Float:
 
 def _reduced(regressors: Complex, data: Complex) -> _Reduced:
     """QR of the regressors, columns scaled."""
-    scale = np.linalg.norm(regressors, axis=1, keepdims=True) + np.finfo(np.float64).tiny
+    scale = (
+        np.linalg.norm(regressors, axis=1, keepdims=True) + np.finfo(np.float64).tiny
+    )
     basis, triangle = np.linalg.qr(regressors / scale)
     product = basis.conj().transpose(0, 2, 1) @ data
     return _Reduced(triangle * scale, product, data - basis @ product)
@@ -354,9 +380,13 @@ def _denominator(rest: Complex, noise: Float) -> Complex:
     """Coefficients of D (window, degree + 1), 1 first, of least error in `rest` (window, row, out,
     degree + 1).
     """
-    weighted = (rest / np.sqrt(noise)[:, None, :, None]).reshape(rest.shape[0], -1, rest.shape[3])
+    weighted = (rest / np.sqrt(noise)[:, None, :, None]).reshape(
+        rest.shape[0], -1, rest.shape[3]
+    )
     gram = weighted.conj().transpose(0, 2, 1) @ weighted
-    scale = 1 / np.sqrt(np.maximum(np.einsum("wii->wi", gram).real, np.finfo(np.float64).tiny))
+    scale = 1 / np.sqrt(
+        np.maximum(np.einsum("wii->wi", gram).real, np.finfo(np.float64).tiny)
+    )
     gram = scale[:, :, None] * gram * scale[:, None]
     inner = gram[:, 1:, 1:] + 1e-12 * np.eye(MODEL.degree)
     solved = -np.linalg.solve(inner, gram[:, 1:, :1])[..., 0]
@@ -381,7 +411,8 @@ def period(history: TimeHistory) -> int:
     size = np.abs(spectra(ordered.data[:q, -samples:]))
     return (
         samples
-        if int((size > FORCE.forced * size.max(axis=0)).sum(axis=0).min()) >= FORCE.least_lines
+        if int((size > FORCE.forced * size.max(axis=0)).sum(axis=0).min())
+        >= FORCE.least_lines
         else 0
     )
 
@@ -393,14 +424,18 @@ def _likeness(x: Any_) -> Float:
     x = np.asarray(x, dtype=np.float64) - np.mean(x)
     n = x.size
     half = x.size // 2
-    both = irfft(np.abs(rfft(x, m := int(next_fast_len(n + half + 1, real=True)))) ** 2, m)[
-        : half + 1
-    ]
+    both = irfft(
+        np.abs(rfft(x, m := int(next_fast_len(n + half + 1, real=True)))) ** 2, m
+    )[: half + 1]
     power = np.concatenate([[0.0], np.cumsum(x**2)])
     lag = np.arange(half + 1)
     return np.asarray(
         both
-        / np.sqrt(np.maximum(power[n - lag] * (power[n] - power[lag]), np.finfo(np.float64).tiny))
+        / np.sqrt(
+            np.maximum(
+                power[n - lag] * (power[n] - power[lag]), np.finfo(np.float64).tiny
+            )
+        )
     )
 
 
@@ -433,7 +468,8 @@ def periodic_frfs(histories: Sequence[TimeHistory], samples: int) -> tuple[FrfSe
         )
     at = np.flatnonzero(seen)
     return tuple(
-        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at]) for f, _ in found
+        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at])
+        for f, _ in found
     )
 
 
@@ -458,8 +494,12 @@ def _periodic_frfs(history: TimeHistory, samples: int) -> tuple[FrfSet, Bool]:
     )[:, None]
     variance = variance / np.maximum(force, np.finfo(np.float64).tiny)[:, None] ** 2
     power = np.abs(h) ** 2
-    coherence = power / np.maximum(power + 2 * freedom * variance, np.finfo(np.float64).tiny)
-    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(axis=1) > MODEL.seen
+    coherence = power / np.maximum(
+        power + 2 * freedom * variance, np.finfo(np.float64).tiny
+    )
+    seen = (power / np.maximum(2 * variance, np.finfo(np.float64).tiny)).mean(
+        axis=1
+    ) > MODEL.seen
     kind = MOTIONS[ordered.channels[1].quantity]
     freqs = place * (history.rate / (times * samples))
     inputs = (as_input(ordered.channels[0]),)
@@ -498,7 +538,9 @@ def _transients(lines: Complex, place: Int, times: int) -> tuple[Complex, Float,
         middle = place[a : a + size, None]
         at = np.clip(middle - width // 2, 1, lines.shape[0] - width) + np.arange(width)
         at = at[at % times != 0].reshape(middle.size, -1)
-        powers = ((at - middle) / (0.5 * width))[..., None] ** np.arange(MODEL.degree + 1)
+        powers = ((at - middle) / (0.5 * width))[..., None] ** np.arange(
+            MODEL.degree + 1
+        )
         found, part, gain = solved(powers.astype(np.complex128), lines[at], powers, 1)
         t[a : a + size], variance[a : a + size] = found[..., 0], part * (1 + gain)
     return t, variance, float(width - width // times - unknowns + MODEL.degree / n_out)

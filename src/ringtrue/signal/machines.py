@@ -191,7 +191,9 @@ def remove_machines(history: TimeHistory, machines: Sequence[Machine]) -> TimeHi
     return replace(history, data=data)
 
 
-def near_harmonics(machines: Sequence[Machine], frequencies: ArrayLike) -> NearHarmonics:
+def near_harmonics(
+    machines: Sequence[Machine], frequencies: ArrayLike
+) -> NearHarmonics:
     """Which harmonic of which machine lies next to each frequency, and how near.
 
     Parameters
@@ -241,7 +243,9 @@ def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | 
             continue
         evidence = _held_out(blocks, course, signals.duration, settings)
         if evidence.chance < settings.false_alarm:
-            fundamental = _fundamental(signals, corrected(course, blocks, error), settings)
+            fundamental = _fundamental(
+                signals, corrected(course, blocks, error), settings
+            )
             return _whole(signals, fundamental, evidence, settings)
     return None
 
@@ -273,7 +277,9 @@ def _line_chances(blocks: OrderBlocks, error: Float) -> Float:
     whitened = np.linalg.solve(cov, lines[0][:, :, None])[:, :, 0]
     t2 = np.einsum("kc,kc->k", lines[0].conj(), whitened).real
     free = count - channels + 1
-    return np.asarray(fdtrc(2 * channels, 2 * free, np.maximum(t2, 0) * free / (count * channels)))
+    return np.asarray(
+        fdtrc(2 * channels, 2 * free, np.maximum(t2, 0) * free / (count * channels))
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,7 +353,10 @@ def _between(lines: Bool, factor: int) -> Bool:
 
 
 def _whole(
-    signals: SearchedSignals, course: ShaftCourse, evidence: LineEvidence, settings: MachineSettings
+    signals: SearchedSignals,
+    course: ShaftCourse,
+    evidence: LineEvidence,
+    settings: MachineSettings,
 ) -> Machine:
     """The machine with all its harmonics, and its angle from all of them."""
     harmonics = np.ones(1, dtype=np.int64)
@@ -374,17 +383,23 @@ def _take_out(data: Any_, rate: float, machine: Machine) -> None:
     """
     samples = data.shape[1]
     angle = machine.angle(np.arange(samples) / rate)
-    bounds = _bounds(angle, max(2, int(np.ceil(REMOVAL.block * machine.frequency / rate))))
+    bounds = _bounds(
+        angle, max(2, int(np.ceil(REMOVAL.block * machine.frequency / rate)))
+    )
     inner = slice(bounds[0], bounds[-1])
     middles = (bounds[1:] + bounds[:-1]) / 2
     basis = _slow_basis(middles / samples, np.diff(angle[bounds]) / np.diff(bounds))
     offset = data[:, inner].mean(axis=1, dtype=np.float64).astype(np.float32)
-    amplitudes = np.empty((middles.size, 2 * machine.harmonics.size, len(data)), dtype=np.float32)
+    amplitudes = np.empty(
+        (middles.size, 2 * machine.harmonics.size, len(data)), dtype=np.float32
+    )
     for m, (part, waves) in enumerate(_waves(angle, bounds, machine.harmonics)):
         own = data[:, part].T.astype(np.float32) - offset
         amplitudes[m] = waves @ own * np.float32(2 / len(own))
     flat = amplitudes.reshape(middles.size, -1)
-    taper = 1.0 + 1e-3 - np.cos(2 * np.pi * (np.arange(middles.size) + 0.5) / middles.size)
+    taper = (
+        1.0 + 1e-3 - np.cos(2 * np.pi * (np.arange(middles.size) + 0.5) / middles.size)
+    )
     weighted = basis * taper[:, None]
     fitted = basis @ np.linalg.solve(weighted.T @ basis, weighted.T @ flat)
     amplitudes = fitted.astype(np.float32).reshape(amplitudes.shape)
@@ -428,7 +443,9 @@ def _waves(angle: Float, bounds: Int, harmonics: Int) -> Iterator[tuple[slice, A
         known = 1
         while known < highest:  # twice as many each time
             more = min(known, highest - known)
-            np.multiply(powers[:more], powers[known - 1], out=powers[known : known + more])
+            np.multiply(
+                powers[:more], powers[known - 1], out=powers[known : known + more]
+            )
             known += more
         used = powers[harmonics - 1]
         yield slice(low, high), np.concatenate([used.real, used.imag])

@@ -139,7 +139,13 @@ class Spectrogram(FrozenArrays):
 
 
 def spectrogram(
-    read: Read, start: int, stop: int, *, rate: float, longest: int = 512, columns: int = 300
+    read: Read,
+    start: int,
+    stop: int,
+    *,
+    rate: float,
+    longest: int = 512,
+    columns: int = 300,
 ) -> Spectrogram:
     """At most `columns` spectra of the first channel, spread over a part of a record, of `longest`
     samples each, or a sixteenth of the part.

@@ -127,9 +127,13 @@ class SearchedSignals:
         lines = min(int(top / step), self.spectrum.shape[1], size // 2)
         white = np.zeros((len(self.spectrum), size // 2 + 1), dtype=np.complex64)
         for own, y in zip(self.spectrum, white, strict=True):
-            y[:lines] = own[:lines] / _level(own[:lines], max(1, int(width / 16 / step)))
+            y[:lines] = own[:lines] / _level(
+                own[:lines], max(1, int(width / 16 / step))
+            )
         white[:, 0] = 0
-        signals = irfft(white, size, axis=1)[:, : int(self.samples * size / self.length)]
+        signals = irfft(white, size, axis=1)[
+            :, : int(self.samples * size / self.length)
+        ]
         return signals, step * size
 
 
@@ -140,7 +144,9 @@ def _level(spectrum: Any_, group: int) -> Any_:
     groups = max(spectrum.size // group, 1)
     used = spectrum[: groups * group]
     power = (used.real**2 + used.imag**2).reshape(groups, -1).mean(axis=1)
-    level = np.sqrt(median_filter(power, size=33, mode="nearest") + np.finfo(np.float32).tiny)
+    level = np.sqrt(
+        median_filter(power, size=33, mode="nearest") + np.finfo(np.float32).tiny
+    )
     middles = (np.arange(groups) + 0.5) * group
     return np.interp(np.arange(spectrum.size), middles, level).astype(np.float32)
 
@@ -225,7 +231,9 @@ def candidates(signals: SearchedSignals, least: float) -> list[CourseCandidate]:
     for candidate in found:
         course = candidate.course
         speed = np.log(np.gradient(course.angle(times), times[1]).clip(min=1e-3))
-        if all((np.abs(speed - x) < SEARCH.distance).mean() < SEARCH.shared for x in speeds):
+        if all(
+            (np.abs(speed - x) < SEARCH.distance).mean() < SEARCH.shared for x in speeds
+        ):
             distinct.append(candidate)
             speeds.append(speed)
     return distinct[: SEARCH.most]
@@ -265,7 +273,9 @@ class SearchedBand:
     def frame_levels(self, length: int) -> tuple[Any_, float]:
         """Levels of frames of `length` samples, and the distance of steps in samples."""
         if length not in self.levels:
-            self.levels[length] = _frame_levels(self.white, length, self.top / self.rate)
+            self.levels[length] = _frame_levels(
+                self.white, length, self.top / self.rate
+            )
         return self.levels[length]
 
 
@@ -322,7 +332,9 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
         power = y.real**2 + y.imag**2
         power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 200), 2:])
         total += np.log1p(power, out=power).reshape(steps, together, bins).sum(axis=1)
-    total -= median_filter(total.mean(axis=0), size=SEARCH.cycles[0] + 1, mode="nearest")
+    total -= median_filter(
+        total.mean(axis=0), size=SEARCH.cycles[0] + 1, mode="nearest"
+    )
     total -= total[:, 2:].mean(axis=1, keepdims=True)
     total /= total[:, 2:].std()
     return np.ascontiguousarray(total.T), together * length
@@ -351,7 +363,9 @@ def _agreement(levels: Any_, places: Float) -> tuple[float, float]:
     at = np.rint(orders[:, None] * places).astype(np.int64)
     each = levels[at, np.arange(places.size)].sum(axis=1) / np.sqrt(places.size)
     each /= np.sqrt(orders.size)
-    return float(np.minimum(each, SEARCH.bound / np.sqrt(orders.size)).sum()), float(each.sum())
+    return float(np.minimum(each, SEARCH.bound / np.sqrt(orders.size)).sum()), float(
+        each.sum()
+    )
 
 
 def _courses(scores: Any_) -> tuple[Float, Any_]:
@@ -377,7 +391,9 @@ def _courses(scores: Any_) -> tuple[Float, Any_]:
     state[-1] = np.arange(size)
     for m in range(steps - 1, 0, -1):
         state[m - 1] = back[m][state[m]]
-    return np.asarray((total - np.median(total)) / np.sqrt(steps), dtype=np.float64), state
+    return np.asarray(
+        (total - np.median(total)) / np.sqrt(steps), dtype=np.float64
+    ), state
 
 
 def _integrated(times: Float, frequency: Float, duration: float) -> ShaftCourse:
@@ -420,7 +436,9 @@ class OrderBlocks:
         return np.asarray(self.values * turn[:, :, None])
 
 
-def order_blocks(signals: SearchedSignals, course: ShaftCourse, orders: int) -> OrderBlocks | None:
+def order_blocks(
+    signals: SearchedSignals, course: ShaftCourse, orders: int
+) -> OrderBlocks | None:
     """The first `orders` harmonics over the record; None if it has too few revolutions.
 
     The blocks overlap by half under a Hann window, in which one harmonic hides all others.
@@ -436,7 +454,9 @@ def order_blocks(signals: SearchedSignals, course: ShaftCourse, orders: int) -> 
     angles = course.revolutions[0] + np.arange(turned * per_turn) / per_turn
     places = course.instants(angles)[None] * rate
     length = size * per_turn
-    win = (1 - np.cos(2 * np.pi * (np.arange(length) + 0.5) / length)).astype(np.float32) / length
+    win = (1 - np.cos(2 * np.pi * (np.arange(length) + 0.5) / length)).astype(
+        np.float32
+    ) / length
     values = list[Any_]()
     for own in x:
         over_angle = np.empty(places.size, dtype=np.float32)
@@ -477,7 +497,9 @@ def phase_errors(blocks: OrderBlocks, shortest: int = 2) -> Float:
         scaled = _score(products, k, box)
         if scaled is None:
             return np.asarray(error)
-        slope = _smoothed(lag * scaled[0] / box, lag**2 * scaled[1] / box, _first_differences)
+        slope = _smoothed(
+            lag * scaled[0] / box, lag**2 * scaled[1] / box, _first_differences
+        )
         ends = (count - 1 - slope.size) / 2
         each = np.interp(np.arange(count - 1), np.arange(slope.size) + ends, slope)
         error = error + np.concatenate([[0.0], np.cumsum(each)])
@@ -550,7 +572,9 @@ def _second_differences(size: int) -> Float:
     return bands
 
 
-def _smoothed(score: Float, information: float, differences: Callable[[int], Float]) -> Float:
+def _smoothed(
+    score: Float, information: float, differences: Callable[[int], Float]
+) -> Float:
     """(i,) the most likely smooth sequence e: (P + λDᵀD) e = score, with λ of the largest marginal
     likelihood.
     """
@@ -583,6 +607,12 @@ def corrected(course: ShaftCourse, blocks: OrderBlocks, error: Float) -> ShaftCo
     first = error[0] - (error[1] - error[0]) * before / spacing
     last = error[-1] + (error[-1] - error[-2]) * after / spacing
     revolutions = np.concatenate(
-        [[course.revolutions[0] + first], blocks.centres + error, [course.revolutions[-1] + last]]
+        [
+            [course.revolutions[0] + first],
+            blocks.centres + error,
+            [course.revolutions[-1] + last],
+        ]
     )
-    return ShaftCourse(np.concatenate([course.knots[:1], at, course.knots[-1:]]), revolutions)
+    return ShaftCourse(
+        np.concatenate([course.knots[:1], at, course.knots[-1:]]), revolutions
+    )

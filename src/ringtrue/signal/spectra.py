@@ -85,7 +85,8 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
     win, starts = _welch_segments(history, settings)
     total = np.zeros((win.size // 2 + 1, len(data), len(data)), dtype=np.complex128)
     batch = max(1, 4_000_000 // (win.size * len(data)))
-    for i in range(0, starts.size, batch):  # streamed: a batch of segments is what is in memory
+    # streamed: a batch of segments is what is in memory
+    for i in range(0, starts.size, batch):
         y = np.ascontiguousarray(
             segments_spectrum(data, starts[i : i + batch], win).transpose(2, 1, 0)
         )
@@ -137,7 +138,9 @@ def one_sided(rate: float, length: int, count: int) -> Float:
     return scale
 
 
-def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> tuple[Float, Float]:
+def block_correlations(
+    data: Float, references: Int, lags: int, bounds: Int
+) -> tuple[Float, Float]:
     """Correlations of each block of the record, each pair (t + k, t) of samples used once.
 
     R_b[k] = Σ_t y(t + k) y_ref(t)ᵀ / n_b[k] over the t of block b; y(t + k) reaches into the next
@@ -160,16 +163,22 @@ def block_correlations(data: Float, references: Int, lags: int, bounds: Int) -> 
     """
     ch, n = data.shape
     sizes = np.diff(bounds)
-    nfft = int(next_fast_len(int(min(max(12 * lags, 256), sizes.max() + lags)), real=True))
+    nfft = int(
+        next_fast_len(int(min(max(12 * lags, 256), sizes.max() + lags)), real=True)
+    )
     hop = nfft - lags
     out = np.empty((sizes.size, lags + 1, ch, references.size))
-    for b, (start, end) in enumerate(pairwise(bounds.tolist())):  # a block at a time in memory
+    # a block at a time in memory
+    for b, (start, end) in enumerate(pairwise(bounds.tolist())):
         at = np.arange(0, end - start, hop)[:, None] + np.arange(nfft)
         block = np.zeros((ch, int(at[-1, -1]) + 1))
         part = data[:, start : min(end + lags, n)]
         block[:, : part.shape[1]] = part
         y = rfft(block[:, at], axis=-1)
-        x = rfft(block[references][:, at] * ((np.arange(nfft) < hop) & (at < end - start)), axis=-1)
+        x = rfft(
+            block[references][:, at] * ((np.arange(nfft) < hop) & (at < end - start)),
+            axis=-1,
+        )
         left = np.ascontiguousarray(y.transpose(2, 0, 1))
         right = np.ascontiguousarray(x.conj().transpose(2, 1, 0))
         out[b] = irfft(left @ right, nfft, axis=0)[: lags + 1]
@@ -184,8 +193,12 @@ def correlations(data: Float, references: Int, lags: int) -> Float:
     k) y_ref(t)ᵀ.
     """
     size = max(20 * lags, 20000)
-    bounds = np.append(np.arange(0, data.shape[1], size), data.shape[1]).astype(np.int64)
-    r, count = block_correlations(np.asarray(data, dtype=np.float64), references, lags, bounds)
+    bounds = np.append(np.arange(0, data.shape[1], size), data.shape[1]).astype(
+        np.int64
+    )
+    r, count = block_correlations(
+        np.asarray(data, dtype=np.float64), references, lags, bounds
+    )
     return np.asarray(np.einsum("bk,bkij->kij", count / count.sum(0), r))
 
 
@@ -205,7 +218,9 @@ def step(freqs: Float, start: float, stop: float) -> Float:
     """
     if start == stop:
         return np.asarray(freqs >= stop, dtype=np.float64)
-    x = np.clip((np.asarray(freqs, dtype=np.float64) - start) / (stop - start), 0.0, 1.0)
+    x = np.clip(
+        (np.asarray(freqs, dtype=np.float64) - start) / (stop - start), 0.0, 1.0
+    )
     edge = (x > 0.0) & (x < 1.0)
     x[edge] = np.sin(0.5 * np.pi * x[edge]) ** 2
     return np.asarray(x)
@@ -231,7 +246,8 @@ def block_weights(power: Float) -> Float:
 _STOP = 90.0  # dB
 # of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
 DEGREE = 24
-BLOCK = 1 << 16  # samples at a time: a basis of the whole record would not fit in memory
+# samples at a time: a basis of the whole record would not fit in memory
+BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,7 +295,8 @@ def high_passer(corner: float, rate: float) -> Fir:
 
 def _low_pass(start: float, stop: float) -> Float:
     """Taps of a low-pass with its edge from `start` to `stop`, in cycles per sample."""
-    from scipy.signal import firwin, kaiserord  # slow to import, and few commands need it
+    # slow to import, and few commands need it
+    from scipy.signal import firwin, kaiserord
 
     count, beta = kaiserord(_STOP, 2 * (stop - start))
     taps = firwin(count | 1, start + stop, window=("kaiser", beta), scale=True)
@@ -326,7 +343,9 @@ def detrend(data: Any_) -> Float:
     return y
 
 
-def band_signals(data: Any_, rate: float, bands: Sequence[Band]) -> tuple[tuple[Float, float], ...]:
+def band_signals(
+    data: Any_, rate: float, bands: Sequence[Band]
+) -> tuple[tuple[Float, float], ...]:
     """Each band of the record, filtered with zero phase and decimated, by one FFT per channel.
 
     The gain falls from 1 at 0.4 to 0 at 0.5 of the new rate (no edge where nothing is decimated)
@@ -425,7 +444,8 @@ def unit_factor(history: TimeHistory) -> float:
     """The power of two that brings the typical standard deviation of the channels near 1, so that
     no product of single precision overflows; it changes no digit. 1 within 2**±20 of it.
     """
-    levels = [x.std(dtype=np.float64) for x in history.data]  # one by one for the memory's sake
+    # one by one for the memory's sake
+    levels = [x.std(dtype=np.float64) for x in history.data]
     exponent = int(np.frexp(np.median(levels))[1])
     return 1.0 if abs(exponent) <= 20 else float(np.ldexp(1.0, -exponent))
 
@@ -466,7 +486,9 @@ class Geophone:
         """(f,) complex128 transfer function at `freqs`, Hz."""
         s = 2j * np.pi * np.asarray(freqs, dtype=np.float64)
         w = 2 * np.pi * self.frequency
-        return np.asarray(self.sensitivity * s**2 / (s**2 + 2 * self.damping * w * s + w**2))
+        return np.asarray(
+            self.sensitivity * s**2 / (s**2 + 2 * self.damping * w * s + w**2)
+        )
 
 
 def lowest_frequency(
@@ -537,5 +559,7 @@ def deconvolve(
     spectrum = rfft(detrend(history.data), n, axis=1)
     data = np.asarray(irfft(spectrum * gain, n, axis=1)[:, :samples])
     unit = SI_UNIT["velocity"] if sensor.sensitivity != 1.0 else ""
-    channels = (replace(c, quantity="velocity", unit=unit or c.unit) for c in history.channels)
+    channels = (
+        replace(c, quantity="velocity", unit=unit or c.unit) for c in history.channels
+    )
     return replace(history, data=data, channels=tuple(channels))

@@ -23,7 +23,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.ndimage import binary_dilation, find_objects, label, maximum_filter1d, median_filter
+from scipy.ndimage import (
+    binary_dilation,
+    find_objects,
+    label,
+    maximum_filter1d,
+    median_filter,
+)
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import TimeHistory
@@ -95,7 +101,9 @@ def remove_run_ups(
             continue
         mask, sweeps = _moving(_whitened(mixes, n), history.rate / n)
         if sweeps:
-            history = replace(history, data=np.stack([_masked(x, mask, n) for x in history.data]))
+            history = replace(
+                history, data=np.stack([_masked(x, mask, n) for x in history.data])
+            )
             found += sweeps
             mixes = channel_mixes(history.data)
     return history, tuple(found)
@@ -105,7 +113,9 @@ def channel_mixes(data: Any_) -> Any_:
     """(2, sample) float32 sum and alternating sum of some channels of `data` (ch, sample), of unit
     variance each.
     """
-    x = data[np.unique(np.linspace(0, len(data) - 1, 4).astype(np.int64))].astype(np.float32)
+    x = data[np.unique(np.linspace(0, len(data) - 1, 4).astype(np.int64))].astype(
+        np.float32
+    )
     x -= x.mean(axis=1, keepdims=True)
     x /= np.maximum(x.std(axis=1, keepdims=True), np.finfo(np.float32).tiny)
     return np.stack([x.sum(axis=0), x[::2].sum(axis=0) - x[1::2].sum(axis=0)])
@@ -143,7 +153,8 @@ def _whitened(mixes: Any_, n: int) -> Any_:
         total += power / np.maximum(typical, np.finfo(np.float32).tiny)
     total[:, :4] = 0
     groups = total.reshape(len(total), -1, GROUP)
-    some = groups[groups.max(axis=2) > RUN_UPS.high * QUIET]  # levels take longer than all else
+    # levels take longer than all else
+    some = groups[groups.max(axis=2) > RUN_UPS.high * QUIET]
     if (some > RUN_UPS.high * _levels(some)).sum() < RUN_UPS.cells:
         return np.zeros_like(total)
     return (groups / _levels(groups)).reshape(total.shape)
@@ -178,7 +189,9 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[MovingTone]]:
             mask[places[k]] |= own
             sweeps.append(
                 MovingTone(
-                    step * ends[0], step * ends[1], 0.5 * int((power > 0).any(axis=1).sum()) / step
+                    step * ends[0],
+                    step * ends[1],
+                    0.5 * int((power > 0).any(axis=1).sum()) / step,
                 )
             )
     if sweeps:
@@ -323,7 +336,9 @@ def line_name(f: float, resolution: float, found: Sequence[float]) -> str:
     return "a rotating machine"
 
 
-def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tuple[Harmonic, ...]:
+def harmonics(
+    history: TimeHistory, *, low: float = 0.0, cycles: int = 0
+) -> tuple[Harmonic, ...]:
     """Lines with a steady amplitude and no width: machines and mains hum, not modes.
 
     The normalised fourth moment E|Y|⁴/(E|Y|²)² of the short-time spectra over time is 2 for a mode
@@ -340,7 +355,9 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     data = history.data
     rate = history.rate
     segments = cycles or 120
-    length = int(next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True))
+    length = int(
+        next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True)
+    )
     if data.shape[1] < 16 * length // 2:
         return ()
     second, kurtosis = _moments(data, length)
@@ -351,12 +368,17 @@ def harmonics(history: TimeHistory, *, low: float = 0.0, cycles: int = 0) -> tup
     return tuple(
         Harmonic(f, f"{name}: steady line (fourth moment {k:.2f}, a mode has 2)", k)
         for f, name, k in zip(
-            found, names, kurtosis[np.rint(found / freqs[1]).astype(np.int64)].tolist(), strict=True
+            found,
+            names,
+            kurtosis[np.rint(found / freqs[1]).astype(np.int64)].tolist(),
+            strict=True,
         )
     )
 
 
-def _steady(second: Float, moment: Float, over_side: float, over_floor: float, limit: float) -> Int:
+def _steady(
+    second: Float, moment: Float, over_side: float, over_floor: float, limit: float
+) -> Int:
     """Lines of the spectrum `second` (freq,) as narrow as the window, whose `moment` (freq,) is
     below the limit.
     """
@@ -375,7 +397,10 @@ def _moments(data: Any_, length: int) -> tuple[Float, Float]:
     by their power: the sum of the powers of two modes in different directions would look steadier
     than either.
     """
-    win, total, moment = window("blackmanharris", length), *np.zeros((2, length // 2 + 1))
+    win, total, moment = (
+        window("blackmanharris", length),
+        *np.zeros((2, length // 2 + 1)),
+    )
     room = np.empty((SHARES.batch, length), dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, SHARES.channels).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
@@ -414,7 +439,9 @@ def find_tonal_lines(
     samples = min(history.data.shape[1], FIT.longest)
     if samples < 16 * SEARCH.around:
         return ()
-    k = np.flatnonzero(power >= maximum_filter1d(power, 2 * SEARCH.lobe + 1, mode="nearest"))
+    k = np.flatnonzero(
+        power >= maximum_filter1d(power, 2 * SEARCH.lobe + 1, mode="nearest")
+    )
     k = k[
         (k > SEARCH.around)
         & (k < power.size - SEARCH.around)
@@ -427,7 +454,9 @@ def find_tonal_lines(
     k = k[
         power[k]
         > SEARCH.above
-        * np.median(power[k + np.arange(-SEARCH.around, SEARCH.around + 1)[:, None]], axis=0)
+        * np.median(
+            power[k + np.arange(-SEARCH.around, SEARCH.around + 1)[:, None]], axis=0
+        )
     ]
     bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
     f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
@@ -437,14 +466,19 @@ def find_tonal_lines(
     f = f[np.sort(np.argsort(-power[k], kind="stable")[: SEARCH.most])]
     why = "steady frequency, taken out before modes are sought"
     names = [line_name(float(x), 2 * step, f[:i].tolist()) for i, x in enumerate(f)]
-    return tuple(Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True))
+    return tuple(
+        Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True)
+    )
 
 
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     """(freq,) of some channels, of unit variance each, and the distance of its lines, Hz."""
     x = searched_part(history)
     scale = np.maximum(
-        x[:, :: max(1, x.shape[1] // 20000)].std(axis=1, dtype=np.float64, keepdims=True), 1e-300
+        x[:, :: max(1, x.shape[1] // 20000)].std(
+            axis=1, dtype=np.float64, keepdims=True
+        ),
+        1e-300,
     )
     x *= (1 / scale).astype(np.float32)
     x *= _taper(x.shape[1])
@@ -452,17 +486,27 @@ def _periodogram(history: TimeHistory) -> tuple[Float, float]:
     # single precision is 120 dB below the record, and halves the time
     y = rfft(x, n, axis=1).view(np.float32)
     y *= y
-    return np.asarray((y[:, ::2] + y[:, 1::2]).sum(axis=0, dtype=np.float64)), history.rate / n
+    return np.asarray(
+        (y[:, ::2] + y[:, 1::2]).sum(axis=0, dtype=np.float64)
+    ), history.rate / n
 
 
 def _taper(samples: int) -> Any_:
     """Blackman-Harris window (sample,) float32 by powers of one cosine."""
-    c: Any_ = np.cos(np.arange(samples, dtype=np.float32) * np.float32(2 * np.pi / samples))
+    c: Any_ = np.cos(
+        np.arange(samples, dtype=np.float32) * np.float32(2 * np.pi / samples)
+    )
     c2 = c * c
-    return (0.35875 - 0.14128) + c * (3 * 0.01168 - 0.48829) + c2 * (2 * 0.14128 - 4 * 0.01168 * c)
+    return (
+        (0.35875 - 0.14128)
+        + c * (3 * 0.01168 - 0.48829)
+        + c2 * (2 * 0.14128 - 4 * 0.01168 * c)
+    )
 
 
-def remove_tonal_lines(history: TimeHistory, frequencies: Sequence[float]) -> TimeHistory:
+def remove_tonal_lines(
+    history: TimeHistory, frequencies: Sequence[float]
+) -> TimeHistory:
     """The record without sines of constant frequencies, Hz, of slowly changing amplitude and phase.
 
     Least squares over the whole record by a window that keeps close modes out of the fit.
@@ -475,7 +519,10 @@ def remove_tonal_lines(history: TimeHistory, frequencies: Sequence[float]) -> Ti
     if not len(frequencies):
         return history
     data = np.array(history.data)
-    parts = [frequencies[k : k + FIT.together] for k in range(0, len(frequencies), FIT.together)]
+    parts = [
+        frequencies[k : k + FIT.together]
+        for k in range(0, len(frequencies), FIT.together)
+    ]
     # the second mends what neighbours in two parts took of each other
     sweeps = 1 if len(parts) == 1 else 2
     for part in parts * sweeps:
@@ -499,19 +546,22 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
     columns = 2 * FIT.slow * len(frequencies)
     gram = np.zeros((columns, columns))
     right = np.zeros((columns, len(data)))
-    for start in range(0, samples, BLOCK):  # a basis of the whole record would not fit in memory
+    # a basis of the whole record would not fit in memory
+    for start in range(0, samples, BLOCK):
         a = _basis(rate, samples, frequencies, start)
         weighted = a * taper[start : start + BLOCK, None]
         gram += weighted.T @ a
         right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
     for start in range(0, samples, BLOCK):
-        data[:, start : start + BLOCK] -= (_basis(rate, samples, frequencies, start) @ x).T.astype(
-            data.dtype
-        )
+        data[:, start : start + BLOCK] -= (
+            _basis(rate, samples, frequencies, start) @ x
+        ).T.astype(data.dtype)
 
 
-def _basis(rate: float, samples: int, frequencies: Sequence[float], start: int) -> Float:
+def _basis(
+    rate: float, samples: int, frequencies: Sequence[float], start: int
+) -> Float:
     """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample
     on.
     """
@@ -526,7 +576,9 @@ def searched_part(history: TimeHistory) -> Any_:
     """(ch, sample) float32, less about their means: at most `FIT.channels` channels and
     `FIT.longest` samples.
     """
-    at = np.unique(np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64))
+    at = np.unique(
+        np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64)
+    )
     return Signals.of(history.data).part(0, min(history.data.shape[1], FIT.longest), at)
 
 

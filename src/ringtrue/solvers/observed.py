@@ -85,7 +85,9 @@ class FullModel:
 
     def _open(self, x: Float) -> Analysis:
         self.ledger.runs += 1
-        model = at_factors(whole_mesh(self.model), self.parameters, self.parameters.factors(x))
+        model = at_factors(
+            whole_mesh(self.model), self.parameters, self.parameters.factors(x)
+        )
         return self.solver.open(model, (self.parameters,))
 
     def reaching(self, high: float) -> FullModel:
@@ -96,7 +98,9 @@ class FullModel:
             model = replace(self, request=ModesRequest(count))
             f = model.modes(np.zeros(len(self.parameters))).frequencies
             if f.size < count or f[-1] > high or count >= most:
-                return replace(self, request=ModesRequest(max(int(np.sum(f <= high)), 1)))
+                return replace(
+                    self, request=ModesRequest(max(int(np.sum(f <= high)), 1))
+                )
             count = min(2 * count, most)
 
     def modes(self, x: Float) -> Linearisation:
@@ -106,7 +110,9 @@ class FullModel:
             return known
         with self._open(x) as analysis:
             modes = analysis.modes(self.request).modes
-        return Linearisation.of_modes(x, modes.frequencies, self.observation(modes.shapes))
+        return Linearisation.of_modes(
+            x, modes.frequencies, self.observation(modes.shapes)
+        )
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x (p,): the solver's, or differences of one more run a
@@ -125,18 +131,24 @@ class FullModel:
         one_more = replace(self.request, count=self.request.count + 1)
         with self._open(x) as analysis:
             found = analysis.modes(one_more).modes
-            modes = found if self.request.band else found.take(slice(self.request.count))
+            modes = (
+                found if self.request.band else found.take(slice(self.request.count))
+            )
             slopes = self._given(analysis, modes, x)
         if slopes is None:
             whole = modes
             if len(found) > len(modes):  # the last may be half of a close pair
-                whole = modes.take(modes.frequencies < (1 - CLOSE) * found.frequencies[-1])
+                whole = modes.take(
+                    modes.frequencies < (1 - CLOSE) * found.frequencies[-1]
+                )
             slopes = self._differences(whole, x)
         seen = self.observation(modes.shapes)
         n = len(slopes[0])
         return Linearisation(x, modes.frequencies[:n], seen[:, :n], *slopes)
 
-    def _given(self, analysis: Analysis, modes: ModeSet, x: Float) -> tuple[Float, Float] | None:
+    def _given(
+        self, analysis: Analysis, modes: ModeSet, x: Float
+    ) -> tuple[Float, Float] | None:
         """∂λ/∂x (m, p) and ∂φ/∂x (channel, m, p) of a solver that gives them, for factors on
         fields.
         """
@@ -154,7 +166,9 @@ class FullModel:
         relative = self.parameters.derivative(x) / self.parameters.factors(x)
         return d_lambda * relative, d_seen * relative
 
-    def _differentiated(self, analysis: Analysis, modes: ModeSet) -> tuple[Float, Float]:
+    def _differentiated(
+        self, analysis: Analysis, modes: ModeSet
+    ) -> tuple[Float, Float]:
         """∂λ/∂a (m, p) and ∂φ/∂a (channel, m, p)."""
         if isinstance(analysis, ObservedDerivatives):
             readings = self.observation.matrix
@@ -189,7 +203,9 @@ class FullModel:
         return d_lambda, np.stack([d[:, :k] for _, d in slopes], axis=-1)
 
 
-def followed(here: ModeSet, near: ModeSet, groups: Sequence[Int]) -> tuple[Float, Float]:
+def followed(
+    here: ModeSet, near: ModeSet, groups: Sequence[Int]
+) -> tuple[Float, Float]:
     """λ (k,) and shapes (dof, k) of `near`, turned in each close group towards `here`, up to the
     first that is lost.
 

@@ -34,8 +34,15 @@ def time_limits() -> dict[str, float]:
     """Time limit in s of a run of each built-in solver that is another program, where none is
     given.
     """
-    limits = {name: signature(made).parameters.get("timeout") for name, made in BUILT_IN.items()}
-    return {name: float(limit.default) for name, limit in limits.items() if limit is not None}
+    limits = {
+        name: signature(made).parameters.get("timeout")
+        for name, made in BUILT_IN.items()
+    }
+    return {
+        name: float(limit.default)
+        for name, limit in limits.items()
+        if limit is not None
+    }
 
 
 def solver(
@@ -77,17 +84,23 @@ def solver(
         settings |= {"ranks": ranks, "launcher": launcher}
     if timeout is not None:
         if not timeout > 0:
-            raise ConfigError(f"solver {name!r}: a time limit of {timeout:g} s; must be above 0")
+            raise ConfigError(
+                f"solver {name!r}: a time limit of {timeout:g} s; must be above 0"
+            )
         if "timeout" not in signature(make).parameters:
             limited = ", ".join(time_limits())
-            raise ConfigError(f"solver {name!r} has no time limit; those that have one: {limited}")
+            raise ConfigError(
+                f"solver {name!r} has no time limit; those that have one: {limited}"
+            )
         settings["timeout"] = timeout
     if name == EMBEDDED:
         settings["progress"] = progress
     made = make(**settings)
     if not isinstance(made, ModalSolver):
         plugin = _plugins()[name].value
-        raise ConfigError(f"plug-in {plugin} ({GROUP}) made a {type(made).__name__} without open()")
+        raise ConfigError(
+            f"plug-in {plugin} ({GROUP}) made a {type(made).__name__} without open()"
+        )
     return made
 
 

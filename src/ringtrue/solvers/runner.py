@@ -67,7 +67,12 @@ class Finished:
     def files(self, *endings: str) -> tuple[Path, ...]:
         """Files with these endings, whatever their case, in the order of the endings."""
         here = sorted(self.folder.iterdir())
-        return tuple(f for e in endings for f in here if f.suffix.lower() == e and f.stat().st_size)
+        return tuple(
+            f
+            for e in endings
+            for f in here
+            if f.suffix.lower() == e and f.stat().st_size
+        )
 
 
 def run_program(
@@ -135,7 +140,9 @@ class Running:
         self._not_started = folder / guard.NOT_STARTED
         self._not_started.unlink(missing_ok=True)
         groups = hasattr(os, "killpg")
-        whole = [sys.executable, "-I", "-S", guard.__file__, *words] if groups else words
+        whole = (
+            [sys.executable, "-I", "-S", guard.__file__, *words] if groups else words
+        )
         with self.log.open("wb") as sink:
             try:
                 self.process = subprocess.Popen(
@@ -147,7 +154,9 @@ class Running:
                     start_new_session=True,
                 )
             except OSError as e:
-                raise SolverMissing(f"{name}: {words[0]} cannot be started: {e.strerror}") from e
+                raise SolverMissing(
+                    f"{name}: {words[0]} cannot be started: {e.strerror}"
+                ) from e
 
     def wait(self, path: Path, timeout: float, *, but: str) -> Path | None:
         """Until the program has written a file, or in its place one of the pattern `but`, which is
@@ -187,7 +196,9 @@ class Running:
         """Raise what kept it from its work."""
         if self._not_started.exists():
             why = os.strerror(int(self._not_started.read_text()))
-            raise SolverMissing(f"{self._name}: {self._program} cannot be started: {why}")
+            raise SolverMissing(
+                f"{self._name}: {self._program} cannot be started: {why}"
+            )
         if _disk_was_full(self.log):
             free = shutil.disk_usage(self._folder).free / 1e9
             raise SolverFailed(
@@ -274,7 +285,9 @@ class DeckProgram(Protocol):
         """The model with what this program wants to have written out."""
         ...
 
-    def proof(self, run: Finished, modes: ModeSet, request: ModesRequest) -> tuple[bool, str]:
+    def proof(
+        self, run: Finished, modes: ModeSet, request: ModesRequest
+    ) -> tuple[bool, str]:
         """Whether and how it proves that no mode is missing."""
         ...
 
@@ -282,10 +295,17 @@ class DeckProgram(Protocol):
 def modes_deck(model: Model, request: ModesRequest, program: DeckProgram) -> str:
     """A SOL 103 deck: unit modal mass, all displacements printed and plotted."""
     low, high = request.band or (None, None)
-    low = None if low is None or low <= 0 else low  # a rigid-body mode may be a little below 0
+    # a rigid-body mode may be a little below 0
+    low = None if low is None or low <= 0 else low
     count = None if request.band else request.count
     eigrl = large_card("EIGRL", (METHOD, low, high, count, None, None, None, "MASS"))
-    case = ["SOL 103", "CEND", *case_control(model), "DISPLACEMENT(PRINT,PLOT) = ALL", "BEGIN BULK"]
+    case = [
+        "SOL 103",
+        "CEND",
+        *case_control(model),
+        "DISPLACEMENT(PRINT,PLOT) = ALL",
+        "BEGIN BULK",
+    ]
     return "\n".join(case) + "\n" + eigrl + bulk(model, program) + "ENDDATA\n"
 
 
@@ -297,7 +317,11 @@ def case_control(model: Model) -> list[str]:
         ("NSM", model.case.nsm),
         ("METHOD", METHOD),
     ]
-    matrices = [("K2GG", model.case.k2gg), ("M2GG", model.case.m2gg), ("B2GG", model.case.b2gg)]
+    matrices = [
+        ("K2GG", model.case.k2gg),
+        ("M2GG", model.case.m2gg),
+        ("B2GG", model.case.b2gg),
+    ]
     added = [
         f"{name} = " + ", ".join(f"{a:.9G}*{m}" for a, m in terms)
         for name, terms in matrices
@@ -335,7 +359,9 @@ class DeckAnalysis:
         self.model = whole_mesh(model)
         self.program = program
         self.dofs: DofSet = mesh(model).dofs
-        self._temporary = None if keep else tempfile.mkdtemp(prefix=f"ringtrue-{program.name}-")
+        self._temporary = (
+            None if keep else tempfile.mkdtemp(prefix=f"ringtrue-{program.name}-")
+        )
         self._folder = Path(self._temporary or str(keep))
         self._done: dict[ModesRequest, ModesResult] = {}
 
@@ -349,10 +375,14 @@ class DeckAnalysis:
         """
         if request not in self._done:
             by_count = request.band is not None and self.program.band_by_count
-            self._done[request] = self._band(request) if by_count else self._modes(request)
+            self._done[request] = (
+                self._band(request) if by_count else self._modes(request)
+            )
         return self._done[request]
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         """Not offered by this program.
 
         Raises
@@ -360,7 +390,9 @@ class DeckAnalysis:
         UnsupportedError
             Always; `capabilities` says so beforehand.
         """
-        raise UnsupportedError(f"{self.program.name} gives no derivatives; use the embedded solver")
+        raise UnsupportedError(
+            f"{self.program.name} gives no derivatives; use the embedded solver"
+        )
 
     def run(self, deck: str) -> Finished:
         """Run a deck; fatal messages of the printed file become an error."""
@@ -376,10 +408,13 @@ class DeckAnalysis:
         fatal = [m for f in done.files(".f06", ".err") for m in fatal_messages(f)]
         if fatal:
             raise SolverFailed(
-                f"{name} stopped with a fatal error:\n  " + "\n  ".join(fatal[0].splitlines())
+                f"{name} stopped with a fatal error:\n  "
+                + "\n  ".join(fatal[0].splitlines())
             )
         if done.status:
-            raise SolverFailed(f"{name} ended with exit status {done.status}{tail(done.log)}")
+            raise SolverFailed(
+                f"{name} ended with exit status {done.status}{tail(done.log)}"
+            )
         return done
 
     def _modes(self, request: ModesRequest) -> ModesResult:
@@ -404,7 +439,9 @@ class DeckAnalysis:
                 break
             count = min(2 * count, most)
         inside = found.modes.band(-np.inf if low <= 0 else low, high)
-        return ModesResult(inside, np.full(len(inside), np.nan), found.complete, found.proof)
+        return ModesResult(
+            inside, np.full(len(inside), np.nan), found.complete, found.proof
+        )
 
     def _read(self, done: Finished) -> ModeSet:
         """Modes from the most precise file that holds them, on this analysis' DOFs."""
@@ -423,7 +460,9 @@ class DeckAnalysis:
             "job (MSC: bat=no)"
         )
         what = "; ".join(problems) or nothing
-        raise SolverFailed(f"{self.program.name} wrote no modes: {what}{tail(done.log)}")
+        raise SolverFailed(
+            f"{self.program.name} wrote no modes: {what}{tail(done.log)}"
+        )
 
     def _aligned(self, found: ModeSet) -> ModeSet:
         labels = found.labels

@@ -39,7 +39,12 @@ from ringtrue.io.foreign.parsers import read_json, read_npy
 from ringtrue.model.case_control import condenses
 from ringtrue.model.model import Model
 from ringtrue.model.ports import ModesRequest, ModesResult
-from ringtrue.reduction.basis import AffineSystem, ProjectedSystem, StaticSensitivities, project
+from ringtrue.reduction.basis import (
+    AffineSystem,
+    ProjectedSystem,
+    StaticSensitivities,
+    project,
+)
 from ringtrue.reduction.dense_models import HeldModel
 from ringtrue.reduction.parametric import basis_vectors, modes_of
 from ringtrue.solvers import slepc_share
@@ -93,7 +98,11 @@ def find_slepc(launcher: str = "", ranks: int = 1) -> list[str | Path]:
     if not words:
         words = [own if own.is_file() else "mpiexec", "-n", str(ranks)]
     if shutil.which(words[0]) is None:
-        where = f"in the folder of {python} or on the PATH" if not launcher else "on the PATH"
+        where = (
+            f"in the folder of {python} or on the PATH"
+            if not launcher
+            else "on the PATH"
+        )
         raise SolverMissing(f"slepc: no {Path(words[0]).name} {where}; {_INSTALL}")
     _tried(python)
     return [*words, python]
@@ -111,10 +120,14 @@ def _tried(python: Path) -> None:
             check=False,
         )
     except OSError as e:
-        raise SolverMissing(f"slepc: {python} cannot be started ({e.strerror}); {_INSTALL}") from e
+        raise SolverMissing(
+            f"slepc: {python} cannot be started ({e.strerror}); {_INSTALL}"
+        ) from e
     if tried.returncode:
         why = tried.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        raise SolverMissing(f"slepc: {python} has no working slepc4py ({''.join(why)}); {_INSTALL}")
+        raise SolverMissing(
+            f"slepc: {python} has no working slepc4py ({''.join(why)}); {_INSTALL}"
+        )
 
 
 class SlepcAnalysis:
@@ -126,7 +139,9 @@ class SlepcAnalysis:
 
     capabilities = frozenset({"modes", "derivatives"})
 
-    def __init__(self, model: Model, command: Sequence[str | Path], *, timeout: float) -> None:
+    def __init__(
+        self, model: Model, command: Sequence[str | Path], *, timeout: float
+    ) -> None:
         self.dofs = mesh(model).dofs
         self._model = model
         self._command = command
@@ -171,7 +186,9 @@ class SlepcAnalysis:
             autospc=DofSet(node, direction),
         )
 
-    def derivatives(self, modes: ModeSet, parameters: ParameterSet) -> tuple[Float, Any_]:
+    def derivatives(
+        self, modes: ModeSet, parameters: ParameterSet
+    ) -> tuple[Float, Any_]:
         """∂λ/∂a (m, p) and ∂φ/∂a (dof, m, p) at a = 1 of modes of this analysis.
 
         Raises
@@ -195,7 +212,10 @@ class SlepcAnalysis:
         return self._derivatives(modes, parameters, readings)
 
     def _derivatives(
-        self, modes: ModeSet, parameters: ParameterSet, readings: sparse.csr_array | None
+        self,
+        modes: ModeSet,
+        parameters: ParameterSet,
+        readings: sparse.csr_array | None,
     ) -> tuple[Float, Float]:
         if moving := [p.name for p in parameters.parameters if moves(p)]:
             raise UnsupportedError(
@@ -204,18 +224,28 @@ class SlepcAnalysis:
             )
         lam = np.array([eigenvalue(f) for f in modes.frequencies])
         top = float(lam.max(initial=0.0)) * (1 + 1e-9)
-        answer = self._answer(Asked(ModesRequest(len(modes)), parameters, top, readings))
+        answer = self._answer(
+            Asked(ModesRequest(len(modes)), parameters, top, readings)
+        )
         lowest = self._written(LOWEST)
-        d_shapes = np.asarray(self._written(SHAPES)).reshape(len(parameters), len(lowest), -1)
+        d_shapes = np.asarray(self._written(SHAPES)).reshape(
+            len(parameters), len(lowest), -1
+        )
         # signs and rotations of the given modes
         turn = np.linalg.lstsq(lowest.T, modes.shapes)[0]
         d_stiffness, d_mass = (np.array(answer[k]) for k in ("stiffness", "mass"))
         change = np.einsum("jm,pjk,km->mp", turn, d_stiffness, turn, optimize=True)
-        change -= lam[:, None] * np.einsum("jm,pjk,km->mp", turn, d_mass, turn, optimize=True)
+        change -= lam[:, None] * np.einsum(
+            "jm,pjk,km->mp", turn, d_mass, turn, optimize=True
+        )
         return change, np.einsum("pjf,jm->fmp", d_shapes, turn, optimize=True)
 
     def reduced(
-        self, parameters: ParameterSet, readings: sparse.csr_array, count: int, fmax: float
+        self,
+        parameters: ParameterSet,
+        readings: sparse.csr_array,
+        count: int,
+        fmax: float,
     ) -> HeldModel:
         """See `ringtrue.reduction.dense_models.ReducingAnalysis`.
 
@@ -228,7 +258,9 @@ class SlepcAnalysis:
         basis: ProjectedSystem = pickle.loads(self._file(PROJECTED).read_bytes())
         vectors = self._file(BASIS)
 
-        def along(some: Sequence[Parameter], combinations: Float) -> tuple[Float, Float]:
+        def along(
+            some: Sequence[Parameter], combinations: Float
+        ) -> tuple[Float, Float]:
             self._answer(AskedChanges(ParameterSet(tuple(some)), vectors, combinations))
             stiffness, mass = np.array(self._written(CHANGES))
             return stiffness, mass
@@ -246,7 +278,14 @@ class SlepcAnalysis:
         """What the ranks say; arrays are in files that they have written."""
         if self._ranks is None:
             (self._folder / "model.pickle").write_bytes(pickle.dumps(self._model))
-            command = (*self._command, WORKER, self._folder, sys.executable, "-c", SHARE)
+            command = (
+                *self._command,
+                WORKER,
+                self._folder,
+                sys.executable,
+                "-c",
+                SHARE,
+            )
             self._ranks = Running(command, self._folder, name="slepc")
         self._put(asked)
         target = self._file(ANSWER)
@@ -293,7 +332,11 @@ class SlepcSolver:
     name = "slepc"
 
     def __init__(
-        self, *, ranks: int | None = None, launcher: str = "", timeout: float = 24 * 3600.0
+        self,
+        *,
+        ranks: int | None = None,
+        launcher: str = "",
+        timeout: float = 24 * 3600.0,
     ) -> None:
         if ranks is not None and launcher:
             raise ConfigError(
@@ -306,7 +349,9 @@ class SlepcSolver:
         self.launcher = launcher
         self.timeout = timeout
 
-    def open(self, model: Model, parameters: Sequence[ParameterSet] = ()) -> SlepcAnalysis:
+    def open(
+        self, model: Model, parameters: Sequence[ParameterSet] = ()
+    ) -> SlepcAnalysis:
         """Find the program; the ranks assemble the model when they are first asked.
 
         Raises
@@ -321,7 +366,9 @@ class SlepcSolver:
                 "slepc: the deck is condensed (ASET, QSET or superelements); the embedded solver "
                 "condenses as Nastran does"
             )
-        return SlepcAnalysis(model, find_slepc(self.launcher, self.ranks), timeout=self.timeout)
+        return SlepcAnalysis(
+            model, find_slepc(self.launcher, self.ranks), timeout=self.timeout
+        )
 
 
 BASIS = "basis.npy"  # (r, free)
@@ -353,7 +400,9 @@ class AskedBasis:
         own.find_lowest(modes_of(self.count), shift_below(own.first_shift, self.fmax))
         count = min(self.count, own.values.size)
         none = sparse.csr_array((own.cols.size,) * 2)
-        terms = share_terms(own.model, self.parameters, own.transform[:, own.cols], share=own.share)
+        terms = share_terms(
+            own.model, self.parameters, own.transform[:, own.cols], share=own.share
+        )
         part = AffineSystem(none, none, self.parameters, terms, none[:0])
         vectors = _vectors(own, part, modes_of(self.count), count)
         own.write_rows(at(BASIS), vectors)
@@ -384,7 +433,9 @@ class AskedBasis:
             vectors=np.eye(rows.shape[1]),
             stiffness=_symmetric(own.inner(rows, rows, 1.0, 0.0)),
             mass=_symmetric(own.inner(rows, rows, 0.0, 1.0)),
-            terms=tuple((f, own.share.summed(k), own.share.summed(m)) for f, k, m in terms),
+            terms=tuple(
+                (f, own.share.summed(k), own.share.summed(m)) for f, k, m in terms
+            ),
             observe=np.asarray(seen[:, at] @ every[:, at].T),
         )
 
@@ -440,7 +491,9 @@ class AskedChanges:
         x = own.full(self.basis, self.along)
         m = x.shape[1]
         total = np.zeros((2, len(self.parameters), m, m))
-        for piece in element_derivatives(own.model, self.parameters.parameters, own.share):
+        for piece in element_derivatives(
+            own.model, self.parameters.parameters, own.share
+        ):
             for i, rows in by_owner(piece):
                 there = x[own.where[piece.dofs[rows]]]
                 flat = there.reshape(-1, m)

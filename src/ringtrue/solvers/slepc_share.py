@@ -29,7 +29,12 @@ from ringtrue.eigen.derivatives import modal_coefficients
 from ringtrue.eigen.eigenpairs import eigenvalue
 from ringtrue.eigen.shift import start_shift, suitable_shift
 from ringtrue.errors import RingtrueError
-from ringtrue.fem.assembly import Share, assemble, refuse_held, without_massless_rotations
+from ringtrue.fem.assembly import (
+    Share,
+    assemble,
+    refuse_held,
+    without_massless_rotations,
+)
 from ringtrue.fem.mesh import applied
 from ringtrue.fem.parametrisation.derivatives import by_owner
 from ringtrue.fem.parametrisation.element_derivatives import element_derivatives
@@ -120,7 +125,9 @@ class Rank:
         self._source = source
         self._sink = sink
 
-    def __call__(self, do: str, *arrays: Any_, **values: Any) -> tuple[dict[str, Any], list[Any_]]:
+    def __call__(
+        self, do: str, *arrays: Any_, **values: Any
+    ) -> tuple[dict[str, Any], list[Any_]]:
         """What the rank answers.
 
         Raises
@@ -180,7 +187,12 @@ class ShareOfModel:
         self.where[self.touched] = np.arange(self.touched.size)
         self.values: Float = np.empty(0)
         self._from_lowest = False
-        rank("matrices", *_entries(system.stiffness), *_entries(system.mass), size=self.size)
+        rank(
+            "matrices",
+            *_entries(system.stiffness),
+            *_entries(system.mass),
+            size=self.size,
+        )
 
     def modes(self, request: ModesRequest, path: Path) -> dict[str, Any]:
         """Write shapes of modes (m, full), frequencies and residuals."""
@@ -193,7 +205,10 @@ class ShareOfModel:
         self._write(path, np.eye(n, self.values.size), None)
         answer["values"] = self.values[:n].tolist()
         answer["residuals"] = residuals.tolist()
-        answer["autospc"] = [self.autospc.node.tolist(), self.autospc.direction.tolist()]
+        answer["autospc"] = [
+            self.autospc.node.tolist(),
+            self.autospc.direction.tolist(),
+        ]
         return answer
 
     def _solved(self, request: ModesRequest) -> tuple[dict[str, Any], Float]:
@@ -259,7 +274,11 @@ class ShareOfModel:
             above = int((self.values > top * (1 + 1e-6)).sum())
             if self._from_lowest and (above >= BUFFER or self.values.size >= self.size):
                 return
-            more = max(self.values.size, 1) if not self._from_lowest else self.values.size + BUFFER
+            more = (
+                max(self.values.size, 1)
+                if not self._from_lowest
+                else self.values.size + BUFFER
+            )
             self._solved(ModesRequest(more))
 
     def find_lowest(self, count: int, shift: float) -> None:
@@ -342,7 +361,10 @@ class ShareOfModel:
             for i, at in by_owner(piece):
                 rows = self.where[piece.dofs[at]]
                 there = x[rows]
-                changed = [applied(a[at], there[:, :, :m]) for a in (piece.stiffness, piece.mass)]
+                changed = [
+                    applied(a[at], there[:, :, :m])
+                    for a in (piece.stiffness, piece.mass)
+                ]
                 for total, c in zip((K, M), changed, strict=True):
                     total[i] += np.einsum("edn,edm->nm", there, c, optimize=True)
                 force = changed[1] * lam - changed[0]

@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI  # first: it finds the MPI library that the others were built with
+
+# first: it finds the MPI library that the others were built with
+from mpi4py import MPI
 
 
 def find_debian(root: Path) -> None:
@@ -32,7 +34,9 @@ def find_debian(root: Path) -> None:
         variable = f"{name.upper()}_DIR"
         if variable in os.environ or find_spec(f"{name}4py"):
             continue
-        found = sorted(root.glob(f"{name}dir/{name}*/*-real/lib/python3/dist-packages/{name}4py"))
+        found = sorted(
+            root.glob(f"{name}dir/{name}*/*-real/lib/python3/dist-packages/{name}4py")
+        )
         if found:
             os.environ[variable] = str(found[-1].parents[3])
             sys.path.append(str(found[-1].parent))
@@ -68,14 +72,18 @@ def sent(owner: Any, *columns: Any) -> list[Any]:
     for column in columns:
         mine = np.empty((int(there.sum()), *column.shape[1:]), dtype=column.dtype)
         width = int(np.prod(column.shape[1:], dtype=int))
-        COMM.Alltoallv([np.ascontiguousarray(column[order]), out * width], [mine, there * width])
+        COMM.Alltoallv(
+            [np.ascontiguousarray(column[order]), out * width], [mine, there * width]
+        )
         received.append(mine)
     return received
 
 
 def owner_of(row: Any, n: int) -> Any:
     """The rank that owns each row."""
-    return np.searchsorted([owned(n, r)[1] for r in range(COMM.size)], row, side="right")
+    return np.searchsorted(
+        [owned(n, r)[1] for r in range(COMM.size)], row, side="right"
+    )
 
 
 def assembled(n: int, data: Any, row: Any, column: Any) -> Any:
@@ -89,7 +97,9 @@ def assembled(n: int, data: Any, row: Any, column: Any) -> Any:
     new[1:] = (np.diff(row) != 0) | (np.diff(column) != 0)
     start = np.flatnonzero(new)
     summed = np.add.reduceat(data[order], start) if start.size else data
-    ends = np.concatenate([[0], np.cumsum(np.bincount(row[start], minlength=last - first))])
+    ends = np.concatenate(
+        [[0], np.cumsum(np.bincount(row[start], minlength=last - first))]
+    )
     own = (ends.astype(PETSc.IntType), column[start].astype(PETSc.IntType), summed)
     matrix = PETSc.Mat().createAIJ(
         ((last - first, n), (last - first, n)), csr=own, comm=PETSc.COMM_WORLD
@@ -126,7 +136,8 @@ def factored(K: Any, M: Any, cut: float) -> Any:
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     ksp = PETSc.KSP().create(PETSc.COMM_WORLD)
     ksp.setOperators(A)
-    A.destroy()  # the solver holds it; nothing that PETSc has made ends with its Python object
+    # the solver holds it; nothing that PETSc has made ends with its Python object
+    A.destroy()
     cholesky(ksp)
     ksp.setUp()
     return ksp
@@ -181,7 +192,10 @@ class OwnedRows:
         values = np.sort([eps.getEigenvalue(i).real for i in range(eps.getConverged())])
         if values.size < 2:
             self.keep(eps, eps.getST().getKSP())
-            return {"complete": False, "proof": "too few eigenvalues converged to count any"}
+            return {
+                "complete": False,
+                "proof": "too few eigenvalues converged to count any",
+            }
         upper = values[min(max(min(count, values.size), 2) - 1, values.size - 2) :]
         gap = int(np.argmax(np.diff(upper)))
         cut = 0.5 * (upper[gap] + upper[gap + 1])
@@ -192,7 +206,9 @@ class OwnedRows:
             eps.destroy()
             return self.band(shift, cut)
         self.keep(eps, factor)
-        proof = f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
+        proof = (
+            f"{there} eigenvalues below {cut:.6g} (rad/s)^2 by inertia, {found} found"
+        )
         return {"complete": True, "proof": proof}
 
     def band(self, low: float, high: float) -> dict[str, Any]:
@@ -208,7 +224,8 @@ class OwnedRows:
         there -= below(factor)
         self.keep(eps, factor)
         proof = (
-            f"{there} eigenvalues from {low:.6g} to {high:.6g} (rad/s)^2 by inertia, {found} found"
+            f"{there} eigenvalues from {low:.6g} to {high:.6g} (rad/s)^2 by "
+            f"inertia, {found} found"
         )
         return {"complete": found == there, "proof": proof}
 
@@ -284,7 +301,9 @@ class OwnedRows:
     def dense(self, x: Any) -> Any:
         """Columns (rows, k) as a matrix of all ranks."""
         size = ((len(x), self.size), (None, x.shape[1]))
-        made = PETSc.Mat().createDense(size, array=np.asfortranarray(x), comm=PETSc.COMM_WORLD)
+        made = PETSc.Mat().createDense(
+            size, array=np.asfortranarray(x), comm=PETSc.COMM_WORLD
+        )
         made.assemble()
         return made
 
@@ -344,7 +363,10 @@ class OwnedRows:
         if not live.size:
             return z
         for _ in range(ITERATIONS):
-            q = self.times(self.K, p[:, live]) - self.times(self.M, p[:, live]) * lam[live]
+            q = (
+                self.times(self.K, p[:, live])
+                - self.times(self.M, p[:, live]) * lam[live]
+            )
             q -= mass @ summed(phi.T @ q)
             energy = dots(p[:, live], q)
             if (energy <= 0).any():

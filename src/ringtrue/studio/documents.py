@@ -159,7 +159,8 @@ class Documents:
             return ""
         text = read_text(path)
         waited = 0.0
-        while not text and self._seen.get(name) and waited < WRITING_S:  # an editor writes it
+        # an editor writes it
+        while not text and self._seen.get(name) and waited < WRITING_S:
             time.sleep(WRITING_S / 10)
             waited += WRITING_S / 10
             text = read_text(path)
@@ -207,7 +208,9 @@ class Documents:
         if not self.done:
             return None
         step = self.steps[self.done - 1]
-        self._write({e.name: e.applied(self.text(e.name), back=True) for e in step.edits})
+        self._write(
+            {e.name: e.applied(self.text(e.name), back=True) for e in step.edits}
+        )
         self.done -= 1
         self._keep_history()
         return step
@@ -282,7 +285,9 @@ def _check(name: str, text: str, part: Path, *, study: bool) -> None:
         elif ending == ".csv":
             read_sensor_sheet(part)
         else:
-            raise ConfigError(f"{name}: the studio edits .toml and .csv; edit it where it was made")
+            raise ConfigError(
+                f"{name}: the studio edits .toml and .csv; edit it where it was made"
+            )
     except InputError as e:
         raise ConfigError(str(e).replace(str(part), name)) from e
 
@@ -292,14 +297,17 @@ def _hunks(before: str, after: str) -> tuple[Hunk, ...]:
     b = after.splitlines(keepends=True)
     groups = SequenceMatcher(None, a, b, autojunk=False).get_grouped_opcodes(CONTEXT)
     return tuple(
-        Hunk(g[0][1], tuple(a[g[0][1] : g[-1][2]]), tuple(b[g[0][3] : g[-1][4]])) for g in groups
+        Hunk(g[0][1], tuple(a[g[0][1] : g[-1][2]]), tuple(b[g[0][3] : g[-1][4]]))
+        for g in groups
     )
 
 
 def _found(lines: list[str], block: tuple[str, ...], near: int) -> int:
     """Where a block of lines stands, nearest to a line; -1 where it does not."""
     size = len(block)
-    at = [i for i in range(len(lines) - size + 1) if tuple(lines[i : i + size]) == block]
+    at = [
+        i for i in range(len(lines) - size + 1) if tuple(lines[i : i + size]) == block
+    ]
     return min(at, key=lambda i: abs(i - near), default=-1)
 
 
@@ -307,7 +315,9 @@ def _step(kept: Mapping[str, Any]) -> Step:
     edits = (
         Edit(
             e["name"],
-            tuple(Hunk(h["at"], tuple(h["before"]), tuple(h["after"])) for h in e["hunks"]),
+            tuple(
+                Hunk(h["at"], tuple(h["before"]), tuple(h["after"])) for h in e["hunks"]
+            ),
         )
         for e in kept["edits"]
     )

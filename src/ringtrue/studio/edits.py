@@ -100,9 +100,16 @@ def remove_entry(name: str, number: int) -> Change:
         lines = text.splitlines(keepends=True)
         tables = _tables(lines, name)
         if len(tables) != count:
-            raise ConfigError(f"[[{name}]]: written as a list; take it out in an editor")
+            raise ConfigError(
+                f"[[{name}]]: written as a list; take it out in an editor"
+            )
         start, end = tables[number]
-        if start and end < len(lines) and not lines[start - 1].strip() and lines[end].strip():
+        if (
+            start
+            and end < len(lines)
+            and not lines[start - 1].strip()
+            and lines[end].strip()
+        ):
             end -= 1  # an empty line stays
         while start and not lines[start - 1].strip():
             start -= 1
@@ -136,7 +143,9 @@ def _tables(lines: Sequence[str], name: str) -> list[tuple[int, int]]:
         if not re.match(rf"\s*\[\[\s*\"?{re.escape(name)}\"?\s*\]\]", lines[i]):
             continue
         end = after
-        while end > i + 1 and (not lines[end - 1].strip() or lines[end - 1].lstrip()[0] == "#"):
+        while end > i + 1 and (
+            not lines[end - 1].strip() or lines[end - 1].lstrip()[0] == "#"
+        ):
             end -= 1
         found.append((i, end))
     return found
@@ -159,7 +168,9 @@ def decide_pair(decision: str, pair: str, reason: str) -> Change:
     """
     words = " ".join(reason.split())
     if not words:
-        raise ConfigError(f"{decision} {pair}: needs a reason, which goes into study.toml with it")
+        raise ConfigError(
+            f"{decision} {pair}: needs a reason, which goes into study.toml with it"
+        )
 
     def change(text: str) -> str:
         document = _parsed(text)
@@ -184,7 +195,9 @@ def undecide_pair(decision: str, pair: str) -> Change:
         section: Any = document.get("correlate", {})
         rows = _with_reasons(section.get(decision))
         if pair not in rows:
-            raise ConfigError(f"correlate.{decision}: no pair {pair}{did_you_mean(pair, rows)}")
+            raise ConfigError(
+                f"correlate.{decision}: no pair {pair}{did_you_mean(pair, rows)}"
+            )
         del rows[pair]
         if rows:
             section[decision] = _array(rows)
@@ -277,7 +290,12 @@ class SheetTable:
     def text(self, cells: Mapping[int, Mapping[str, str]]) -> str:
         """The text with other cells in some lines; columns that are missing are added."""
         lines = list(self.lines)
-        new = [c for row in cells.values() for c, v in row.items() if v and c not in self.names]
+        new = [
+            c
+            for row in cells.values()
+            for c, v in row.items()
+            if v and c not in self.names
+        ]
         names = (*self.names, *dict.fromkeys(new))
         if len(names) > len(self.names):
             lines[self.head] = self._line(
@@ -317,7 +335,10 @@ def sheet_table(text: str) -> SheetTable:
             used.append(i)
     if len(used) < 2:
         raise ConfigError("the sensor sheet has no rows")
-    head = [c.strip().lower() for c in next(csv.reader([lines[used[0]]], delimiter=delimiter))]
+    head = [
+        c.strip().lower()
+        for c in next(csv.reader([lines[used[0]]], delimiter=delimiter))
+    ]
     return SheetTable(lines, delimiter, used[0], tuple(head), tuple(used[1:]))
 
 
@@ -332,7 +353,9 @@ def turn(sheet: SensorSheet, point: int, about: str) -> Change:
     return _redirected(sheet, here, lambda axis: QUARTER[about] @ axis)
 
 
-def remap(sheet: SensorSheet, channels: Sequence[str], reads: Mapping[str, str]) -> Change:
+def remap(
+    sheet: SensorSheet, channels: Sequence[str], reads: Mapping[str, str]
+) -> Change:
     """Channels along an axis get the direction that they read, such as {"X": "-Z"}."""
     to = np.eye(3)
     for axis, read in reads.items():
@@ -370,7 +393,11 @@ def relocate(sheet: SensorSheet, point: int, xyz: Float) -> Change:
     def change(text: str) -> str:
         table = sheet_table(text)
         place = dict(
-            zip("xyz", (f"{x:.6g}" for x in (np.round(xyz, 9) + 0.0).tolist()), strict=True)
+            zip(
+                "xyz",
+                (f"{x:.6g}" for x in (np.round(xyz, 9) + 0.0).tolist()),
+                strict=True,
+            )
         )
         here = [i for i in table.rows if float(table.get(i, "point")) == point]
         given = [i for i in here if any(table.get(i, c) for c in "xyz")]
@@ -395,7 +422,9 @@ def _redirected(
                 k = int(np.abs(axis).argmax())
                 words = f"{'+' if axis[k] > 0 else '-'}{AXES[k]}"
                 if abs(axis[k]) < ALONG:
-                    words = " ".join(f"{x:.9g}" for x in (np.round(axis, 9) + 0.0).tolist())
+                    words = " ".join(
+                        f"{x:.9g}" for x in (np.round(axis, 9) + 0.0).tolist()
+                    )
                 cells[line[name]] = {
                     "direction": words,
                     "azimuth": "",
@@ -417,5 +446,7 @@ def _lines(sheet: SensorSheet, table: SheetTable) -> dict[str, int]:
     """
     lines = table.channels()
     if len(lines) != len(sheet.channels):
-        raise ConfigError("the sensor sheet was edited outside of the studio since: try again")
+        raise ConfigError(
+            "the sensor sheet was edited outside of the studio since: try again"
+        )
     return {c.id: i for c, i in zip(sheet.channels, lines, strict=True)}

@@ -70,7 +70,9 @@ def serve(
         await _served(port)
         say(address)
         if browser:
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            threading.Thread(
+                target=webbrowser.open, args=(address,), daemon=True
+            ).start()
 
     app.on_startup(announce)
     app.on_shutdown(session.work.stop)
@@ -120,7 +122,9 @@ def _free(port: int) -> int:
         try:
             probe.bind((HOST, port))
         except OSError as e:
-            raise ConfigError(f"--port {port}: {e.strerror}; name another, or none") from e
+            raise ConfigError(
+                f"--port {port}: {e.strerror}; name another, or none"
+            ) from e
         return int(probe.getsockname()[1])
 
 
@@ -149,8 +153,12 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]}
-        asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        headers = {
+            k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]
+        }
+        asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get(
+            "token", [""]
+        )[0]
         fresh = secrets.compare_digest(asked.encode(), self.token.encode())
         if not self._of_here(headers) or not (fresh or self._known(headers)):
             await self._refuse(scope, send)
@@ -158,8 +166,13 @@ class Guard:
 
         async def with_cookie(message: Message) -> None:
             if message["type"] == "http.response.start":
-                cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-                more = [(b"set-cookie", cookie.encode()), (b"referrer-policy", b"no-referrer")]
+                cookie = (
+                    f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                )
+                more = [
+                    (b"set-cookie", cookie.encode()),
+                    (b"referrer-policy", b"no-referrer"),
+                ]
                 message = {**message, "headers": [*message.get("headers", []), *more]}
             await send(message)
 
@@ -178,7 +191,9 @@ class Guard:
             held = SimpleCookie(headers.get("cookie", "")).get(self.cookie)
         except CookieError:
             return False
-        return held is not None and secrets.compare_digest(held.value.encode(), self.token.encode())
+        return held is not None and secrets.compare_digest(
+            held.value.encode(), self.token.encode()
+        )
 
     async def _refuse(self, scope: Scope, send: Send) -> None:
         if scope["type"] == "websocket":

@@ -26,7 +26,15 @@ from ringtrue.study.run import StageState, stage_states
 log = logging.getLogger(__name__)
 CHOICE = "choice.toml"  # where a study names none
 # of study.toml, on which the reduced model does not rest
-OTHER_SECTIONS = {"study", "plan", "report", "predict", "damping", "uncertainty", "update"}
+OTHER_SECTIONS = {
+    "study",
+    "plan",
+    "report",
+    "predict",
+    "damping",
+    "uncertainty",
+    "update",
+}
 NEVER = (-1, -1)  # time and size of a store that was not looked at
 
 
@@ -150,7 +158,9 @@ class StudioSession:
         given = self.config.identify.choice if self.config is not None else None
         return given or CHOICE
 
-    def edit(self, words: str, change: Change, *more: tuple[str, Change]) -> Step | None:
+    def edit(
+        self, words: str, change: Change, *more: tuple[str, Change]
+    ) -> Step | None:
         """Change study.toml, and further documents by name, in one step.
 
         Raises
@@ -187,7 +197,8 @@ class StudioSession:
     def _announce(self, step: Step | None, words: str) -> None:
         if step is not None:
             self._read()
-            self._stored = NEVER  # what is stored may not follow from the texts any more
+            # what is stored may not follow from the texts any more
+            self._stored = NEVER
             self.on_documents.emit(words)
 
     def _read(self) -> None:
@@ -231,7 +242,9 @@ class StudioSession:
         """See what has changed outside: texts, and what is stored."""
         if changed := self.documents.changed_outside():
             self._read()
-            self.on_documents.emit(f"changed outside of the studio: {', '.join(changed)}")
+            self.on_documents.emit(
+                f"changed outside of the studio: {', '.join(changed)}"
+            )
             await self.refresh()
         elif self._store_stamp() != self._stored and not self.work.running:
             await self.refresh()
@@ -292,7 +305,11 @@ class StudioSession:
         """
         stored: CorrelateStage | None = self.stage("correlate")
         modes = b"" if stored is None else stored.reference.elastic.shapes.tobytes()
-        known = self.config.model_dump(exclude=OTHER_SECTIONS) if self.config is not None else {}
+        known = (
+            self.config.model_dump(exclude=OTHER_SECTIONS)
+            if self.config is not None
+            else {}
+        )
         key = f"{known}{hash(modes)}"
         if self._trial is not None and self._trial[0] == key:
             return self._trial[1]
@@ -315,8 +332,12 @@ def opened(target: Path | None) -> StudioSession:
         return StudioSession(path / "study.toml")
     if path.suffix.lower() == ".toml":
         if not path.exists():
-            raise ConfigError(f"{path}: no such file; name a study.toml, a deck or a record")
+            raise ConfigError(
+                f"{path}: no such file; name a study.toml, a deck or a record"
+            )
         return StudioSession(path)
     if not path.exists():
-        raise ConfigError(f"{path}: no such file; name a study.toml, a deck or a record")
+        raise ConfigError(
+            f"{path}: no such file; name a study.toml, a deck or a record"
+        )
     return StudioSession(path.with_name("study.toml"), path)

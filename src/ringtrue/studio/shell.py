@@ -71,7 +71,9 @@ class Frame:
     pages: ui.sub_pages | None = None
     screen: str = ""
     keys: dict[str, Callable[[], object]] = field(default_factory=dict)
-    _followed: list[tuple[Event[Any], Callable[..., object]]] = field(default_factory=list)
+    _followed: list[tuple[Event[Any], Callable[..., object]]] = field(
+        default_factory=list
+    )
 
     def follow(self, callback: Callable[..., object], *events: Event[Any]) -> None:
         """Call a function when one of some events happens, as long as the screen is shown."""
@@ -95,7 +97,8 @@ class Frame:
 
 # plotly gives up a zoom that changes nothing by a promise that is rejected without a reason
 QUIET = (
-    "addEventListener('unhandledrejection', (e) => e.reason === undefined && e.preventDefault())"
+    "addEventListener('unhandledrejection', (e) => e.reason === undefined "
+    "&& e.preventDefault())"
 )
 _FRAMES: WeakKeyDictionary[Client, Frame] = WeakKeyDictionary()
 
@@ -129,7 +132,8 @@ def fact(name: str, value: str = "") -> ui.label:
 def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
     """A table; `names` has the label of each column, a row needs an `id`."""
     columns = [
-        {"name": key, "label": label, "field": key, "align": "left"} for key, label in names.items()
+        {"name": key, "label": label, "field": key, "align": "left"}
+        for key, label in names.items()
     ]
     return (
         ui.table(rows=rows, columns=columns, row_key="id")
@@ -141,7 +145,9 @@ def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
 SELECT = "dense options-dense outlined"  # how a list to choose from looks
 
 
-def output_select(session: StudioSession, outputs: Sequence[str], value: str) -> ui.select:
+def output_select(
+    session: StudioSession, outputs: Sequence[str], value: str
+) -> ui.select:
     """The output of an FRF; all screens follow."""
     return (
         ui.select(
@@ -157,7 +163,11 @@ def output_select(session: StudioSession, outputs: Sequence[str], value: str) ->
 
 
 def channels_select(
-    label: str, ids: Sequence[str], value: Sequence[str], changed: Callable[..., object], most: int
+    label: str,
+    ids: Sequence[str],
+    value: Sequence[str],
+    changed: Callable[..., object],
+    most: int,
 ) -> ui.select:
     """Several channels, at most so many."""
     return ui.select(
@@ -211,7 +221,9 @@ def ask_reason(title: str, done: Callable[[str], object]) -> None:
         reason.on("keydown.enter", accept)
         with ui.row().classes("w-full justify-end"):
             ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
-            ui.button("Write", on_click=accept).props("no-caps unelevated").mark("write")
+            ui.button("Write", on_click=accept).props("no-caps unelevated").mark(
+                "write"
+            )
     dialog.open()
 
 
@@ -221,7 +233,9 @@ def diff_view(text: str) -> None:
         for line in text.splitlines():
             kind = {"+": "rt-add", "-": "rt-del"}.get(line[:1], "")
             head = line.startswith(("+++", "---", "@@"))
-            ui.label(line or " ").classes("opacity-60" if head else kind).classes("w-full")
+            ui.label(line or " ").classes("opacity-60" if head else kind).classes(
+                "w-full"
+            )
 
 
 def copy_command(command: str) -> None:
@@ -233,7 +247,9 @@ def copy_command(command: str) -> None:
 
 def _copy(text: str) -> None:
     # a page without the focus may not write; no exception of the page then
-    ui.run_javascript(f"navigator.clipboard?.writeText({json.dumps(text)}).catch(console.info)")
+    ui.run_javascript(
+        f"navigator.clipboard?.writeText({json.dumps(text)}).catch(console.info)"
+    )
     ui.notify(f"copied: {text}", timeout=2000)
 
 
@@ -281,10 +297,17 @@ def page(session: StudioSession) -> None:
         .classes("rt-rail p-2 gap-1")
     ):
         rail = ui.column().classes("rt-tour-rail w-full gap-1")
-    with ui.right_drawer(value=True, bordered=True).props("width=320 breakpoint=0").classes("p-3"):
+    with (
+        ui.right_drawer(value=True, bordered=True)
+        .props("width=320 breakpoint=0")
+        .classes("p-3")
+    ):
         column = ui.column().classes("w-full gap-1")
     frame_ = _FRAMES[ui.context.client] = Frame(column)
-    ui.keyboard(on_key=lambda e: _key(session, frame_, e), ignore=["input", "textarea", "select"])
+    ui.keyboard(
+        on_key=lambda e: _key(session, frame_, e),
+        ignore=["input", "textarea", "select"],
+    )
     _rail(session, rail)
 
     def shown(screen: Screen) -> Callable[[], object]:
@@ -296,7 +319,9 @@ def page(session: StudioSession) -> None:
                 return screen.build(session)
             frame_.follow(frame_.rebuild, session.on_documents)
             if session.problem:
-                ui.label(session.problem).classes("p-6 whitespace-pre-wrap").mark("problem")
+                ui.label(session.problem).classes("p-6 whitespace-pre-wrap").mark(
+                    "problem"
+                )
                 return None
             return BEGIN.build(session)
 
@@ -326,31 +351,37 @@ def _keep(session: StudioSession) -> None:
 
 
 def _header(session: StudioSession, tour: Tour) -> None:
-    with ui.header(bordered=True).classes("items-center py-0 px-3 gap-2 h-12 bg-primary"):
+    with ui.header(bordered=True).classes(
+        "items-center py-0 px-3 gap-2 h-12 bg-primary"
+    ):
         ui.label("ringtrue").classes("text-base font-semibold")
         title = ui.label().classes("text-sm opacity-80 ellipsis")
 
         def named() -> None:
             config = session.config
-            title.text = config.study.title if config is not None else str(session.path.parent)
+            title.text = (
+                config.study.title if config is not None else str(session.path.parent)
+            )
 
         named()
         session.on_documents.subscribe(named)
         ui.space()
         bar = "flat round dense color=white"
-        ui.button(icon="undo", on_click=session.undo).props(bar).tooltip("Undo, Ctrl-Z").mark(
-            "undo"
-        )
-        ui.button(icon="redo", on_click=session.redo).props(bar).tooltip("Redo, Ctrl-Y").mark(
-            "redo"
-        )
-        ui.button(icon="history", on_click=lambda: _history(session)).props(bar).tooltip(
-            "What was changed"
-        ).classes("rt-tour-history").mark("history")
-        ui.button(icon="tour", on_click=tour.begin).props(bar).tooltip("Tour").mark("tour-begin")
-        ui.button(icon="dark_mode", on_click=lambda: session.set_dark(not session.dark)).props(
+        ui.button(icon="undo", on_click=session.undo).props(bar).tooltip(
+            "Undo, Ctrl-Z"
+        ).mark("undo")
+        ui.button(icon="redo", on_click=session.redo).props(bar).tooltip(
+            "Redo, Ctrl-Y"
+        ).mark("redo")
+        ui.button(icon="history", on_click=lambda: _history(session)).props(
             bar
-        ).tooltip("Dark or light").mark("theme")
+        ).tooltip("What was changed").classes("rt-tour-history").mark("history")
+        ui.button(icon="tour", on_click=tour.begin).props(bar).tooltip("Tour").mark(
+            "tour-begin"
+        )
+        ui.button(
+            icon="dark_mode", on_click=lambda: session.set_dark(not session.dark)
+        ).props(bar).tooltip("Dark or light").mark("theme")
         ui.button(icon="keyboard").props(bar).tooltip(KEY_WORDS)
 
 
@@ -363,7 +394,9 @@ def _rail(session: StudioSession, rail: ui.column) -> None:
         for screen in SCREENS:
             with (
                 ui.item(on_click=lambda s=screen: ui.navigate.to(f"/{s.name}"))
-                .classes(f"rt-screen rt-tour-screen-{screen.name} w-full rounded-borders")
+                .classes(
+                    f"rt-screen rt-tour-screen-{screen.name} w-full rounded-borders"
+                )
                 .props(f"dense clickable data-screen={screen.name}")
                 .mark(f"screen-{screen.name}")
             ):
@@ -411,7 +444,9 @@ def _run_panel(session: StudioSession) -> Callable[[], None]:
     heading("Run")
     bar = ui.linear_progress(show_value=False).props("instant-feedback")
     words = ui.label().classes("text-xs").mark("run-state")
-    stop = ui.button("Stop", icon="stop", on_click=session.work.stop).props("dense flat no-caps")
+    stop = ui.button("Stop", icon="stop", on_click=session.work.stop).props(
+        "dense flat no-caps"
+    )
     with ui.row().classes("items-center no-wrap gap-1") as idle:
         begin = ui.button(
             "Run the study", icon="play_arrow", on_click=lambda: session.run_stages()

@@ -88,9 +88,13 @@ class DrawnDeck:
         number, first, count = np.unique(
             self.numbers(coloring), return_index=True, return_counts=True
         )
-        region = np.asarray(self.arrays["groups"])[self.numbers("group")[first]].tolist()
+        region = np.asarray(self.arrays["groups"])[
+            self.numbers("group")[first]
+        ].tolist()
         out = []
-        for k, (n, size) in enumerate(zip(number.tolist(), count.tolist(), strict=True)):
+        for k, (n, size) in enumerate(
+            zip(number.tolist(), count.tolist(), strict=True)
+        ):
             name = f"{coloring} {n}" if n else f"no {coloring}"
             if coloring == "group":
                 name = region[k]
@@ -106,7 +110,9 @@ def _card(target: str) -> tuple[str, ...]:
 
 
 _DRAWN: WeakKeyDictionary[StudioSession, tuple[Any, DrawnDeck]] = WeakKeyDictionary()
-_CHECKS: WeakKeyDictionary[StudioSession, tuple[DrawnDeck, DeckCheck]] = WeakKeyDictionary()
+_CHECKS: WeakKeyDictionary[StudioSession, tuple[DrawnDeck, DeckCheck]] = (
+    WeakKeyDictionary()
+)
 _MODES: WeakKeyDictionary[StudioSession, tuple[Opened, ModeSet]] = WeakKeyDictionary()
 _READING: WeakKeyDictionary[StudioSession, asyncio.Lock] = WeakKeyDictionary()
 
@@ -161,7 +167,9 @@ async def deck_check(session: StudioSession, deck: DrawnDeck) -> DeckCheck | Non
     assert session.config is not None
     assert session.config.model is not None
     path = session.documents.folder / session.config.model.deck
-    made: DeckCheck | None = await run.io_bound(rt.check_deck, path, units=deck_units(session))
+    made: DeckCheck | None = await run.io_bound(
+        rt.check_deck, path, units=deck_units(session)
+    )
     if made is not None:
         _CHECKS[session] = deck, made
     return made
@@ -188,7 +196,9 @@ async def solve_deck(session: StudioSession, deck: DrawnDeck, count: int) -> Non
 def _state(settings: ModelSection, opened: Opened) -> tuple[Any, ...]:
     """What a drawing follows from: the settings of the deck, and its files as they stand."""
     files = [Path(f) for f in opened.model.files]
-    stamps = [(f.stat().st_mtime_ns, f.stat().st_size) if f.exists() else None for f in files]
+    stamps = [
+        (f.stat().st_mtime_ns, f.stat().st_size) if f.exists() else None for f in files
+    ]
     return str(settings), *stamps
 
 
@@ -241,7 +251,9 @@ class Records:
     def unused(self) -> tuple[str, ...]:
         """Channels that the study leaves out."""
         config = self.session.config
-        return tuple(config.test.leave_out) if config is not None and config.test else ()
+        return (
+            tuple(config.test.leave_out) if config is not None and config.test else ()
+        )
 
     async def view(self, name: str) -> RecordView | None:
         """A record, opened once as long as its file stays; None while the program ends."""
@@ -360,10 +372,14 @@ def pole_shape(found: IdentifiedModes, pole: Pole) -> ModeSet | None:
     channels = found.diagram.modes.channels
     for diagram in found.diagrams:
         poles = diagram.poles
-        at = np.flatnonzero((poles.order == pole.order) & (poles.frequencies == pole.frequency))
+        at = np.flatnonzero(
+            (poles.order == pole.order) & (poles.frequencies == pole.frequency)
+        )
         if at.size and poles.shape.shape[0] == len(channels):
             shape = poles.shape[:, at[:1]]
-            return ModeSet(poles.frequencies[at[:1]], poles.damping[at[:1]], shape, channels)
+            return ModeSet(
+                poles.frequencies[at[:1]], poles.damping[at[:1]], shape, channels
+            )
     return None
 
 
@@ -376,7 +392,9 @@ def evidence(found: IdentifiedModes, k: int) -> None:
         "Frequency",
         f"{plus_minus(float(shown.modes.frequencies[k]), float(std.frequency[k]), 6)} Hz",
     )
-    damping = plus_minus(100 * float(shown.modes.damping[k]), 100 * float(std.damping[k]), 3)
+    damping = plus_minus(
+        100 * float(shown.modes.damping[k]), 100 * float(std.damping[k]), 3
+    )
     fact("Damping ratio", f"{damping} %")
     fact("MPC", f"{shown.mpc[k]:.3f}")
     fact("Confidence", f"{shown.modes.confidence[k]:.2f}")

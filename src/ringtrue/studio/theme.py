@@ -27,7 +27,11 @@ CSS = Path(__file__).with_name("studio.css")
 def apply() -> None:
     """The look of a page."""
     ui.colors(
-        primary=PRIMARY, secondary="#0b7a75", accent="#d55e00", dark="#1b2129", dark_page=DARK_PAPER
+        primary=PRIMARY,
+        secondary="#0b7a75",
+        accent="#d55e00",
+        dark="#1b2129",
+        dark_page=DARK_PAPER,
     )
     ui.add_css(CSS)
 
@@ -45,14 +49,24 @@ def drawn(figure: go.Figure, *, dark: bool, tools: bool = True) -> dict[str, Any
     spec: dict[str, Any] = figure.to_plotly_json()
     layout = spec["layout"]
     layout["height"] = None
-    if tools and layout.get("showlegend", True):  # they stand above a legend of two rows
-        layout["margin"] = {**layout["margin"], "t": max(64, layout["margin"].get("t", 0))}
+    # they stand above a legend of two rows
+    if tools and layout.get("showlegend", True):
+        layout["margin"] = {
+            **layout["margin"],
+            "t": max(64, layout["margin"].get("t", 0)),
+        }
     layout["uirevision"] = "kept"  # zoom and hidden traces stay when the figure changes
     layout["paper_bgcolor"] = layout["plot_bgcolor"] = "rgba(0,0,0,0)"
-    layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": DARK_MUTED if dark else MUTED}
+    layout["modebar"] = {
+        "bgcolor": "rgba(0,0,0,0)",
+        "color": DARK_MUTED if dark else MUTED,
+    }
     if dark:
         spec = _recoloured(spec)
-        spec["layout"]["hoverlabel"] = {"bgcolor": "#232b34", "font": {"color": DARK_INK}}
+        spec["layout"]["hoverlabel"] = {
+            "bgcolor": "#232b34",
+            "font": {"color": DARK_INK},
+        }
     spec["config"] = {"displaylogo": False, "responsive": True}
     spec["config"]["modeBarButtonsToRemove"] = ["select2d", "lasso2d", "autoScale2d"]
     spec["config"] |= {"scrollZoom": True} if tools else {"displayModeBar": False}

@@ -79,9 +79,9 @@ class Tour:
             with ui.row().classes("w-full items-center no-wrap gap-1"):
                 self.count = ui.label().classes("text-xs opacity-70")
                 ui.space()
-                ui.button("Close", on_click=self.close).props("flat dense no-caps").classes(
-                    "rt-tour-close"
-                ).mark("tour-close")
+                ui.button("Close", on_click=self.close).props(
+                    "flat dense no-caps"
+                ).classes("rt-tour-close").mark("tour-close")
                 self.forward = (
                     ui.button("Next", on_click=self.next)
                     .props("dense no-caps unelevated")
@@ -113,7 +113,10 @@ class Tour:
         if not self.session.example:
             return
         await ui.context.client.connected()
-        if await ui.run_javascript(f"localStorage.getItem('{SEEN}')", timeout=10.0) is None:
+        if (
+            await ui.run_javascript(f"localStorage.getItem('{SEEN}')", timeout=10.0)
+            is None
+        ):
             self.begin()
 
     def _show(self) -> None:

@@ -37,7 +37,9 @@ def block(key: str) -> Response:
     return Response(found, media_type="application/octet-stream", headers=kept)
 
 
-class Viewer(Element, component="viewer_element.js", esm={"ringtrue-viewer": str(SOURCES)}):
+class Viewer(
+    Element, component="viewer_element.js", esm={"ringtrue-viewer": str(SOURCES)}
+):
     """A 3D view.
 
     Parameters
@@ -108,7 +110,13 @@ class Viewer(Element, component="viewer_element.js", esm={"ringtrue-viewer": str
         return self
 
     def field(
-        self, name: str, values: Float, *, of: str = "node", ids: Int | None = None, **look: Any
+        self,
+        name: str,
+        values: Float,
+        *,
+        of: str = "node",
+        ids: Int | None = None,
+        **look: Any,
     ) -> Self:
         """Keep a field, which `show(field=name)` colours the model by.
 

@@ -18,7 +18,13 @@ from ringtrue.studio.session import StudioSession
 from ringtrue.studio.shell import frame
 from ringtrue.studio.shown import DrawnDeck, deck_units
 from ringtrue.studio.viewer_element import Viewer
-from ringtrue.study.results import CorrelateStage, FinalStage, IdentifyStage, ModelStage, Scene
+from ringtrue.study.results import (
+    CorrelateStage,
+    FinalStage,
+    IdentifyStage,
+    ModelStage,
+    Scene,
+)
 from ringtrue.viewer.scene import model_arrays, test_arrays
 
 if TYPE_CHECKING:
@@ -28,7 +34,11 @@ BELOW = 272  # pixels of a page that are not the 3D view
 
 
 def deck_view(
-    session: StudioSession, drawn: Mapping[str, Any], pick: Sequence[str], *, below: int = BELOW
+    session: StudioSession,
+    drawn: Mapping[str, Any],
+    pick: Sequence[str],
+    *,
+    below: int = BELOW,
 ) -> Viewer:
     """The deck in 3D, as high as the page less what stands below, in the theme of the page.
 
@@ -72,7 +82,9 @@ def no_deck() -> None:
 
 def length_unit(session: StudioSession) -> str:
     """In which the deck is."""
-    return {"SI": "m", "in-lbf-s": "in", "ft-lbf-s": "ft"}.get(deck_units(session), "mm")
+    return {"SI": "m", "in-lbf-s": "in", "ft-lbf-s": "ft"}.get(
+        deck_units(session), "mm"
+    )
 
 
 def mass_unit(session: StudioSession) -> str:
@@ -107,7 +119,9 @@ class ShapeView:
         Views of a page with the same name move and turn together.
     """
 
-    def __init__(self, session: StudioSession, parts: str = "both", linked: str = "") -> None:
+    def __init__(
+        self, session: StudioSession, parts: str = "both", linked: str = ""
+    ) -> None:
         self.session = session
         model: ModelStage | None = session.stage("model")
         found: IdentifyStage | None = session.stage("identify")
@@ -124,7 +138,9 @@ class ShapeView:
             self.viewer = Viewer(drawn, linked=linked, theme=_theme(session))
         self._playing = True
         self.viewer.play()
-        frame().follow(lambda: self.viewer.show(theme=_theme(session)), session.on_theme)
+        frame().follow(
+            lambda: self.viewer.show(theme=_theme(session)), session.on_theme
+        )
 
     def toggle(self) -> None:
         """Begin or end the motion."""
@@ -165,7 +181,9 @@ class ShapeView:
         self.viewer.show(color="group", mode=None, test=SHAPE)
         return found
 
-    def tried(self, skin: ModeSet, seen: tuple[ModeSet, int], test: tuple[ModeSet, int]) -> None:
+    def tried(
+        self, skin: ModeSet, seen: tuple[ModeSet, int], test: tuple[ModeSet, int]
+    ) -> None:
         """Show a mode that is tried, `skin` on the drawing and `seen` at the channels, in the phase
         of a test mode: it keeps its sign while a factor moves.
         """

@@ -64,7 +64,11 @@ class Job:
         if values:
             step = _VALUES.validate_json(values)
             # another set of parameters begins anew
-            same = self.steps if self.steps and self.steps[-1].keys() == step.keys() else []
+            same = (
+                self.steps
+                if self.steps and self.steps[-1].keys() == step.keys()
+                else []
+            )
             self.steps = [*same, step]
 
     @property
@@ -111,13 +115,15 @@ class Work:
             sys.executable,
             "-m",
             "ringtrue.studio.work",
-            str(self.study),  # as it was named: results hold paths as they are seen from here
+            # as it was named: results hold paths as they are seen from here
+            str(self.study),
             until,
             first,
             stdin=pipe,
             stdout=pipe,
             stderr=pipe,
-            start_new_session=True,  # Ctrl-C in the terminal of the studio is not meant for it
+            # Ctrl-C in the terminal of the studio is not meant for it
+            start_new_session=True,
         )
         assert process.stdout is not None
         assert process.stderr is not None
@@ -134,7 +140,11 @@ class Work:
 
     def stop(self) -> None:
         """Ask the run to end; what is finished is stored."""
-        if self._process is not None and self.job is not None and self.job.state == "running":
+        if (
+            self._process is not None
+            and self.job is not None
+            and self.job.state == "running"
+        ):
             self.job.state = "stopping"
             if sys.platform == "win32":
                 assert self._process.stdin is not None
@@ -165,7 +175,9 @@ def main(study: str, until: str = "", first: str = "") -> int:
         signal(number, default_int_handler)
     threading.Thread(target=_watch_parent, daemon=True).start()
     try:
-        rt.run_study(Path(study), until=until or None, first=first or None, progress=_report)
+        rt.run_study(
+            Path(study), until=until or None, first=first or None, progress=_report
+        )
     except KeyboardInterrupt:
         return STOPPED
     except rt.RingtrueError as e:

@@ -86,7 +86,10 @@ class Acceptance:
         """Whether a pair is accepted."""
         limits = [
             abs(value) <= limit
-            for value, limit in ((deviation_percent, self.percent), (deviation_hz, self.hz))
+            for value, limit in (
+                (deviation_percent, self.percent),
+                (deviation_hz, self.hz),
+            )
             if limit is not None
         ]
         return (any(limits) if limits else True) and (
@@ -98,7 +101,9 @@ class Acceptance:
         return tuple(
             r
             for r in table.rows()
-            if not self.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
+            if not self.holds(
+                r.deviation_percent, r.deviation_hz, r.subspace_mac_percent
+            )
         )
 
     def words(self) -> str:
@@ -134,7 +139,9 @@ def judged(config: StudyConfig, results: Mapping[str, Any]) -> Judged | None:
         rigid = (("rigid-body ", final.rigid),) if config.suspension else ()
         done: ConfiguredStage | None = results.get("configured")
         others = tuple((f"{c.name}: ", c.table) for c in done.items) if done else ()
-        return Judged("final model", (("", final.table), *rigid, *others), final.evidence)
+        return Judged(
+            "final model", (("", final.table), *rigid, *others), final.evidence
+        )
     correlate: CorrelateStage | None = results.get("correlate")
     if correlate is None or config.candidate or config.suspension or config.propose:
         return None
@@ -158,7 +165,9 @@ def missed_words(config: StudyConfig, results: Mapping[str, Any]) -> tuple[str, 
     )
 
 
-def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
+def limits(
+    config: StudyConfig, results: Mapping[str, Any]
+) -> tuple[AcceptanceCheck, ...]:
     """Whether the delivered model keeps the limits that the study states; empty where it states
     none.
     """
@@ -178,7 +187,10 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceC
         n = len(table)
         out.append(
             AcceptanceCheck(
-                f"{model.name}: pairs", f"≥ {c.accept_pairs}", str(n), n >= c.accept_pairs
+                f"{model.name}: pairs",
+                f"≥ {c.accept_pairs}",
+                str(n),
+                n >= c.accept_pairs,
             )
         )
     if c.accept_mean_percent is not None:
@@ -186,7 +198,10 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceC
         most = c.accept_mean_percent
         out.append(
             AcceptanceCheck(
-                f"{model.name}: mean |Δf|", f"≤ {most:g} %", f"{mean:.2f} %", bool(mean <= most)
+                f"{model.name}: mean |Δf|",
+                f"≤ {most:g} %",
+                f"{mean:.2f} %",
+                bool(mean <= most),
             )
         )
     if c.accept_mean_mac is not None:
@@ -207,7 +222,9 @@ def limits(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceC
 
 def _orthogonal(model: Judged, c: CorrelateSection) -> AcceptanceCheck:
     """The cross-orthogonality over the best mass at hand."""
-    wanted = f"pairs ≥ {c.accept_orthogonality:g} %, others ≤ {c.accept_off_diagonal:g} %"
+    wanted = (
+        f"pairs ≥ {c.accept_orthogonality:g} %, others ≤ {c.accept_off_diagonal:g} %"
+    )
     cross = model.evidence.measures.cross if model.evidence else None
     name = f"{model.name}: cross-orthogonality"
     if cross is None:
@@ -223,10 +240,16 @@ def convergence(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
     if update is None:
         return ()
     outcome = update.best.outcome
-    return (AcceptanceCheck("updating", "converged", outcome.verdict, outcome.ok, "outcome"),)
+    return (
+        AcceptanceCheck(
+            "updating", "converged", outcome.verdict, outcome.ok, "outcome"
+        ),
+    )
 
 
-def adequacy(results: Mapping[str, Any], *, required: bool) -> tuple[AcceptanceCheck, ...]:
+def adequacy(
+    results: Mapping[str, Any], *, required: bool
+) -> tuple[AcceptanceCheck, ...]:
     """The kinds of residuals that the chosen updating does not fit; empty if it fits all.
 
     Limits that the study states judge its model; without any these are required.
@@ -252,7 +275,9 @@ def settles(outcome: Outcome | None, stated: tuple[AcceptanceCheck, ...]) -> boo
     Where no step lowers the objective any more the end is as good as it gets, and stated limits
     judge it; one that was cut short is no result.
     """
-    return outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
+    return (
+        outcome is None or outcome.ok or (outcome is Outcome.STALLED and bool(stated))
+    )
 
 
 def improvement(results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
@@ -302,10 +327,16 @@ def _improved(
         return []
     way = "fell" if b < a else "rose"
     got = f"{way} from {number(a, 2)} to {number(b, 2)} %"
-    return [AcceptanceCheck(f"{name}: mean |Δf|", "", got, bool(b < a), "change", required=False)]
+    return [
+        AcceptanceCheck(
+            f"{name}: mean |Δf|", "", got, bool(b < a), "change", required=False
+        )
+    ]
 
 
-def verdict(config: StudyConfig, results: Mapping[str, Any]) -> tuple[AcceptanceCheck, ...]:
+def verdict(
+    config: StudyConfig, results: Mapping[str, Any]
+) -> tuple[AcceptanceCheck, ...]:
     """What must hold of any study, and what this one states."""
     stated = limits(config, results)
     update: UpdateStage | None = results.get("update")

@@ -24,7 +24,12 @@ from ringtrue.fem.parametrisation.polynomials import AffineTerm, power
 from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.model import Model
 from ringtrue.reduction.basis import AffineSystem
-from ringtrue.reduction.dense_models import DenseModel, HeldModel, ReducingAnalysis, condensed
+from ringtrue.reduction.dense_models import (
+    DenseModel,
+    HeldModel,
+    ReducingAnalysis,
+    condensed,
+)
 from ringtrue.reduction.parametric import ReducedModel
 from ringtrue.reduction.response import responding, with_responses
 from ringtrue.study.evidence import at_channels
@@ -120,7 +125,9 @@ def search_settings(session: Session) -> SearchSettings:
 _Screened = tuple[tuple[Candidate, ...], tuple[Candidate, ...], tuple[Dropped, ...]]
 
 
-def screened_here(session: Session, every: tuple[Candidate, ...], progress: Progress) -> _Screened:
+def screened_here(
+    session: Session, every: tuple[Candidate, ...], progress: Progress
+) -> _Screened:
     """By the matrices of the deck."""
     model = session.remodelled.model
     system = session.remodelled.analysis.system
@@ -147,7 +154,15 @@ def screened_here(session: Session, every: tuple[Candidate, ...], progress: Prog
     channels = session.own.reference.elastic.channels
     readings = at_channels(deck, session.own.observed(deck), channels)
     near = screened(
-        ScreenedDeck(model, system, some, observe=readings, values=lam, vectors=vectors, data=data),
+        ScreenedDeck(
+            model,
+            system,
+            some,
+            observe=readings,
+            values=lam,
+            vectors=vectors,
+            data=data,
+        ),
         target(session.own),
         look,
         session.config.localise.pool,
@@ -187,7 +202,11 @@ def search_points(
 ) -> list[Float]:
     """Where a search will look."""
     together = conflicts(session.remodelled.model, candidates)
-    return drawn(model.parameters, together, np.random.default_rng([session.config.study.seed, 5]))
+    return drawn(
+        model.parameters,
+        together,
+        np.random.default_rng([session.config.study.seed, 5]),
+    )
 
 
 def search_model(
@@ -259,7 +278,9 @@ class DataScreening:
         free = unconstrained(self.configuration.deck.model)
         system = assemble(free)
         r = system.rigid_body()
-        return np.asarray(r.T @ (system.mass @ r)), _projected(free, self.chosen, system, r)[1]
+        return np.asarray(r.T @ (system.mass @ r)), _projected(
+            free, self.chosen, system, r
+        )[1]
 
     def strained(self) -> tuple[Float, Float]:
         """λ and vectors of the deck in which a candidate must have a part to be seen: modes and
@@ -327,7 +348,9 @@ class DataScreening:
         )
         everything = np.zeros(p)
         everything[list(which)] = x
-        data = on_parameters(self.configuration, lambda: self._rigid(everything), tuple(range(p)))
+        data = on_parameters(
+            self.configuration, lambda: self._rigid(everything), tuple(range(p))
+        )
         blocks = [Weighted(d.term, d.weight)(here) for d in data]
         slopes = np.concatenate([b.slope for b in blocks]) * self.chosen.std()
         return np.concatenate([b.value for b in blocks]), slopes
@@ -337,7 +360,10 @@ class DataScreening:
         mass, slopes = self.mass
         none = sparse.csr_array((6, 6))
         here = mass + np.tensordot(self.chosen.factors(x) - 1, slopes, axes=1)
-        terms = tuple(AffineTerm(power(i), none, sparse.csr_array(s)) for i, s in enumerate(slopes))
+        terms = tuple(
+            AffineTerm(power(i), none, sparse.csr_array(s))
+            for i, s in enumerate(slopes)
+        )
         whole = AffineSystem(none, sparse.csr_array(here), self.chosen, terms, none)
         return RigidMass(whole, np.eye(6))
 

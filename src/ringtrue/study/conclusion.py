@@ -40,7 +40,9 @@ def repeats(compare: CompareStage | None, conditions: ConditionsStage | None) ->
     The larger of the two; NaN where nothing was repeated.
     """
     again = float("nan") if conditions is None else conditions.scatter
-    return float(np.fmax(repeatability(compare.table if compare is not None else None), again))
+    return float(
+        np.fmax(repeatability(compare.table if compare is not None else None), again)
+    )
 
 
 def findings_json(r: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -53,10 +55,17 @@ def findings_json(r: Mapping[str, Any]) -> list[dict[str, Any]]:
     """
     identify: IdentifyStage | None = r.get("identify")
     conditions: ConditionsStage | None = r.get("conditions")
-    notes = [n for n in (identify.channel_notes if identify is not None else ()) if n.values]
+    notes = [
+        n for n in (identify.channel_notes if identify is not None else ()) if n.values
+    ]
     notes += conditions.notes if conditions is not None else ()
     out = [
-        {"what": n.code, "subject": n.subject, "values": dict(n.values), "text": sentence(n)}
+        {
+            "what": n.code,
+            "subject": n.subject,
+            "values": dict(n.values),
+            "text": sentence(n),
+        }
         for n in notes
     ]
     for s, where in suspected(r):
@@ -79,11 +88,15 @@ def suspected(r: Mapping[str, Any]) -> list[tuple[Suspect, str]]:
     """
     correlate: CorrelateStage | None = r.get("correlate")
     last: FinalStage | CorrelateStage | None = r.get("final") or correlate
-    found = last.evidence.measures.suspects if last is not None and last.evidence else ()
+    found = (
+        last.evidence.measures.suspects if last is not None and last.evidence else ()
+    )
     rigid = correlate.sensors.rigid if correlate is not None else ()
     named = {s.channel for s in found}
     out = [(s, "") for s in found]
-    return out + [(s, " in the rigid-body modes") for s in rigid if s.channel not in named]
+    return out + [
+        (s, " in the rigid-body modes") for s in rigid if s.channel not in named
+    ]
 
 
 class Validation(StrEnum):
@@ -185,7 +198,9 @@ class Conclusion:
     @property
     def failed(self) -> tuple[AcceptanceCheck, ...]:
         """The checks that did not hold, required ones first."""
-        return tuple(sorted((c for c in self.checks if not c.held), key=lambda c: not c.required))
+        return tuple(
+            sorted((c for c in self.checks if not c.held), key=lambda c: not c.required)
+        )
 
     @property
     def verdict(self) -> Validation:
@@ -198,7 +213,9 @@ class Conclusion:
 
 
 def conclude(
-    results: Mapping[str, Any], checks: Sequence[AcceptanceCheck], acceptance: Acceptance
+    results: Mapping[str, Any],
+    checks: Sequence[AcceptanceCheck],
+    acceptance: Acceptance,
 ) -> Conclusion | None:
     """The conclusion of a study, as far as it was run; None without a correlation."""
     correlate: CorrelateStage | None = results.get("correlate")
@@ -252,17 +269,23 @@ def _unseen(results: Mapping[str, Any], correlate: CorrelateStage) -> Unseen | N
     if update is None:
         if not deviation.size:
             return None
-        return Unseen("all", deviation.size, table.mean_deviation(), table.max_deviation())
+        return Unseen(
+            "all", deviation.size, table.mean_deviation(), table.max_deviation()
+        )
     left_out = deviation[~table.used]
     if left_out.size:
         first, _ = in_both(correlate.initial, table, used=False)
         inside = None
         if known is not None:
             bands = known.bands
-            inside = int((bands.inside & ~bands.used & np.isfinite(bands.predicted)).sum())
+            inside = int(
+                (bands.inside & ~bands.used & np.isfinite(bands.predicted)).sum()
+            )
         mean, largest = float(left_out.mean()), float(left_out.max())
         before = correlate.initial.mean_deviation(first)
-        return Unseen("left out", left_out.size, mean, largest, before=before, inside=inside)
+        return Unseen(
+            "left out", left_out.size, mean, largest, before=before, inside=inside
+        )
     if known is not None and known.held.in_turn.any():
         at = known.held.in_turn
         error = 100 * np.abs(known.held.error[at])
@@ -290,14 +313,20 @@ def _changes(results: Mapping[str, Any]) -> tuple[Change, ...]:
             std = factor * float(p.relative[i])
             kept = float(known.kept[i])
             kinds = tuple(dict.fromkeys(doubts))
-            change = Change(name, factor, std, interval=(low, high), kept=kept, doubts=kinds)
+            change = Change(
+                name, factor, std, interval=(low, high), kept=kept, doubts=kinds
+            )
             out.append(change)
     elif update is not None:
         best = update.best
-        spread = zip(best.parameters, best.factor.tolist(), best.std.tolist(), strict=True)
+        spread = zip(
+            best.parameters, best.factor.tolist(), best.std.tolist(), strict=True
+        )
         out += [Change(name, factor, factor * std) for name, factor, std in spread]
     if tune is not None:
-        out += [Change(n, a, a * tune.std[n], rigid=True) for n, a in tune.factors.items()]
+        out += [
+            Change(n, a, a * tune.std[n], rigid=True) for n, a in tune.factors.items()
+        ]
     return tuple(out)
 
 
@@ -329,7 +358,9 @@ def _most_sensitive(found: SensitivityStage | None, name: str) -> str:
     return ", ".join(str(k + 1) for k in sorted(most.tolist()))
 
 
-def _open_modes(results: Mapping[str, Any], correlate: CorrelateStage) -> list[Question]:
+def _open_modes(
+    results: Mapping[str, Any], correlate: CorrelateStage
+) -> list[Question]:
     """Modes without a partner inside the band of the test."""
     table = _table(results, correlate)
     out = []
@@ -346,7 +377,9 @@ def _open_modes(results: Mapping[str, Any], correlate: CorrelateStage) -> list[Q
         final: FinalStage | None = results.get("final")
         if final is not None and len(final.observed) == table.all_fe_hz.size:
             shapes = np.abs(final.observed.shapes[:, lone[within]])
-            points = [final.observed.channels[k] for k in shapes.argmax(axis=0).tolist()]
+            points = [
+                final.observed.channels[k] for k in shapes.argmax(axis=0).tolist()
+            ]
             values["points"] = ", ".join(dict.fromkeys(points))
         out.append(Question("FE modes unpaired", values))
     return out
@@ -357,7 +390,9 @@ def _numbered(modes: Int, hz: np.ndarray) -> str:
     return ", ".join(f"{k + 1} ({hz[k]:.4g} Hz)" for k in modes.tolist())
 
 
-def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Question]:
+def _open_tests(
+    results: Mapping[str, Any], band: tuple[float, float]
+) -> list[Question]:
     """What was not measured, or not well."""
     out = []
     compare: CompareStage | None = results.get("compare")
@@ -366,13 +401,20 @@ def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Q
     if names := dict.fromkeys(s.channel for s, _ in suspected(results)):
         out.append(Question("channels suspected", {"channels": ", ".join(names)}))
     final: FinalStage | None = results.get("final")
-    if final is not None and final.evidence is not None and final.evidence.frfs is not None:
+    if (
+        final is not None
+        and final.evidence is not None
+        and final.evidence.frfs is not None
+    ):
         frfs = final.evidence.frfs
         if worse := frfs.worse:
             points = ", ".join(worse)
             total = len(frfs.final.inputs)
             out.append(
-                Question("FRFs worse", {"points": points, "count": len(worse), "total": total})
+                Question(
+                    "FRFs worse",
+                    {"points": points, "count": len(worse), "total": total},
+                )
             )
     damped: DampingStage | None = results.get("damping")
     if damped is not None and damped.regions is not None and damped.why:
@@ -383,6 +425,10 @@ def _open_tests(results: Mapping[str, Any], band: tuple[float, float]) -> list[Q
         speeds = predicted.run_up.peak_speed.high
         beyond = int((speeds > band[1]).sum())
         if beyond:
-            values = {"count": beyond, "total": speeds.size, "high": float(speeds.max())}
+            values = {
+                "count": beyond,
+                "total": speeds.size,
+                "high": float(speeds.max()),
+            }
             out.append(Question("peaks beyond the band", values))
     return out

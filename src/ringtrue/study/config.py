@@ -6,7 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import ConfigError, DataError, did_you_mean
@@ -86,11 +92,15 @@ class StudyConfig(BaseModel):
         if self.set and not self.candidate:
             raise ValueError("[[set]] needs [[candidate]]s that it names")
         if len({s.name for s in self.set} - AUTOMATIC) != len(self.set):
-            raise ValueError(f"[[set]]: names of their own, none of {', '.join(sorted(AUTOMATIC))}")
+            raise ValueError(
+                f"[[set]]: names of their own, none of {', '.join(sorted(AUTOMATIC))}"
+            )
         if self.candidate:
             self.check_names([c.name for c in self.candidate])
         there = {c.name for c in self.configuration}
-        if lost := sorted({r.configuration for r in self.residual if r.configuration} - there):
+        if lost := sorted(
+            {r.configuration for r in self.residual if r.configuration} - there
+        ):
             raise ValueError(f"[[residual]]: no configuration {lost[0]!r}")
         if self.residual and self.model is not None and self.model.solver != EMBEDDED:
             raise ValueError(
@@ -99,7 +109,9 @@ class StudyConfig(BaseModel):
                 "was measured besides them needs the embedded solver"
             )
         if self.configuration and (self.model is None or self.test is None):
-            raise ValueError("configurations need a [model] and a [test] that they are others of")
+            raise ValueError(
+                "configurations need a [model] and a [test] that they are others of"
+            )
         if self.model is not None and self.model.refine:
             self._refinable(self.model.solver)
         return self
@@ -111,10 +123,17 @@ class StudyConfig(BaseModel):
         if self.frequency_only and self.model is None:
             raise ValueError(f"{why}: it needs a [model] to compare them with")
         asked = [
-            f"[correlate] {name}" for name in sorted(OF_SHAPES & self.correlate.model_fields_set)
+            f"[correlate] {name}"
+            for name in sorted(OF_SHAPES & self.correlate.model_fields_set)
         ]
-        given = self.update.residuals if "residuals" in self.update.model_fields_set else []
-        asked += [f"[update] residuals {kind}" for kind in given if kind not in FREQUENCY_KINDS]
+        given = (
+            self.update.residuals if "residuals" in self.update.model_fields_set else []
+        )
+        asked += [
+            f"[update] residuals {kind}"
+            for kind in given
+            if kind not in FREQUENCY_KINDS
+        ]
         asked += [
             f"[[set]] residuals {kind}"
             for s in self.set
@@ -133,7 +152,9 @@ class StudyConfig(BaseModel):
                 "two out"
             )
         targets = [
-            parse_target(t)[0] for c in (*self.candidate, *self.suspension) for t in c.targets
+            parse_target(t)[0]
+            for c in (*self.candidate, *self.suspension)
+            for t in c.targets
         ]
         if split := next((t.card for t in targets if t.card in NODES), None):
             raise ValueError(
@@ -176,14 +197,21 @@ class StudyConfig(BaseModel):
             return self
         limits = self.correlate.model_copy(update={"accept_mac": None})
         limits.model_fields_set.discard("accept_mac")
-        return self.model_copy(update={"update": self.update.of_frequencies(), "correlate": limits})
+        return self.model_copy(
+            update={"update": self.update.of_frequencies(), "correlate": limits}
+        )
 
     @property
     def joint(self) -> bool:
         """Whether sets are chosen by the general objective: more than eigenvalues and shapes of one
         deck.
         """
-        return bool(self.configuration or self.residual or self.constraint or not self.update.plain)
+        return bool(
+            self.configuration
+            or self.residual
+            or self.constraint
+            or not self.update.plain
+        )
 
     @property
     def propose(self) -> bool:
@@ -232,7 +260,9 @@ def parse_config(text: str, path: Path) -> StudyConfig:
         raise ConfigError(explain(path, e, StudyConfig)) from e
 
 
-def explain(path: Path, error: ValidationError, top: type[BaseModel], whole: str = "study") -> str:
+def explain(
+    path: Path, error: ValidationError, top: type[BaseModel], whole: str = "study"
+) -> str:
     """One line for each mistake in a file that should be a `top`."""
     lines = []
     for e in error.errors():
@@ -275,9 +305,12 @@ def _allowed(top: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
         of_kind = [
             m
             for m in here
-            if "kind" in m.model_fields and step in get_args(m.model_fields["kind"].annotation)
+            if "kind" in m.model_fields
+            and step in get_args(m.model_fields["kind"].annotation)
         ]
-        fields = [m.model_fields[step].annotation for m in here if step in m.model_fields]
+        fields = [
+            m.model_fields[step].annotation for m in here if step in m.model_fields
+        ]
         here = of_kind or [m for f in fields for m in _sections_in(f)]
     return [name for m in here for name in m.model_fields]
 

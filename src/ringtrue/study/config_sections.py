@@ -34,7 +34,9 @@ Strike = Literal["worst", "greedy"]
 def rising(name: str, low: float | None, high: float | None) -> None:
     """Refuse a band that does not rise from 0 or more."""
     if (low is not None and low < 0) or (high is not None and high <= (low or 0.0)):
-        raise ValueError(f"{name}fmin {low} and {name}fmax {high}: must be 0 <= fmin < fmax")
+        raise ValueError(
+            f"{name}fmin {low} and {name}fmax {high}: must be 0 <= fmin < fmax"
+        )
 
 
 class PlanSection(StudySection):
@@ -125,7 +127,9 @@ class PlanSection(StudySection):
                 "once"
             )
         if self.ambient_force and not self.trials:
-            raise ValueError("ambient_force is that of virtual ambient tests; give trials, too")
+            raise ValueError(
+                "ambient_force is that of virtual ambient tests; give trials, too"
+            )
         if lost := [r for r in self.kinetic if r not in self.candidates]:
             raise ValueError(
                 f"no region {lost[0]!r} in candidates{did_you_mean(lost[0], self.candidates)}"
@@ -257,7 +261,9 @@ class StudyInfo(StudySection):
     @classmethod
     def _numbers(cls, value: dict[str, str]) -> dict[str, str]:
         if wrong := [k for k in value if not re.fullmatch(r"[1-9]\d*", k)]:
-            raise ValueError(f"{wrong[0]!r} is no number of a test mode, such as 1 or 12")
+            raise ValueError(
+                f"{wrong[0]!r} is no number of a test mode, such as 1 or 12"
+            )
         return value
 
     @field_validator("workers")
@@ -286,7 +292,9 @@ class ModelSection(StudySection):
     regions: dict[str, list[int]] = {}
     """Name -> property numbers, for drawing and naming."""
 
-    def engine(self, name: str = "", timeout: float | None = None) -> ModalSolver | None:
+    def engine(
+        self, name: str = "", timeout: float | None = None
+    ) -> ModalSolver | None:
         """The solver, or another that is named; None for the embedded one.
 
         Raises
@@ -295,7 +303,9 @@ class ModelSection(StudySection):
             If there is none of this name, or it takes no ranks, launcher or time limit.
         """
         name = name or self.solver
-        ranks, launcher = (self.ranks, self.launcher) if name == self.solver else (None, "")
+        ranks, launcher = (
+            (self.ranks, self.launcher) if name == self.solver else (None, "")
+        )
         made = solver(name, ranks=ranks, launcher=launcher, timeout=timeout)
         return None if name == EMBEDDED else made
 
@@ -324,7 +334,9 @@ class TestSection(StudySection):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if self.modes is not None and (self.log is not None or self.frfs):
-            raise ValueError("modes take the place of a log and of frfs: give one of the two")
+            raise ValueError(
+                "modes take the place of a log and of frfs: give one of the two"
+            )
         if self.sheet is None and (self.modes is None or self.leave_out or self.lines):
             raise ValueError(
                 "a test needs a `sheet`; only `modes` that are frequencies alone have no channels"
@@ -405,7 +417,10 @@ def parse_target(text: str) -> tuple[CardField, ...]:
         raise ValueError(
             f"{text!r} is not a target; the form is 'CARD id FIELD[,FIELD]', as in 'MAT1 7 E'"
         )
-    return tuple(CardField(words[0].upper(), int(words[1]), f.upper()) for f in words[2].split(","))
+    return tuple(
+        CardField(words[0].upper(), int(words[1]), f.upper())
+        for f in words[2].split(",")
+    )
 
 
 def target_words(parameter: Parameter) -> list[str]:
@@ -416,7 +431,9 @@ def target_words(parameter: Parameter) -> list[str]:
     for t in parameter.targets:
         fields.setdefault(f"{t.card} {t.id}", []).append(t.field)
     partly = bool(parameter.substructures) or any(t.elements for t in parameter.targets)
-    return [] if partly else [f"{card} {','.join(some)}" for card, some in fields.items()]
+    return (
+        [] if partly else [f"{card} {','.join(some)}" for card, some in fields.items()]
+    )
 
 
 class LocaliseSection(StudySection):
@@ -546,7 +563,9 @@ class ConfigurationSection(StudySection):
         if (self.log is None) == (self.modes is None) or (
             self.log is not None and self.sheet is None
         ):
-            raise ValueError("a configuration has a sheet and a log, or a file of modes")
+            raise ValueError(
+                "a configuration has a sheet and a log, or a file of modes"
+            )
         return self
 
 

@@ -73,7 +73,9 @@ class UpdateSection(StudySection):
     @classmethod
     def _some(cls, value: list[str]) -> list[str]:
         if not value or len(set(value)) < len(value):
-            raise ValueError("residuals: at least one kind of the paired modes, each once")
+            raise ValueError(
+                "residuals: at least one kind of the paired modes, each once"
+            )
         return value
 
     @model_validator(mode="after")
@@ -86,7 +88,11 @@ class UpdateSection(StudySection):
         do.
         """
         dropped = BEGINS if any(n in BEGINS for n in change) else {}
-        kept = {n: v for n, v in self.model_dump(exclude_unset=True).items() if n not in dropped}
+        kept = {
+            n: v
+            for n, v in self.model_dump(exclude_unset=True).items()
+            if n not in dropped
+        }
         return UpdateSection.model_validate(kept | dict(change))
 
     def of_frequencies(self) -> Self:
@@ -113,9 +119,15 @@ class UpdateSection(StudySection):
         """Whether eigenvalues and shapes are compared by squares, with a prior and errors as given
         or left over.
         """
-        usual = self.loss == "squares" and self.prior == "study" and self.discrepancy != "evidence"
+        usual = (
+            self.loss == "squares"
+            and self.prior == "study"
+            and self.discrepancy != "evidence"
+        )
         at_the_deck = all(getattr(self, n) == v for n, v in BEGINS.items())
-        return usual and set(self.residuals) == {"eigenvalues", "shapes"} and at_the_deck
+        return (
+            usual and set(self.residuals) == {"eigenvalues", "shapes"} and at_the_deck
+        )
 
 
 def begins_once(settings: Mapping[str, object]) -> None:

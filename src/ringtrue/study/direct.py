@@ -25,7 +25,12 @@ from ringtrue.model.ports import ModalSolver, ModesRequest
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.dense_models import ReducingAnalysis, condensed
 from ringtrue.reduction.expansion import ShapeReadings
-from ringtrue.reduction.parametric import KnownModes, ReducedModel, modes_of, reduced_model
+from ringtrue.reduction.parametric import (
+    KnownModes,
+    ReducedModel,
+    modes_of,
+    reduced_model,
+)
 from ringtrue.shapes import realise_modes
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig
@@ -63,7 +68,11 @@ from ringtrue.study.supplied import pair_frequencies, supplied_frfs, without_cha
 from ringtrue.updating.identifiability import least_proven, stood_for
 from ringtrue.updating.problem import Configuration, Problem, held_to, single
 from ringtrue.updating.residuals.modal import Weighted
-from ringtrue.updating.selection.candidates import Candidate, CandidateSettings, membership
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    CandidateSettings,
+    membership,
+)
 from ringtrue.updating.selection.candidates import parameters as candidate_parameters
 from ringtrue.updating.selection.generation import generate
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT, reduced_errors
@@ -89,7 +98,8 @@ from ringtrue.updating.strategy import Verified, displaced, solve_verified, whol
 from ringtrue.updating.target import Target, Weights, match
 from ringtrue.updating.validation import Misfit, misfits
 
-AGREE = 1e-4  # relative frequency error of the reduced model that is accepted at the end
+# relative frequency error of the reduced model that is accepted at the end
+AGREE = 1e-4
 
 
 def read_target(
@@ -117,7 +127,9 @@ def read_target(
         found = pair_frequencies(whole, opened, settings(config), locks(config))
         whole = found.modes
         notes = found.notes
-        config = config.model_copy(update={"test": None, "update": config.update.of_frequencies()})
+        config = config.model_copy(
+            update={"test": None, "update": config.update.of_frequencies()}
+        )
     if config.test:
         whole = without_channels(whole, config.test.leave_out)
     kept, channels = measured_part(whole)
@@ -163,7 +175,14 @@ def direct_problem(
     def observed(channels: tuple[str, ...], dofs: DofSet | None = None) -> Observation:
         named = config.test.sheet if config.test else None
         with about(base / named) if named else nullcontext():
-            return placed(opened, channels, sheet, tolerance=c.tolerance, method=c.match, dofs=dofs)
+            return placed(
+                opened,
+                channels,
+                sheet,
+                tolerance=c.tolerance,
+                method=c.match,
+                dofs=dofs,
+            )
 
     data: tuple[Data, ...] = ()
     model: ProjectedAtChannels | FullModel
@@ -232,7 +251,9 @@ def _measured(
     source = Source(base, modes)
     frfs = None
     test = config.test
-    if test is not None and any(s.kind == "frf" and s.file is None for s in config.residual):
+    if test is not None and any(
+        s.kind == "frf" and s.file is None for s in config.residual
+    ):
         files = [base / f for f in test.frfs]
         if sheet is not None:
             frfs, _ = supplied_frfs(files, sheet.model, test.leave_out)
@@ -280,17 +301,25 @@ def solved(problem: Problem, how: Minimisation, show: Progress) -> Verified:
 def as_stated(problem: Problem, done: Verified) -> Problem:
     """The problem with its errors as stated, on the model that was verified at the end."""
     verified = done.problem.configurations[0].model
-    return replace(problem, configurations=(replace(problem.configurations[0], model=verified),))
+    return replace(
+        problem, configurations=(replace(problem.configurations[0], model=verified),)
+    )
 
 
-def not_fitted(problem: Problem, done: Verified, data: Sequence[Data] = ()) -> tuple[Misfit, ...]:
+def not_fitted(
+    problem: Problem, done: Verified, data: Sequence[Data] = ()
+) -> tuple[Misfit, ...]:
     """The kinds of residuals that the end does not fit within the errors that are stated."""
     stated = as_stated(problem, done)
     return misfits(stated, stated.evaluate(done.solution.y), [data])
 
 
 def only_proven(
-    problem: Problem, done: Verified, how: Minimisation, level: float, show: Progress = quiet
+    problem: Problem,
+    done: Verified,
+    how: Minimisation,
+    level: float,
+    show: Progress = quiet,
 ) -> tuple[Problem, Verified, tuple[str, ...]]:
     """Without the parameters whose interval holds 1: the least proven one is held at the deck's
     value and the others are fitted anew, until all that are left are proven.
@@ -339,7 +368,9 @@ def _minimised(
         end = how.run(p, show, start=y)
         return end.solution, end.problem
 
-    return solve_verified(problem, solved=at, start=start, tolerance=AGREE, progress=show)
+    return solve_verified(
+        problem, solved=at, start=start, tolerance=AGREE, progress=show
+    )
 
 
 EXTRA = 1.5  # modes of the model, as a multiple of those of the test
@@ -417,21 +448,29 @@ def propose_parameters(
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
 
-    def reduced_to(some: tuple[Candidate, ...], progress: Progress = quiet) -> ReducedModel:
+    def reduced_to(
+        some: tuple[Candidate, ...], progress: Progress = quiet
+    ) -> ReducedModel:
         early = part(progress, 0.0, 0.5)
         affine = observed_system(
             model, analysis.system, candidate_parameters(some), bridge, progress=early
         )
         known = KnownModes(analysis.pencil, modes)
-        return reduced_model(affine, count, known=known, progress=part(progress, 0.5, 1.0))
+        return reduced_model(
+            affine, count, known=known, progress=part(progress, 0.5, 1.0)
+        )
 
     def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
-        points = drawn(whole.parameters, conflicts(model, some), np.random.default_rng(0))
+        points = drawn(
+            whole.parameters, conflicts(model, some), np.random.default_rng(0)
+        )
         return condensed(whole, points, max(SIZES.vectors, 2 * whole.count))
 
     def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
         whole = reduced_to(some)
-        return small(replace(whole, count=min(whole.count, mode_count(SIZES.modes))), some), whole
+        return small(
+            replace(whole, count=min(whole.count, mode_count(SIZES.modes))), some
+        ), whole
 
     progress(0.15, f"what {len(moved)} candidates explain")
     deck = ScreenedDeck(
@@ -443,7 +482,9 @@ def propose_parameters(
         vectors=modes.vectors,
     )
     search = SearchSettings(most)
-    keep = screened(deck, aim, look, pool, settings=search, progress=part(progress, 0.15, 0.4))
+    keep = screened(
+        deck, aim, look, pool, settings=search, progress=part(progress, 0.15, 0.4)
+    )
     reduced = reduced_to(keep, part(progress, 0.4, 0.55))
     progress(0.55, "error indicators")
     found = propose(
@@ -482,7 +523,9 @@ def _local_errors(
         return {}
     test = pairs[:, 0]
     observe = reduced.basis.observe
-    readings = ShapeReadings(observe, aim.shapes[:, test], aim.frequencies[test], EXPANSION_MISFIT)
+    readings = ShapeReadings(
+        observe, aim.shapes[:, test], aim.frequencies[test], EXPANSION_MISFIT
+    )
     system = opened.analysis.system
     found, _ = reduced_errors(opened.model, system, reduced, readings, pairs[:, 1])
     return dict(found.concentration(membership(opened.model, keep)))

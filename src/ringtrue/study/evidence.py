@@ -20,14 +20,25 @@ from ringtrue.correlation.pairing import Pairing, Tracks, track
 from ringtrue.eigen.shift import low_shift
 from ringtrue.errors import ConfigError, InputError, NumericalError
 from ringtrue.fem.response import frf
-from ringtrue.reduction.expansion import Expanded, ShapeReadings, expand_hybrid, expand_serep
+from ringtrue.reduction.expansion import (
+    Expanded,
+    ShapeReadings,
+    expand_hybrid,
+    expand_serep,
+)
 from ringtrue.reduction.static import craig_bampton_coordinates, craig_bampton_of, tam
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.config_sections import CorrelateSection
 from ringtrue.study.opened import Opened
 from ringtrue.study.reference import settings
-from ringtrue.study.results import Evidence, FrfEvidence, IdentifyStage, ReferenceModes, Scene
+from ringtrue.study.results import (
+    Evidence,
+    FrfEvidence,
+    IdentifyStage,
+    ReferenceModes,
+    Scene,
+)
 from ringtrue.study.scene import scene_modes
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT
 
@@ -93,15 +104,18 @@ def channel_mass(
     modes = opened.modes(fmax).modes
     matrices = (system.stiffness, system.mass, observe)
     try:
-        if config.tam == "craig-bampton":  # with the channels held as many modes reach beyond fmax
+        # with the channels held as many modes reach beyond fmax
+        if config.tam == "craig-bampton":
             held = craig_bampton_of(*matrices, len(modes))
             return ChannelMass(
-                held.mass, lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies)
+                held.mass,
+                lift=lambda m: craig_bampton_coordinates(held, m.shapes, m.frequencies),
             )
         shapes = system.local @ modes.shapes if config.tam == "hybrid" else None
         labels = opened.analysis.pencil.labels
         return ChannelMass(tam(*matrices, config.tam, modes=shapes, labels=labels).mass)
-    except (InputError, NumericalError) as e:  # channels that read the same, or too few of them
+    # channels that read the same, or too few of them
+    except (InputError, NumericalError) as e:
         return ChannelMass(why=f"no {config.tam} mass: {e}")
 
 
@@ -132,7 +146,9 @@ def evidence(
         test,
         fe,
         pairing,
-        orthogonality=OrthogonalityTest(gate(c), mass.matrix, NAMES.get(c.tam, c.tam), mass.lift),
+        orthogonality=OrthogonalityTest(
+            gate(c), mass.matrix, NAMES.get(c.tam, c.tam), mass.lift
+        ),
         std=(reference.elastic_std.frequency, float("nan")),
         settings=settings(config),
     )
@@ -161,7 +177,11 @@ class ModelModes:
 
 
 def synthesised(
-    model: ModelModes, observation: Observation, measured: FrfSet, units: UnitSystem, fmax: float
+    model: ModelModes,
+    observation: Observation,
+    measured: FrfSet,
+    units: UnitSystem,
+    fmax: float,
 ) -> FrfSet:
     """FRFs of a model where and as those of the test are: its modes, and the flexibility of the
     modes above, which is exact near 0 Hz.
@@ -185,12 +205,15 @@ def synthesised(
     w = 2 * np.pi * fe.frequencies
     lam = w * np.abs(w)
     pencil = model.opened.analysis.pencil
-    shift = low_shift(pencil, fmax)  # that of the modes, whose factor is often there still
+    # that of the modes, whose factor is often there still
+    shift = low_shift(pencil, fmax)
     load = at_channels(model.opened, observation, inputs).T.toarray()
     moved = pencil.at(shift).solve(load)
     whole = at_channels(model.opened, observation, outputs) @ moved
     rest = whole.reshape(len(outputs), -1) - (out / (lam - shift)) @ into.T
-    return like_measured(measured, replace(fe, damping=model.damping), (out, into), rest, units)
+    return like_measured(
+        measured, replace(fe, damping=model.damping), (out, into), rest, units
+    )
 
 
 def like_measured(
@@ -258,7 +281,11 @@ def frf_band(found: IdentifyStage, config: StudyConfig) -> tuple[float, float] |
 
 
 def frf_evidence(
-    found: IdentifyStage, measured: FrfSet, initial: FrfSet, final: FrfSet, config: StudyConfig
+    found: IdentifyStage,
+    measured: FrfSet,
+    initial: FrfSet,
+    final: FrfSet,
+    config: StudyConfig,
 ) -> FrfEvidence | None:
     """The FRFs in the band of the identified modes, by channel, by line, and line against line;
     None for few lines.
@@ -271,7 +298,8 @@ def frf_evidence(
         return None
     every = np.arange(len(measured.outputs)), np.arange(len(measured.inputs))
     test, before, after = (x.part(line, *every) for x in (measured, initial, final))
-    thin = slice(None, None, -(-line.size // 90))  # of the FDAC: as many as a drawing shows
+    # of the FDAC: as many as a drawing shows
+    thin = slice(None, None, -(-line.size // 90))
     rows = [x.data[thin].reshape(len(x.data[thin]), -1) for x in (test, before, after)]
     return FrfEvidence(
         initial=compare_frfs(test, before),
@@ -311,12 +339,18 @@ def expanded(
         if method == "hybrid":
             readings = ShapeReadings(observe, y, test.frequencies, EXPANSION_MISFIT)
             return expand_hybrid(
-                system.stiffness, system.mass, readings, modes, labels=opened.analysis.pencil.labels
+                system.stiffness,
+                system.mass,
+                readings,
+                modes,
+                labels=opened.analysis.pencil.labels,
             )
         # half as many as channels: with more of them noise is fitted
         return expand_serep(modes[:, : max(1, len(test.channels) // 2)], observe, y)
     except (InputError, NumericalError) as e:
-        raise ConfigError(f"correlate.expand {method!r}: {e}; try hybrid or serep") from e
+        raise ConfigError(
+            f"correlate.expand {method!r}: {e}; try hybrid or serep"
+        ) from e
 
 
 def on_scene(found: Expanded, opened: Opened, test: ModeSet, scene: Scene) -> ModeSet:

@@ -92,7 +92,9 @@ def form_of(
         values=values,
         vectors=np.asarray(system.local @ modes.shapes),
         at=fe,
-        measured=MeasuredModes(observe, shapes[:, : 0 if target.frequency_only else None], f),
+        measured=MeasuredModes(
+            observe, shapes[:, : 0 if target.frequency_only else None], f
+        ),
     )
     unknown = np.zeros(len(test))
     frequency = unknown if std is None else np.nan_to_num(std.frequency)
@@ -159,7 +161,8 @@ class ChangedDecks:
 
 DECKS = ChangedDecks()
 Bridge = Callable[[Opened], Observation]
-Edit = Callable[[Opened], list[Opened]]  # changed decks, none where it has no place for a cause
+# changed decks, none where it has no place for a cause
+Edit = Callable[[Opened], list[Opened]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +208,11 @@ class UpdatedDeck:
         start = self._seen(self.opened)
         value = self._value(start)
         out = []
-        every = ((cause, deck, std) for cause, edit, std in CAUSES for deck in edit(self.opened))
+        every = (
+            (cause, deck, std)
+            for cause, edit, std in CAUSES
+            for deck in edit(self.opened)
+        )
         for cause, changed, std in every:
             try:
                 now = self._seen(changed)
@@ -219,12 +226,16 @@ class UpdatedDeck:
     def field(self) -> Float:
         """Covariance of errors of form of the partners of the test modes, (m, m)."""
         now = self.at.points[0].now
-        found = self.opened.analysis.eigen(ModesRequest(now.frequencies.size + DECKS.more))
+        found = self.opened.analysis.eigen(
+            ModesRequest(now.frequencies.size + DECKS.more)
+        )
         test, fe = self.at.points[0].every.T
         of = np.abs(found.frequencies[:, None] - now.frequencies[fe]).argmin(axis=0)
         system = self.opened.analysis.system
         shares = energy_shares(self.opened.model, system, found.vectors[:, of])
-        whole = np.zeros((shares.shape[0], self.problem.configurations[0].target.used.size))
+        whole = np.zeros(
+            (shares.shape[0], self.problem.configurations[0].target.used.size)
+        )
         whole[:, test] = shares
         covariance = whole.T @ whole
         return np.asarray(covariance / np.diag(covariance)[test].mean())
@@ -337,7 +348,9 @@ def _with_spread_masses(model: Model, near: sparse.csr_array) -> Model | None:
     at = np.array(rows)
     more = masses.take(at)
     more = more.with_column("EID", masses.ids.max() + 1 + np.arange(at.size))
-    more = more.with_column("G", np.array(nodes)).with_column("M", masses["M"][at] * share)
+    more = more.with_column("G", np.array(nodes)).with_column(
+        "M", masses["M"][at] * share
+    )
     kept = np.where(np.isin(np.arange(len(masses)), at), 0.5, 1.0)
     less = masses.with_column("M", masses["M"] * kept)
     return replace(model, tables={**model.tables, "CONM2": stacked(less, more)})
@@ -349,7 +362,9 @@ def _soft_joints(rigid: float) -> Edit:
     def edit(opened: Opened) -> list[Opened]:
         model = whole_mesh(opened.model)
         m = mesh(model)
-        there = {c: np.arange(len(model[c])) for c in LINES if c in model and len(model[c])}
+        there = {
+            c: np.arange(len(model[c])) for c in LINES if c in model and len(model[c])
+        }
         if not there:
             return []
         springs = end_springs(m, there, rigid)

@@ -26,7 +26,13 @@ from ringtrue.signal.impacts import (
     force_channel,
     record_names,
 )
-from ringtrue.signal.local_rational import is_continuous, local_frfs, period, periodic_frfs, spacing
+from ringtrue.signal.local_rational import (
+    is_continuous,
+    local_frfs,
+    period,
+    periodic_frfs,
+    spacing,
+)
 from ringtrue.signal.spectra import Welch
 
 
@@ -74,7 +80,9 @@ class ForceRecordFormat:
         force, struck = (x[k : k + 1] or x[:1] for x in (self.force, self.struck))
         channels = self.channels[k : k + 1] or self.channels[:1]
         wiring = self.wiring[k : k + 1]
-        return replace(self, force=force, struck=struck, channels=channels, wiring=wiring)
+        return replace(
+            self, force=force, struck=struck, channels=channels, wiring=wiring
+        )
 
 
 def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHistory:
@@ -102,7 +110,10 @@ def renamed(history: TimeHistory, names: Sequence[str], path: Path) -> TimeHisto
         raise DataError(f"{path}: `channels` names {' '.join(twice)} twice")
     kept = history.pick([i for i, name in zip(old, names, strict=True) if name])
     return replace(
-        kept, channels=tuple(replace(c, id=n) for c, n in zip(kept.channels, given, strict=True))
+        kept,
+        channels=tuple(
+            replace(c, id=n) for c, n in zip(kept.channels, given, strict=True)
+        ),
     )
 
 
@@ -175,7 +186,11 @@ def read_force_records(
     for path in paths:
         ranges |= full_scale(path)
     records = tuple(record for file in found for record in file.records)
-    return records, ranges, tuple(dict.fromkeys(note for file in found for note in file.notes))
+    return (
+        records,
+        ranges,
+        tuple(dict.fromkeys(note for file in found for note in file.notes)),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,19 +228,29 @@ def read_file(path: Path, how: ForceRecordFormat) -> ForceRecords:
             notes += of_sheet
         here = [c.id for c in named.channels]
         channels.update(here)
-        record, more = _prepared(named.pick([c for c in here if c not in how.leave_out]), how)
+        record, more = _prepared(
+            named.pick([c for c in here if c not in how.leave_out]), how
+        )
         refuse_bad_samples(record, path)
         records.append(record)
         notes += more
-    return ForceRecords(tuple(records), tuple(dict.fromkeys(notes)), frozenset(channels))
+    return ForceRecords(
+        tuple(records), tuple(dict.fromkeys(notes)), frozenset(channels)
+    )
 
 
-def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory, list[str]]:
+def _prepared(
+    record: TimeHistory, how: ForceRecordFormat
+) -> tuple[TimeHistory, list[str]]:
     """The force, named after the point struck, and the motions; several forces where shakers run
     together.
     """
     force, point = ("".join(x[:1]) for x in (how.force, how.struck))
-    at = [i for i, c in enumerate(record.channels) if c.quantity in FORCES] if not force else []
+    at = (
+        [i for i, c in enumerate(record.channels) if c.quantity in FORCES]
+        if not force
+        else []
+    )
     at = at if len(at) > 1 else [force_channel(record, HammerSettings(force=force))]
     notes = list[str]()
     if point and len(at) > 1:
@@ -243,8 +268,12 @@ def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory,
                 "no unit says what the responses measure: taken as accelerations, m/s^2 "
                 "(--quantity)"
             )
-    if bare := [record.channels[i].id for i in at if record.channels[i].quantity == "unknown"]:
-        notes.append(f"{' '.join(bare)}: a force without a unit, taken as N (--sensors)")
+    if bare := [
+        record.channels[i].id for i in at if record.channels[i].quantity == "unknown"
+    ]:
+        notes.append(
+            f"{' '.join(bare)}: a force without a unit, taken as N (--sensors)"
+        )
     if lost := [record.channels[i].id for i in rest if i not in motions]:
         notes.append(f"channel {' '.join(lost)}: no motion, not used")
     if not motions:
@@ -252,7 +281,9 @@ def _prepared(record: TimeHistory, how: ForceRecordFormat) -> tuple[TimeHistory,
             f"{record.source}: no channel but the force {record.channels[at[0]].id} is a motion"
         )
     channels = [
-        c if c.quantity in MOTIONS else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor)
+        c
+        if c.quantity in MOTIONS
+        else Channel(c.id, quantity, SI_UNIT[quantity], c.sensor)
         for c in record.channels
     ]
     forces = []
@@ -320,7 +351,8 @@ def forced_frfs(
     clipped = tuple(f"{r.source}: {line}" for r in records for line in clipping(r))
     with explain_clipping(clipped):
         return replace(
-            _estimated(records, settings, resolution, full_scale, progress), clipped=clipped
+            _estimated(records, settings, resolution, full_scale, progress),
+            clipped=clipped,
         )
 
 
@@ -336,7 +368,10 @@ def _estimated(
             records, settings, full_scale=full_scale, progress=progress
         )
         lost = dict.fromkeys(c for h in hits for c in h.lost)
-        notes = (*_turned(hits), *_force_end(columns, records[0].rate, settings.keep_to))
+        notes = (
+            *_turned(hits),
+            *_force_end(columns, records[0].rate, settings.keep_to),
+        )
         if lost:
             left_out = f"response {' '.join(lost)}: overload in most blows, left out"
             notes = (left_out, *notes)
@@ -351,7 +386,8 @@ def _estimated(
     step = float(np.median(np.diff(parts[0].freqs)))
     averages = parts[0].averages[0]
     said = (
-        f"the force runs all the time: lines every {step:.3g} Hz, {averages:.3g} averages at each"
+        f"the force runs all the time: lines every {step:.3g} Hz, "
+        f"{averages:.3g} averages at each"
     )
     return Forced(parts, notes=(said,))
 
@@ -377,12 +413,16 @@ def _turned(hits: Sequence[ImpactReport]) -> tuple[str, ...]:
     )
 
 
-def _force_end(columns: Sequence[FrfSet], rate: float, keep_to: float | None) -> tuple[str, ...]:
+def _force_end(
+    columns: Sequence[FrfSet], rate: float, keep_to: float | None
+) -> tuple[str, ...]:
     """A line where the force of blows sampled at `rate`, Hz, ends before the lines that could be or
     are asked for.
     """
     last = columns[0].freqs[-1]
-    heard = min((c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf)
+    heard = min(
+        (c.impacts.highest_clear_line() for c in columns if c.impacts), default=np.inf
+    )
     if keep_to and min(last, keep_to) > heard * 1.05:  # times the end of the force
         return (
             f"the force ends at about {heard:.3g} Hz: beyond it is noise, and so may be the "
@@ -416,4 +456,6 @@ def _shaken(
         resolution = max(spacing(r) for r in records)
     if estimator == "H1":
         return local_frfs(records, resolution)
-    return [shaker_frfs(r, Welch(resolution), estimator=estimator).frfs for r in records]
+    return [
+        shaker_frfs(r, Welch(resolution), estimator=estimator).frfs for r in records
+    ]

@@ -12,7 +12,14 @@ import numpy as np
 from ringtrue.checks.materials import unconstrained
 from ringtrue.core.arrays import Float, Int
 from ringtrue.core.dofs import DofSet
-from ringtrue.decks.nastran.loads import LINE_KINDS, LineLoad, Load, LoadCase, Moved, Pressure
+from ringtrue.decks.nastran.loads import (
+    LINE_KINDS,
+    LineLoad,
+    Load,
+    LoadCase,
+    Moved,
+    Pressure,
+)
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import assemble
 from ringtrue.fem.constraints import supports
@@ -25,7 +32,8 @@ from ringtrue.model.frames import axes, positions
 from ringtrue.model.model import Model, card_error
 
 log = logging.getLogger(__name__)
-_Face = tuple[list[int], Pressure, float]  # its nodes, the pressure, and its sign along the normal
+# its nodes, the pressure, and its sign along the normal
+_Face = tuple[list[int], Pressure, float]
 
 
 def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
@@ -39,7 +47,9 @@ def load_vectors(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float
     with np.errstate(over="ignore", invalid="ignore"):
         out = _summed(model, dofs, cases)
     if (wild := ~np.isfinite(out).all(axis=0)).any():
-        raise InputError(f"{cases[int(wild.argmax())].name}: the loads are too large for a number")
+        raise InputError(
+            f"{cases[int(wild.argmax())].name}: the loads are too large for a number"
+        )
     return out
 
 
@@ -54,11 +64,17 @@ def _summed(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> Float:
             elif isinstance(ld, Load) and ld.node:
                 first = 4 if ld.card == "MOMENT" else 1
                 vector = _vector(model, xyz, case, ld)
-                out[dofs.find(np.full(3, ld.node), np.arange(first, first + 3)), j] += vector
+                out[dofs.find(np.full(3, ld.node), np.arange(first, first + 3)), j] += (
+                    vector
+                )
             elif isinstance(ld, Load):
                 gravity[:, j] += _vector(model, xyz, case, ld)
-        _press(out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)])
-        _load_beams(out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)])
+        _press(
+            out[:, j], model, xyz, [ld for ld in case.loads if isinstance(ld, Pressure)]
+        )
+        _load_beams(
+            out[:, j], model, [ld for ld in case.loads if isinstance(ld, LineLoad)]
+        )
     # all masses, those at supports too, which hang on what is free by a consistent mass
     if gravity.any():
         whole = assemble(unconstrained(model))
@@ -90,7 +106,9 @@ def held_by_displacing(
         ps = grid["PS"].tolist()
         for node, component in sorted(free_dofs):
             ps[int(grid.find(np.array([node]))[0])] += str(component)
-            what = f"SPCD displaces node {node} component {component}, which no SPC holds"
+            what = (
+                f"SPCD displaces node {node} component {component}, which no SPC holds"
+            )
             log.warning("%s: %s: it is held there", names, what)
         held_there = grid.with_column("PS", np.array(ps, dtype=str))
         tables = {**model.tables, "GRID": held_there}
@@ -98,7 +116,9 @@ def held_by_displacing(
     return out
 
 
-def support_motions(model: Model, dofs: DofSet, cases: Sequence[LoadCase]) -> tuple[Float, Float]:
+def support_motions(
+    model: Model, dofs: DofSet, cases: Sequence[LoadCase]
+) -> tuple[Float, Float]:
     """What displaced supports (D of SPC, SPCD) do, deck units.
 
     Returns
@@ -147,7 +167,9 @@ def _displacing(model: Model) -> Int:
     if "SPC" not in model:
         return np.empty(0, dtype=np.int64)
     table = model["SPC"]
-    return np.flatnonzero(np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0))
+    return np.flatnonzero(
+        np.isin(table["SID"], taken_sets(model, "SPC")) & (table["D"] != 0)
+    )
 
 
 def _enforced(model: Model, case: LoadCase) -> dict[tuple[int, int], float]:
@@ -204,7 +226,9 @@ def _vector(model: Model, xyz: Float, case: LoadCase, ld: Load) -> Float:
         if len(ld.ends) == 4:
             along = np.cross(along, at[4] - at[3])
         if not along.any():
-            why = "which are at one place" if len(ld.ends) == 2 else "which span no plane"
+            why = (
+                "which are at one place" if len(ld.ends) == 2 else "which span no plane"
+            )
             raise InputError(
                 f"{case.name}: {ld.card} from node {ld.ends[0]} to "
                 f"{', '.join(map(str, ld.ends[1:]))}, {why}"
@@ -218,7 +242,9 @@ def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) 
     """Add the forces of pressures to those of all nodes, (dof,), six a row of GRID."""
     of_kind: dict[tuple[int, int, bool], list[_Face]] = {}
     for nodes, ld, sign in _faces(model, pressures):
-        of_kind.setdefault((len(nodes), ld.cid, ld.vector is None), []).append((nodes, ld, sign))
+        of_kind.setdefault((len(nodes), ld.cid, ld.vector is None), []).append(
+            (nodes, ld, sign)
+        )
     for (count, cid, normal), faces in of_kind.items():
         ids = np.array([nodes for nodes, _, _ in faces])
         rows = model["GRID"].find(ids)
@@ -227,12 +253,18 @@ def _press(out: Float, model: Model, xyz: Float, pressures: Sequence[Pressure]) 
                 "a node of the face is not in the deck"
             )
         x = np.where((ids > 0)[..., None], xyz[rows], np.nan)
-        p = np.array([[sign * size for size in ld.sizes[: count // 2]] for _, ld, sign in faces])
+        p = np.array(
+            [[sign * size for size in ld.sizes[: count // 2]] for _, ld, sign in faces]
+        )
         along = (
-            None if normal else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
+            None
+            if normal
+            else _towards(model, cid, np.array([ld.vector for _, ld, _ in faces]))
         )
         force = face_forces(x, p, along)
-        np.add.at(out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0])
+        np.add.at(
+            out[: 6 * len(xyz)].reshape(-1, 6)[:, :3], rows[ids > 0], force[ids > 0]
+        )
 
 
 def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
@@ -252,22 +284,29 @@ def _load_beams(out: Float, model: Model, lines: Sequence[LineLoad]) -> None:
         left &= row < 0
     if left.any():
         ld = lines[int(left.argmax())]
-        raise ld.error(f"names element {ld.element}, which is no CBAR or CBEAM of the deck")
+        raise ld.error(
+            f"names element {ld.element}, which is no CBAR or CBEAM of the deck"
+        )
 
 
 def _of_beams(t: CardRows, lines: Sequence[LineLoad]) -> Float:
-    ends, sizes = (np.array([getattr(ld, name) for ld in lines]) for name in ("ends", "sizes"))
+    ends, sizes = (
+        np.array([getattr(ld, name) for ld in lines]) for name in ("ends", "sizes")
+    )
     own, fraction, projected = (
         np.array(v)
         for v in zip(
-            *((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines), strict=True
+            *((ld.kind.endswith("E"), ld.fraction, ld.projected) for ld in lines),
+            strict=True,
         )
     )
     length = np.where(fraction, 1.0, bar.measure(t))
     # 1e-6: of the length of a beam: a load that much beyond its end stands there
     if (beyond := ends[:, 1] > length * (1 + 1e-6)).any():
         i = int(beyond.argmax())
-        raise lines[i].error(f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}")
+        raise lines[i].error(
+            f"X2 (or X1) is {ends[i, 1]:g}; the beam ends at {length[i]:g}"
+        )
     along = np.eye(6)[[LINE_KINDS.index(ld.kind[:2]) for ld in lines]]
     ends = np.minimum(ends, length[:, None])
     loads = LineLoads(
@@ -286,7 +325,9 @@ def _towards(model: Model, cid: int, vectors: Float) -> Callable[[Float], Float]
 
     def at(points: Float) -> Float:
         local = axes(model, np.full(points[..., 0].size, cid), points.reshape(-1, 3))
-        return np.asarray(np.einsum("ei,epij->epj", vectors, local.reshape(*points.shape, 3)))
+        return np.asarray(
+            np.einsum("ei,epij->epj", vectors, local.reshape(*points.shape, 3))
+        )
 
     return at
 
@@ -296,17 +337,27 @@ def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[_Face]:
     a solid.
     """
     known = [card for card in (*SURFACES, *SOLIDS) if card in model]
-    ids = np.concatenate([np.empty(0, dtype=np.int64), *(model[card].ids for card in known)])
+    ids = np.concatenate(
+        [np.empty(0, dtype=np.int64), *(model[card].ids for card in known)]
+    )
     order = np.argsort(ids)
-    where = [(card, row) for card in known for row in range(len(model[card]))] if pressures else []
+    where = (
+        [(card, row) for card in known for row in range(len(model[card]))]
+        if pressures
+        else []
+    )
     for ld in pressures:
         if ld.card == "PLOAD":
             corners = [g for g in ld.nodes if g]
             yield corners + [0] * len(corners), ld, 1.0
             continue
-        found = order[slice(*np.searchsorted(ids, [ld.first, ld.last + 1], sorter=order))]
+        found = order[
+            slice(*np.searchsorted(ids, [ld.first, ld.last + 1], sorter=order))
+        ]
         if not found.size:
-            raise ld.error(f"names element {ld.first}, which is no shell or solid of the deck")
+            raise ld.error(
+                f"names element {ld.first}, which is no shell or solid of the deck"
+            )
         for card, row in (where[i] for i in found.tolist()):
             nodes = [
                 int(model[card][name][row])
@@ -315,7 +366,11 @@ def _faces(model: Model, pressures: Sequence[Pressure]) -> Iterator[_Face]:
             ]
             if card in SOLIDS:
                 try:
-                    yield face(card, nodes, *ld.nodes), ld, -1.0 if ld.vector is None else 1.0
+                    yield (
+                        face(card, nodes, *ld.nodes),
+                        ld,
+                        -1.0 if ld.vector is None else 1.0,
+                    )
                 except InputError as e:
                     raise ld.error(f"element {model[card].ids[row]}: {e}") from None
             else:

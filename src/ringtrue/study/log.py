@@ -74,7 +74,9 @@ class _Details(_Entry):
                 f"{'block' if block is None else 'pretrigger'}_samples missing; give both or none"
             )
         if block is not None and pre is not None and pre >= block:
-            raise ValueError(f"pretrigger_samples {pre} must be less than block_samples {block}")
+            raise ValueError(
+                f"pretrigger_samples {pre} must be less than block_samples {block}"
+            )
         return self
 
 
@@ -92,12 +94,17 @@ class _Test(_Details):
     @classmethod
     def _shared(cls, data: Any) -> Any:
         """What a test says holds for each of its records that says nothing else."""
-        if not (isinstance(data, Mapping) and isinstance(records := data.get("records"), list)):
+        if not (
+            isinstance(data, Mapping)
+            and isinstance(records := data.get("records"), list)
+        ):
             return data
         mine = {k: v for k, v in data.items() if k in _Details.model_fields}
         return {
             **data,
-            "records": [{**mine, **r} if isinstance(r, Mapping) else r for r in records],
+            "records": [
+                {**mine, **r} if isinstance(r, Mapping) else r for r in records
+            ],
         }
 
 
@@ -128,7 +135,10 @@ class Logged(LogRecord):
         name, which rise.
         """
         known = [k for k in (*LogRecord.model_fields, "test", "kind") if k != "file"]
-        (words, numbers), (others, further) = _parts_of_name(self.path), _parts_of_name(later.path)
+        (words, numbers), (others, further) = (
+            _parts_of_name(self.path),
+            _parts_of_name(later.path),
+        )
         same = all(getattr(self, k) == getattr(later, k) for k in known)
         return same and words == others and numbers < further
 

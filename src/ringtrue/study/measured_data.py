@@ -38,7 +38,11 @@ from ringtrue.study.config_update import (
 from ringtrue.updating.prediction import Damping
 from ringtrue.updating.residuals.frf import AntiResonances, Frf
 from ringtrue.updating.residuals.modal import ResidualBlock, Term
-from ringtrue.updating.residuals.static import MassPropertyDeviations, RigidMass, StaticDeflections
+from ringtrue.updating.residuals.static import (
+    MassPropertyDeviations,
+    RigidMass,
+    StaticDeflections,
+)
 
 # of the lowest and the highest mode of the test: where FRFs are compared if nothing is said
 BAND = (0.8, 1.2)
@@ -81,7 +85,10 @@ class Data(FrozenArrays):
         """Values (n,) of the model at a point."""
         if self.lines:
             return np.asarray(
-                self.scale * np.sqrt(np.mean(block.value.reshape(-1, self.scale.size) ** 2, axis=0))
+                self.scale
+                * np.sqrt(
+                    np.mean(block.value.reshape(-1, self.scale.size) ** 2, axis=0)
+                )
             )
         return self.measured - self.scale * block.value
 
@@ -197,7 +204,11 @@ def _lines(section: FrfResidual, freqs: Float, modes: Float, where: str) -> Int:
             f"{freqs[-1]:g} Hz"
         )
     return np.unique(
-        inside[np.linspace(0, inside.size - 1, min(section.count, inside.size)).round().astype(int)]
+        inside[
+            np.linspace(0, inside.size - 1, min(section.count, inside.size))
+            .round()
+            .astype(int)
+        ]
     )
 
 
@@ -242,7 +253,9 @@ class FrfMeasurement(Measured):
         where = section.file or "the test"
         if found is None:
             raise ConfigError(f"[[residual]] {name}: {source.why}; name a file of them")
-        out = _picked([c.id for c in found.outputs], section.outputs, f"{where}: output")
+        out = _picked(
+            [c.id for c in found.outputs], section.outputs, f"{where}: output"
+        )
         into = _picked([c.id for c in found.inputs], section.inputs, f"{where}: input")
         lines = _lines(section, found.freqs, source.modes.frequencies, where)
         whole = np.isfinite(found.data).all(axis=(1, 2)) & (found.freqs > 0)
@@ -256,7 +269,13 @@ class FrfMeasurement(Measured):
         inputs = tuple(c.id for c in part.inputs)
         damping = _damping(section, source.modes, found.window_decay)
         return cls(
-            name, outputs, inputs, section=section, frfs=part, record=record, damping=damping
+            name,
+            outputs,
+            inputs,
+            section=section,
+            frfs=part,
+            record=record,
+            damping=damping,
         )
 
     @property
@@ -325,7 +344,9 @@ class ZeroMeasurement(Measured):
             kind=s.kind,
             term=AntiResonances(on.at[s.output], on.at[s.input], f, s.error, s.gate),
             weight=s.weight,
-            labels=tuple(f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size)),
+            labels=tuple(
+                f"{s.output} / {s.input}: zero {i + 1}" for i in range(f.size)
+            ),
             units=("Hz",) * f.size,
             measured=f,
             scale=s.error * f,
@@ -343,7 +364,9 @@ class StaticMeasurement(Measured):
     def read(cls, section: StaticResidual, source: Source) -> StaticMeasurement:
         """Of a file."""
         tests = read_statics(source.base / section.file)
-        loaded = tuple(c for c, f in zip(tests.channels, tests.loads, strict=True) if f.any())
+        loaded = tuple(
+            c for c, f in zip(tests.channels, tests.loads, strict=True) if f.any()
+        )
         return cls(section.name or section.kind, tests.channels, loaded, section, tests)
 
     @property
@@ -363,7 +386,9 @@ class StaticMeasurement(Measured):
         loads[rows], moved[rows] = tests.loads, tests.deflections / length
         seen = np.isfinite(moved)
         names = {i: c for c, i in on.at.items()}
-        labels = tuple(f"{tests.cases[j]}: {names[i]}" for i, j in np.argwhere(seen).tolist())
+        labels = tuple(
+            f"{tests.cases[j]}: {names[i]}" for i, j in np.argwhere(seen).tolist()
+        )
         size = s.error * np.sqrt(np.nanmean(moved**2, axis=0)) * length
         return Data(
             name=self.name,
@@ -398,13 +423,18 @@ class MassMeasurement(Measured):
         if s.center is not None:
             value[1:4], std[1:4] = s.center, s.center_error
         if s.inertia is not None:
-            value[4:], std[4:] = s.inertia, s.inertia_error * np.nanmax(np.abs(s.inertia))
+            value[4:], std[4:] = (
+                s.inertia,
+                s.inertia_error * np.nanmax(np.abs(s.inertia)),
+            )
         kg = on.units.kilograms
         m = on.units.length
         unit = np.array([kg, m, m, m, *(kg * m**2,) * 6])
         seen = np.isfinite(value)
         if not seen.any():
-            raise ConfigError(f"[[residual]] {self.name}: every value of the weighing is nan")
+            raise ConfigError(
+                f"[[residual]] {self.name}: every value of the weighing is nan"
+            )
         at = np.flatnonzero(seen).tolist()
         rigid = replace(on.rigid(), active=on.active)
         return Data(
@@ -446,21 +476,28 @@ def channels_of(found: Sequence[Measured]) -> tuple[str, ...]:
 def excited(found: Sequence[Measured], at: Mapping[str, int]) -> Int:
     """Positions of the channels at which something was struck or pulled."""
     return np.array(
-        [at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)], dtype=np.int64
+        [at[c] for c in dict.fromkeys(c for m in found for c in m.inputs)],
+        dtype=np.int64,
     )
 
 
-def flexible(model: ReducedModel, found: Sequence[Measured], loaded: Int) -> ReducedModel:
+def flexible(
+    model: ReducedModel, found: Sequence[Measured], loaded: Int
+) -> ReducedModel:
     """With the static responses to what was struck or pulled; their derivatives where deflections
     were read.
     """
     if not loaded.size:
         return model
     static = any(m.static for m in found)
-    return with_responses(model, loaded, np.zeros(len(model.parameters)), sensitivities=static)[0]
+    return with_responses(
+        model, loaded, np.zeros(len(model.parameters)), sensitivities=static
+    )[0]
 
 
-def check_moving(found: Sequence[Measured], at: Mapping[str, int], observe: Float) -> None:
+def check_moving(
+    found: Sequence[Measured], at: Mapping[str, int], observe: Float
+) -> None:
     """Refuse channels that are held in the deck where a response or a load needs one that moves.
 
     Parameters
@@ -491,7 +528,8 @@ def rigid_mass(model: Model, parameters: ParameterSet) -> RigidMass:
         return sparse.csr_array(r.T @ (mass @ r))
 
     parts = tuple(
-        AffineTerm(t.function, none, seen(t.mass)) for t in affine_terms(free, parameters, system)
+        AffineTerm(t.function, none, seen(t.mass))
+        for t in affine_terms(free, parameters, system)
     )
     affine = AffineSystem(none, seen(system.mass), parameters, parts, none)
     return RigidMass(affine, np.eye(6))

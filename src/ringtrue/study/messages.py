@@ -61,10 +61,18 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
     known: UncertaintyStage | None = r.get("uncertainty")
     out: list[str] = []
     if identify is not None:
-        modes = [f"{len(identify.ambient)} ambient modes"] if identify.ambient_records else []
+        modes = (
+            [f"{len(identify.ambient)} ambient modes"]
+            if identify.ambient_records
+            else []
+        )
         if identify.hammer is not None:
             modes.append(f"{len(identify.hammer)} modes of the {identify.source}")
-        out += ["; ".join(modes) or "no mode", *identify.merge_notes, *_at_fault(identify)]
+        out += [
+            "; ".join(modes) or "no mode",
+            *identify.merge_notes,
+            *_at_fault(identify),
+        ]
     conditions: ConditionsStage | None = r.get("conditions")
     if conditions is not None:
         out += [sentence(note) for note in conditions.notes]
@@ -73,7 +81,11 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         others: ConfigurationsStage | None = r.get("configurations")
         for c in others.items if others is not None else ():
             out += [f"configuration {c.name}: {m.text}" for m in c.sensors.mendings]
-        out += [*seat_words(correlate.sensors.seats), *correlate.notes, *_pairs(correlate, final)]
+        out += [
+            *seat_words(correlate.sensors.seats),
+            *correlate.notes,
+            *_pairs(correlate, final),
+        ]
     best = update.best if update is not None else None
     if best is not None:
         still = np.flatnonzero(best.factor == 1.0).tolist()
@@ -97,7 +109,9 @@ def run_messages(r: Mapping[str, Any]) -> tuple[str, ...]:
         deviations = _in_both_deviations(correlate.remodelled, final.table, used=True)
         out.append(worse_frequencies(*deviations))
     if update is not None and best is not None:
-        out += [f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)]
+        out += [
+            f"{d.name}: {line}" for d in update.data for line in seat_words(d.seats)
+        ]
         out.append(discrepancy_sentence(best.discrepancy.tolist()))
         out += [misfit_sentence(m) for m in best.fit.misfits]
         proposed = localise.proposal.members if localise is not None else ()
@@ -139,7 +153,9 @@ def _doubts(known: UncertaintyStage) -> list[str]:
     """Parameters that the test does not prove, and what is not plausible of the others."""
     names = [
         n
-        for n, open_ in zip(known.posterior.parameters.names, known.unproven, strict=True)
+        for n, open_ in zip(
+            known.posterior.parameters.names, known.unproven, strict=True
+        )
         if open_
     ]
     why = "may take up an error of the model's form, or are known only together with others"
@@ -156,13 +172,21 @@ def discrepancy_sentence(discrepancy: Sequence[float]) -> str:
         for x, what in zip(discrepancy, ("frequency", "MAC"), strict=True)
         if x > 0
     ]
-    return f"deviations that the model is taken to keep: {' and '.join(parts)}" if parts else ""
+    return (
+        f"deviations that the model is taken to keep: {' and '.join(parts)}"
+        if parts
+        else ""
+    )
 
 
 def lost_points_sentence(plan: PlanStage) -> str:
     """What a plan still says of the modes when the worst of its points fail."""
     sensors = plan.sensors
-    what = "the most important point" if sensors.lost == 1 else f"any {sensors.lost} points"
+    what = (
+        "the most important point"
+        if sensors.lost == 1
+        else f"any {sensors.lost} points"
+    )
     left = f"{100 * sensors.left_by_loss:.0f} %"
     return f"without {what} {left} of the information about any mode is left"
 
@@ -173,7 +197,8 @@ def missed_modes(plan: PlanStage) -> list[str]:
     """
     found = plan.excitation
     kinds = {
-        "the references miss mode {}: strike at more points": found.missed & ~found.unreachable,
+        "the references miss mode {}: strike at more points": found.missed
+        & ~found.unreachable,
         "no point that can be struck moves enough in mode {}: name others": found.missed
         & found.unreachable,
     }
@@ -191,7 +216,9 @@ def setup_sentences(plan: PlanStage) -> list[str]:
     """
     if (found := plan.sensors.setups) is None:
         return []
-    at_once = found.references.size + max(found.roving(k).size for k in range(found.count))
+    at_once = found.references.size + max(
+        found.roving(k).size for k in range(found.count)
+    )
     lines = [
         f"{found.count} setups of up to {at_once} sensors; those at "
         f"{' '.join(map(str, plan.sensors.roving(-1)))} stay"
@@ -233,7 +260,9 @@ def worse_frequencies(before: Float, after: Float) -> str:
     before, after : (n,) float64
         Deviations in percent of the used modes that have a partner in both.
     """
-    a, b = (round(float(np.abs(x).mean()), 2) if x.size else 0.0 for x in (before, after))
+    a, b = (
+        round(float(np.abs(x).mean()), 2) if x.size else 0.0 for x in (before, after)
+    )
     if b <= a:
         return ""
     return (
@@ -245,13 +274,19 @@ def worse_frequencies(before: Float, after: Float) -> str:
     )
 
 
-def _suspects(found: Sequence[tuple[Suspect, str]], tests: CompareStage | None) -> list[str]:
+def _suspects(
+    found: Sequence[tuple[Suspect, str]], tests: CompareStage | None
+) -> list[str]:
     """Channels that contradict the model or the others, and those that ambient and hammer test do
     not agree on.
     """
-    out = [f"channel {s.channel} looks {s.fault}{where}: {s.message}" for s, where in found]
+    out = [
+        f"channel {s.channel} looks {s.fault}{where}: {s.message}" for s, where in found
+    ]
     more = (
-        tests.evidence.measures.suspects if tests is not None and tests.evidence is not None else ()
+        tests.evidence.measures.suspects
+        if tests is not None and tests.evidence is not None
+        else ()
     )
     named = {s.channel for s, _ in found}
     out += [
@@ -264,7 +299,9 @@ def _suspects(found: Sequence[tuple[Suspect, str]], tests: CompareStage | None) 
 
 def _at_fault(identify: IdentifyStage) -> list[str]:
     """What records and FRFs say of their channels, once for each of these."""
-    every = [(f"{r.name}: ", note) for r in identify.records for note in r.channel_notes]
+    every = [
+        (f"{r.name}: ", note) for r in identify.records for note in r.channel_notes
+    ]
     every += [("", note) for note in identify.channel_notes]
     notes: dict[str, list[str]] = {}
     for name, note in every:
@@ -278,7 +315,9 @@ def _at_fault(identify: IdentifyStage) -> list[str]:
 
 def _pairs(correlate: CorrelateStage, final: FinalStage | None) -> list[str]:
     tables = [
-        t for t in (correlate.initial, final.table if final is not None else None) if t is not None
+        t
+        for t in (correlate.initial, final.table if final is not None else None)
+        if t is not None
     ]
     total = len(correlate.reference.elastic)
     mac = ""
@@ -343,19 +382,28 @@ def _factors(r: Mapping[str, Any]) -> list[tuple[str, float, float]]:
         best = update.best
         known: UncertaintyStage | None = r.get("uncertainty")
         std = best.std if known is None else known.posterior.relative
-        out += zip(best.parameters, best.factor.tolist(), (best.factor * std).tolist(), strict=True)
+        out += zip(
+            best.parameters,
+            best.factor.tolist(),
+            (best.factor * std).tolist(),
+            strict=True,
+        )
     if tune is not None:
         out += [(n, a, tune.std[n] * a) for n, a in tune.factors.items()]
     return out
 
 
-def _interval(known: UncertaintyStage | None, name: str) -> tuple[float, float, float] | None:
+def _interval(
+    known: UncertaintyStage | None, name: str
+) -> tuple[float, float, float] | None:
     """Level and ends of the interval of a factor: far wider than normal where few modes tell the
     size of the errors.
     """
     if known is None or name not in known.posterior.parameters.names:
         return None
-    low, high = known.posterior.interval[known.posterior.parameters.names.index(name)].tolist()
+    low, high = known.posterior.interval[
+        known.posterior.parameters.names.index(name)
+    ].tolist()
     return known.level, low, high
 
 
@@ -370,11 +418,17 @@ def _factor_sentence(
 
 
 def _added_mass(
-    name: str, total: float, factor: float, std: float, within: tuple[float, float, float] | None
+    name: str,
+    total: float,
+    factor: float,
+    std: float,
+    within: tuple[float, float, float] | None,
 ) -> str:
     mass = plus_minus(total * (factor - 1), total * std)
     if within:
-        low, high = (with_error(total * max(a - 1, 0.0), total * std)[0] for a in within[1:])
+        low, high = (
+            with_error(total * max(a - 1, 0.0), total * std)[0] for a in within[1:]
+        )
         mass += f" ({100 * within[0]:g} %: {low} to {high})"
     return (
         f"{name}: {mass} (units of the deck); is a part left out there? The updated deck has "

@@ -22,7 +22,14 @@ from ringtrue.study.opened import AtChannels, ProjectedAtChannels
 from ringtrue.study.reference import followed, settings, used_mask
 from ringtrue.study.results import CorrelateStage
 from ringtrue.study.session import Session, StudyConfiguration
-from ringtrue.updating.problem import Configuration, Evaluated, Huber, Problem, RobustLoss, Squares
+from ringtrue.updating.problem import (
+    Configuration,
+    Evaluated,
+    Huber,
+    Problem,
+    RobustLoss,
+    Squares,
+)
 from ringtrue.updating.residuals.modal import (
     Eigenvalues,
     Frequencies,
@@ -87,7 +94,9 @@ def problem_of(
     parts = []
     for c, model in zip(session.configurations, models, strict=True):
         name = c.name or "the deck of the study"
-        parts.append(Configuration(model, target(c, u), terms_of(c, model, u), name=name))
+        parts.append(
+            Configuration(model, target(c, u), terms_of(c, model, u), name=name)
+        )
     problem = Problem(tuple(parts), loss=LOSSES[u.loss])
     rows, limits = constraints(session.config, problem.parameters)
     return replace(problem, rows=rows, limits=limits)
@@ -104,7 +113,9 @@ def constraints(config: StudyConfig, parameters: ParameterSet) -> tuple[Float, F
 
 
 def terms_of(
-    c: StudyConfiguration, model: ProjectedAtChannels | FullModel, u: UpdateSection | None = None
+    c: StudyConfiguration,
+    model: ProjectedAtChannels | FullModel,
+    u: UpdateSection | None = None,
 ) -> tuple[Term, ...]:
     """All kinds of residuals of a configuration: those of its modes, then its [[residual]]s."""
     unit = c.session.unit.kilograms
@@ -195,7 +206,9 @@ FURTHER_STARTS = 8  # where one start leaves modes without partner
 def course_of(u: UpdateSection) -> Course:
     """As [update] asks for."""
     weighed = u.discrepancy if u.discrepancy != "found" or u.sharpened else "assumed"
-    return Course(Method(), u.iterations, "given" if u.prior == "study" else u.prior, weighed)
+    return Course(
+        Method(), u.iterations, "given" if u.prior == "study" else u.prior, weighed
+    )
 
 
 def course_of_runs(u: UpdateSection) -> Course:
@@ -211,7 +224,9 @@ def further_starts(u: UpdateSection) -> UpdateSection | None:
     Modes that change places between the deck and the structure make minima in which each is paired
     with its neighbour, and some without partner.
     """
-    return u.otherwise({"starts": FURTHER_STARTS}) if u.starts < FURTHER_STARTS else None
+    return (
+        u.otherwise({"starts": FURTHER_STARTS}) if u.starts < FURTHER_STARTS else None
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +255,9 @@ class Minimisation:
     checkpoint: Path | None = None
     workers: Workers = 1
 
-    def run(self, problem: Problem, progress: Progress, start: Float | None = None) -> Settled:
+    def run(
+        self, problem: Problem, progress: Progress, start: Float | None = None
+    ) -> Settled:
         """The end of an updating from a start that the gates have led to, or from where they
         lead: by the modes first, then by FRFs too.
         """
@@ -266,13 +283,17 @@ class Minimisation:
             more = latin_hypercube(problem.parameters, u.starts - 1, rng)
             starts = np.vstack([np.zeros(problem.size), more])
             settings = StartSettings(limit, FINISHED_STARTS, self.workers)
-            return multi_start(problem, starts, method, settings, progress=progress).best
+            return multi_start(
+                problem, starts, method, settings, progress=progress
+            ).best
         members = problem.parameters.names
         grown = [[n for n in stage if n in members] for stage in u.stages]
         grown = [g for g in grown if g and len(g) < len(members)]
         start = np.zeros(problem.size)
         if grown:
-            parts = staged(problem, grown, method, iterations=u.iterations, progress=progress)
+            parts = staged(
+                problem, grown, method, iterations=u.iterations, progress=progress
+            )
             start = np.array(parts[-1].x)
         return solve(
             problem,

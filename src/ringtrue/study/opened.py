@@ -26,7 +26,13 @@ from ringtrue.fem.element_cards import mesh
 from ringtrue.model.case_control import whole_mesh
 from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
-from ringtrue.model.ports import Analysis, Linearisation, ModalSolver, ModesRequest, ModesResult
+from ringtrue.model.ports import (
+    Analysis,
+    Linearisation,
+    ModalSolver,
+    ModesRequest,
+    ModesResult,
+)
 from ringtrue.reduction.basis import observed_system
 from ringtrue.reduction.dense_models import (
     MatricesAtPoint,
@@ -189,7 +195,8 @@ class Opened:
         )
 
 
-CLOSE = 2e-3  # largest relative error of a frequency of the reduced model that is accepted
+# largest relative error of a frequency of the reduced model that is accepted
+CLOSE = 2e-3
 ROUNDS = 4
 
 
@@ -239,13 +246,17 @@ class ProjectedAtChannels:
         with zeros.
         """
         if base is not None:
-            base = np.concatenate([base, np.zeros(len(self.model.basis.parameters) - base.size)])
+            base = np.concatenate(
+                [base, np.zeros(len(self.model.basis.parameters) - base.size)]
+            )
         return replace(self, model=self.model.with_parameters(active, base))
 
     def whole(self) -> Whole:
         """All modes of the basis at all channels."""
         every = replace(
-            self, model=self.model.whole(), rows=np.arange(self.model.basis.observe.shape[0])
+            self,
+            model=self.model.whole(),
+            rows=np.arange(self.model.basis.observe.shape[0]),
         )
         return Whole(every, self.rows, self.model.count)
 
@@ -254,7 +265,9 @@ class ProjectedAtChannels:
         return matrices_at(self.model, x)
 
     def _pick(self, point: Linearisation) -> Linearisation:
-        return replace(point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows])
+        return replace(
+            point, shapes=point.shapes[self.rows], d_shapes=point.d_shapes[self.rows]
+        )
 
     def linearise(self, x: Float) -> Linearisation:
         """Modes and sensitivities at x."""
@@ -278,7 +291,9 @@ class AtChannels(ProjectedAtChannels):
     model: ReducedModel
     loaded: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
-    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[AtChannels, Linearisation]:
+    def enrich(
+        self, x: Float, *, sensitivities: bool = False
+    ) -> tuple[AtChannels, Linearisation]:
         """The model with its full modes at x, and these; static responses of the loaded channels,
         too.
         """
@@ -298,7 +313,9 @@ def build(
     """Assemble, differentiate and project: all modes below `fmax` with every parameter."""
     system = opened.analysis.system
     early = part(progress, 0.0, 0.4)
-    affine = observed_system(opened.model, system, parameters, observation, progress=early)
+    affine = observed_system(
+        opened.model, system, parameters, observation, progress=early
+    )
     count = len(opened.modes(fmax).modes)
     late = part(progress, 0.4, 1.0)
     pencil = opened.analysis.pencil
@@ -344,7 +361,10 @@ def with_lumps(
     """The deck with places for masses that it may lack at nodes (k,), and these as candidates."""
     mass = mass_properties(opened.analysis.system).mass
     return lumped(
-        opened.model, nodes, mass / opened.model.param("WTMASS", 1.0), settings.of(opened.model)
+        opened.model,
+        nodes,
+        mass / opened.model.param("WTMASS", 1.0),
+        settings.of(opened.model),
     )
 
 

@@ -160,7 +160,12 @@ def _other_size(times: float) -> str:
 def alignment_text(found: Alignment) -> str:
     """The placement in alignment_text."""
     angle = round(
-        float(np.degrees(np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0)))), 3
+        float(
+            np.degrees(
+                np.arccos(np.clip((np.trace(found.rotation) - 1) / 2, -1.0, 1.0))
+            )
+        ),
+        3,
     )
     x, y, z = (np.round(found.shift, 6) + 0.0).tolist()  # to the micrometre
     lost = int((~found.used).sum())
@@ -194,7 +199,9 @@ def shared_places(opened: Opened, test: TestModel, modes: ModeSet) -> tuple[str,
     shared = [
         (point, some)
         for point, at in zip(
-            points.tolist(), tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)), strict=True
+            points.tolist(),
+            tree.query_ball_point(nearest, ROUNDING * diagonal(xyz)),
+            strict=True,
         )
         if point not in (some := sorted(ids[at].tolist()))
         and _apart(opened.dofs, some, modes.shapes)
@@ -273,7 +280,9 @@ def placed(
     """
     if sheet is None:
         try:
-            return at_dofs(tuple(channels), opened.dofs if dofs is None else dofs, opened.length)
+            return at_dofs(
+                tuple(channels), opened.dofs if dofs is None else dofs, opened.length
+            )
         except DataError as e:
             raise DataError(
                 f"{e}; where points have numbers of their own give --sensors, or [test] sheet of "
@@ -286,7 +295,10 @@ def placed(
 
 
 def readings(
-    test: ModeSet, modes: ModeSet, sheet: TestModel, seen: Callable[[TestModel], Observation]
+    test: ModeSet,
+    modes: ModeSet,
+    sheet: TestModel,
+    seen: Callable[[TestModel], Observation],
 ) -> Readings:
     """Test modes and those of a deck, with what the deck does along all axes of the sheet at
     each sensor.
@@ -304,14 +316,18 @@ def readings(
     """
     here = sheet.pick(test.channels)
     motion = seen(here.threefold())(modes.shapes).reshape(3, len(here.channels), -1)
-    return Readings(test, modes.frequencies, motion, here.axes, here.group_of_channels())
+    return Readings(
+        test, modes.frequencies, motion, here.axes, here.group_of_channels()
+    )
 
 
 def _motions(sheet: Path | SensorSheet, channels: Sequence[str]) -> TestModel:
     """The test model of a sheet, none of whose `channels` measures strain."""
     found = read_sensor_sheet(sheet) if isinstance(sheet, Path) else sheet
     names = found.model.named(channels)[0]
-    if strain := [c for c, name in zip(channels, names, strict=True) if name in found.strain]:
+    if strain := [
+        c for c, name in zip(channels, names, strict=True) if name in found.strain
+    ]:
         raise DataError(
             f"channel {' '.join(strain[:8])} measures strain: take it out of the modes of the test"
         )
@@ -342,7 +358,11 @@ def mesh_points(opened: Opened) -> TestModel:
     """
     scene = make_scene(opened.model, {}, opened.length)
     drawn = np.flatnonzero(np.isin(scene.node, opened.model["GRID"].ids[opened.moves]))
-    at = drawn[np.unique(np.linspace(0, drawn.size - 1, min(MESHED, drawn.size)).astype(np.int64))]
+    at = drawn[
+        np.unique(
+            np.linspace(0, drawn.size - 1, min(MESHED, drawn.size)).astype(np.int64)
+        )
+    ]
     node = scene.node[at]
     axes = np.tile(np.eye(3), (at.size, 1))
     channels = tuple(f"{n}+{a}" for n in node.tolist() for a in "XYZ")
@@ -356,7 +376,9 @@ def mesh_points(opened: Opened) -> TestModel:
     )
 
 
-def near_mesh(test: TestModel, opened: Opened, tolerance: float | None) -> tuple[TestModel, float]:
+def near_mesh(
+    test: TestModel, opened: Opened, tolerance: float | None
+) -> tuple[TestModel, float]:
     """The channels of a test that are near a node of a deck, and what is near, m: `tolerance` or
     the default one.
     """
@@ -437,7 +459,9 @@ def seat_words(found: Sequence[Seat]) -> tuple[str, ...]:
     other = [s for s in at.values() if s.nodes != (s.point,)]
     line = f"{len(at) - len(other)} of {len(at)} points are read at the node of their number"
     if other:
-        pairs = [f"{s.point} -> {'+'.join(map(str, s.nodes))}" for s in other[:MOST_NAMED]]
+        pairs = [
+            f"{s.point} -> {'+'.join(map(str, s.nodes))}" for s in other[:MOST_NAMED]
+        ]
         line += "; point -> node: " + ", ".join(pairs)
     if len(other) > MOST_NAMED:
         line += f" and {len(other) - MOST_NAMED} more (--json, summary.json)"

@@ -185,7 +185,9 @@ def _surface_sensors(nodes: Int, scene: Scene) -> tuple[Int, Float]:
     """Candidates that lie on surfaces, (s,), and their normals, (s, 1, 3)."""
     normal = surface_normals(scene.xyz, scene.triangles)
     seat = np.searchsorted(scene.node, nodes).clip(max=scene.node.size - 1)
-    here: Bool = (scene.node[seat] == nodes) & (np.linalg.norm(normal[seat], axis=1) > 0)
+    here: Bool = (scene.node[seat] == nodes) & (
+        np.linalg.norm(normal[seat], axis=1) > 0
+    )
     if not here.any():
         raise ConfigError(
             '[plan] directions = "normal": no candidate lies on a shell or on the skin of solids'
@@ -261,7 +263,9 @@ class PlanProblem:
         rigid = plan.fmax <= edge  # a band of rigid-body modes alone is one of them
         low = max(rigid_below(f) if rigid else edge, plan.fmin)
         within = in_band(f, low, plan.fmax)
-        criteria = self._criteria(within) or {f"{low:.4g} to {plan.fmax:.4g} Hz": within}
+        criteria = self._criteria(within) or {
+            f"{low:.4g} to {plan.fmax:.4g} Hz": within
+        }
         return choose_targets(f, criteria, within=within).among(readable_modes)
 
     def _criteria(self, within: Bool) -> dict[str, Bool]:
@@ -300,7 +304,9 @@ class PlanProblem:
         if plan.telling:
             x = relative * parameters.derivative(np.zeros(len(parameters)))
             # 0.01: relative, of an eigenvalue: half a percent of a frequency
-            at = informative_modes(x, np.ones(len(x)), 0.01, parameters.std(), plan.telling)
+            at = informative_modes(
+                x, np.ones(len(x)), 0.01, parameters.std(), plan.telling
+            )
             criteria["distinguishes parameters"] = np.isin(np.arange(len(x)), at)
         return criteria
 
@@ -324,7 +330,9 @@ class PlanProblem:
 def node_rows(session: Session, nodes: Int) -> Int:
     """Rows of the translations of the nodes among the DOFs of the deck, (n, 3)."""
     labels = session.initial.analysis.dofs
-    at = np.stack([labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1)
+    at = np.stack(
+        [labels.find(nodes, np.full(nodes.shape, i + 1)) for i in range(3)], axis=1
+    )
     if (at < 0).any():
         raise ConfigError(
             f"[plan.candidates]: node {int(nodes[(at < 0).any(axis=1)][0])} is not in the deck"
@@ -389,7 +397,9 @@ def virtual_tests(
     references = stage.excitation.references
     at = [channels.index(r) for r in references]
     band = _test_band(stage.target_frequencies, plan.damping)
-    planned = Planned(f, rows, rows[at], channels, references, fmin=band[0], fmax=band[1])
+    planned = Planned(
+        f, rows, rows[at], channels, references, fmin=band[0], fmax=band[1]
+    )
     hits = min(stage.acquisition.averages, 20)  # at a reference, of a virtual test
     conditions = Conditions(trials=plan.trials, damping=plan.damping, hits=hits)
     if plan.background is None:
@@ -397,7 +407,9 @@ def virtual_tests(
     else:
         conditions = replace(conditions, background=plan.background)
     rng = np.random.default_rng(seed + 7919)
-    found = simulate_impact_test(planned, conditions, rng, progress=part(progress, 0.0, 0.5))
+    found = simulate_impact_test(
+        planned, conditions, rng, progress=part(progress, 0.0, 0.5)
+    )
     in_band_modes = np.flatnonzero(planned.targets)
     found = found.take(np.searchsorted(in_band_modes, stage.target_modes))
     stage = replace(stage, virtual_test=found)
@@ -409,7 +421,9 @@ def virtual_tests(
     expected = stage.acquisition.modes
     band = _test_band(f[expected], plan.damping)
     planned = Planned(f, seen, rows, sensors, channels, fmin=band[0], fmax=band[1])
-    conditions = Conditions(trials=plan.trials, damping=plan.damping, sensor=ACCELEROMETER)
+    conditions = Conditions(
+        trials=plan.trials, damping=plan.damping, sensor=ACCELEROMETER
+    )
     whole = stage.acquisition.record_length
     duration = min(whole, longest(len(sensors), band[1]))
     ambient = AmbientConditions(duration, plan.ambient_force)

@@ -23,7 +23,12 @@ from ringtrue.io.records import read_record, read_runs, record_info, record_part
 from ringtrue.io.sheets import SensorSheet
 from ringtrue.signal.channel_checks import check_channels
 from ringtrue.signal.frf import estimate_columns
-from ringtrue.signal.impacts import HammerSettings, ImpactReport, force_channel, pulse_width
+from ringtrue.signal.impacts import (
+    HammerSettings,
+    ImpactReport,
+    force_channel,
+    pulse_width,
+)
 from ringtrue.signal.overview import (
     Extremes,
     Spans,
@@ -94,9 +99,15 @@ class RecordView:
         at = [here[i] for i in ids]
         factor = self._factor[at]
         for data in self._rows(at, spans):
-            yield data if (factor == 1).all() else data * factor[:, None].astype(data.dtype)
+            yield (
+                data
+                if (factor == 1).all()
+                else data * factor[:, None].astype(data.dtype)
+            )
 
-    def envelope(self, ids: Sequence[str], start: int, stop: int, bins: int = 1000) -> Extremes:
+    def envelope(
+        self, ids: Sequence[str], start: int, stop: int, bins: int = 1000
+    ) -> Extremes:
         """Samples `start` to `stop` at the size of a screen, as `signal.overview.envelope`."""
 
         def whole() -> Extremes:
@@ -112,7 +123,9 @@ class RecordView:
     def _extremes(self, channel: str) -> Extremes:
         """The envelope of a whole channel, read once."""
         if channel not in self._known:
-            self._known[channel] = extremes(partial(self.parts, [channel]), self.samples)
+            self._known[channel] = extremes(
+                partial(self.parts, [channel]), self.samples
+            )
         return self._known[channel]
 
     def spectra(
@@ -162,7 +175,9 @@ def open_view(record: Logged | Path, sheet: SensorSheet | None = None) -> Record
         # as the study reads them
         forced = logged is not None and logged.kind != "ambient"
         runs = (
-            read_runs(path, rate) if forced else (read_record(path, rate, check=False, gaps=True),)
+            read_runs(path, rate)
+            if forced
+            else (read_record(path, rate, check=False, gaps=True),)
         )
         channels, found = runs[0].channels, runs[0].rate
         ends = np.cumsum([r.data.shape[1] for r in runs]).tolist()
@@ -199,7 +214,9 @@ def _named(
     return at, scaled.channels, np.asarray(scaled.data[:, 0], dtype=np.float64)
 
 
-def _stored_rows(path: Path, ids: Sequence[str], at: Sequence[int], spans: Spans) -> Iterator[Any_]:
+def _stored_rows(
+    path: Path, ids: Sequence[str], at: Sequence[int], spans: Spans
+) -> Iterator[Any_]:
     """Rows of a record in ringtrue's layout."""
     for part in record_parts(path, [ids[k] for k in at], spans):
         yield part.data
@@ -267,7 +284,9 @@ def force_of(view: RecordView, record: Logged) -> str:
     DataError
         As `signal.impacts.force_channel` does.
     """
-    empty = TimeHistory(np.zeros((len(view.channels), 2)), view.rate, view.channels, view.name)
+    empty = TimeHistory(
+        np.zeros((len(view.channels), 2)), view.rate, view.channels, view.name
+    )
     at = force_channel(empty, HammerSettings(force=record.force_channel))
     return view.channels[at].id
 
@@ -333,6 +352,8 @@ def kept_frfs(
         As `signal.frf.estimate_columns` does, as where no hit is left.
     """
     runs, _ = acquisitions(record, sheet, unused)
-    settings = replace(block_settings(record, runs[0].rate), keep_to=keep_to, hits=tuple(hits))
+    settings = replace(
+        block_settings(record, runs[0].rate), keep_to=keep_to, hits=tuple(hits)
+    )
     columns, _ = estimate_columns(runs, settings)
     return columns[0]

@@ -59,7 +59,9 @@ def measured_part(modes: ModeSet) -> tuple[Int, tuple[str, ...]]:
     while at.size > 1:
         _, kind = np.unique(known[:, at], axis=1, return_inverse=True)
         trials = [at[kind.ravel() != k] for k in range(int(kind.max()) + 1)]
-        worth = [t.size * known[:, t].all(axis=1).sum() if t.size else 0 for t in trials]
+        worth = [
+            t.size * known[:, t].all(axis=1).sum() if t.size else 0 for t in trials
+        ]
         if max(worth) <= size:
             break
         at = trials[int(np.argmax(worth))]
@@ -79,7 +81,9 @@ def at_common(modes: ModeSet) -> tuple[ModeSet, tuple[str, ...]]:
     at, channels = measured_part(modes)
     seen = modes.rows(channels)
     kept = np.isin(np.arange(len(modes)), at)
-    return replace(seen, shapes=np.where(kept, np.nan_to_num(seen.shapes), 0.0)), _gaps(modes)
+    return replace(seen, shapes=np.where(kept, np.nan_to_num(seen.shapes), 0.0)), _gaps(
+        modes
+    )
 
 
 def _gaps(modes: ModeSet) -> tuple[str, ...]:
@@ -90,12 +94,16 @@ def _gaps(modes: ModeSet) -> tuple[str, ...]:
     n = len(modes.channels)
     out = []
     for k in np.unique(seen[lost]).tolist():
-        which = ", ".join(f"{f:.4g}" for f in modes.frequencies[lost[seen[lost] == k]].tolist())
+        which = ", ".join(
+            f"{f:.4g}" for f in modes.frequencies[lost[seen[lost] == k]].tolist()
+        )
         out.append(f"{which} Hz: not used, seen at {k} of {n} channels only")
     if len(channels) < n:
         names = [c for c in modes.channels if c not in set(channels)]
         more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-        out.append(f"channels not used, where not all modes were seen: {' '.join(names[:8])}{more}")
+        out.append(
+            f"channels not used, where not all modes were seen: {' '.join(names[:8])}{more}"
+        )
     return tuple(out)
 
 
@@ -143,7 +151,9 @@ def without_gaps(found: IdentifiedModes, some: Int) -> tuple[ModeSet, Uncertaint
     return found.modes.take(some[at]).rows(channels), found.uncertainty.take(some[at])
 
 
-def _rigid(found: IdentifiedModes, edge: float, least: float) -> tuple[ModeSet, Uncertainty]:
+def _rigid(
+    found: IdentifiedModes, edge: float, least: float
+) -> tuple[ModeSet, Uncertainty]:
     """The confident modes below the edge, at the channels that have seen them all."""
     modes = found.modes
     low = np.flatnonzero((modes.frequencies < edge) & (modes.confidence >= least))
@@ -170,7 +180,9 @@ def reference_of_file(path: Path, config: StudyConfig) -> ReferenceModes:
     high = np.flatnonzero(modes.frequencies >= edge)
     low = np.flatnonzero(modes.frequencies < edge)
     if not high.size or not modes.channels:
-        raise DataError(f"{path}: no elastic mode was measured at a common set of channels")
+        raise DataError(
+            f"{path}: no elastic mode was measured at a common set of channels"
+        )
     rigid = realise_modes(modes.take(low)) if low.size else modes.take(low)
     elastic = realise_modes(modes.take(high))
     out = left_out(elastic, config.update.left_out, config.identify.confidence)
@@ -248,7 +260,10 @@ def rigid_settings(config: StudyConfig) -> PairingSettings:
     subspace.
     """
     return replace(
-        settings(config), mac_gate=min(0.5, config.correlate.mac_gate), close=0.08, distinct=0.95
+        settings(config),
+        mac_gate=min(0.5, config.correlate.mac_gate),
+        close=0.08,
+        distinct=0.95,
     )
 
 
@@ -268,7 +283,9 @@ def positions(pairs: Sequence[str]) -> tuple[tuple[int, int], ...]:
     return tuple((int(m[1]) - 1, int(m[2]) - 1) for m, _ in found if m)
 
 
-def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Followed | None:
+def followed(
+    reference: ModeSet, initial: ModeSet, config: StudyConfig
+) -> Followed | None:
     """The pairs that the study decides, by the shapes of the initial deck at the channels of the
     test modes.
 
@@ -295,7 +312,10 @@ def followed(reference: ModeSet, initial: ModeSet, config: StudyConfig) -> Follo
 
 
 def elastic_table(
-    reference: ReferenceModes, fe: ModeSet, config: StudyConfig, initial: ModeSet | None = None
+    reference: ReferenceModes,
+    fe: ModeSet,
+    config: StudyConfig,
+    initial: ModeSet | None = None,
 ) -> CorrelationTable:
     """Elastic test modes against the model's elastic modes at the channels; `initial` are those
     that locks name.
@@ -306,17 +326,23 @@ def elastic_table(
         first = int((fe.frequencies < elastic_edge(fe.frequencies, config)).sum())
     elastic = fe.take(np.arange(first, len(fe)))
     known = followed(test, initial, config) if initial is not None else None
-    locks = NO_LOCKS if known is None else known.locks(elastic.rows(test.channels).shapes)
+    locks = (
+        NO_LOCKS if known is None else known.locks(elastic.rows(test.channels).shapes)
+    )
     pairing = pair_modes(test, elastic, settings(config), first_b=first, locks=locks)
     std = reference.elastic_std.frequency
-    table = correlation_table(test, elastic, pairing, std_hz=std, left_out=reference.left_out)
+    table = correlation_table(
+        test, elastic, pairing, std_hz=std, left_out=reference.left_out
+    )
     mac = np.concatenate([np.zeros((len(test), first)), table.mac], axis=1)
     if config.frequency_only:
         pairing = _unseen(pairing)
         mac = np.zeros((0, 0))
     return replace(
         table,
-        pairing=replace(pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first),
+        pairing=replace(
+            pairing, b=pairing.b + first, unpaired_b=pairing.unpaired_b + first
+        ),
         mac=mac,
         all_fe_hz=fe.frequencies,
     )
@@ -328,16 +354,22 @@ def _unseen(pairing: Pairing) -> Pairing:
         pairing,
         mac=np.full(len(pairing), np.nan),
         subspace=np.zeros(len(pairing), dtype=np.bool_),
-        reasons_a=("no mode is like the one that it was taken for",) * pairing.unpaired_a.size,
-        reasons_b=("no frequency of the test is taken for it",) * pairing.unpaired_b.size,
+        reasons_a=("no mode is like the one that it was taken for",)
+        * pairing.unpaired_a.size,
+        reasons_b=("no frequency of the test is taken for it",)
+        * pairing.unpaired_b.size,
         gated_a=np.zeros(pairing.unpaired_a.size, dtype=np.bool_),
     )
 
 
-def rigid_table(reference: ReferenceModes, fe: ModeSet, config: StudyConfig) -> CorrelationTable:
+def rigid_table(
+    reference: ReferenceModes, fe: ModeSet, config: StudyConfig
+) -> CorrelationTable:
     """Rigid-body test modes against the model's."""
     gates = rigid_settings(config)
     edge = elastic_edge(fe.frequencies, config)
     low = fe.take(np.flatnonzero(fe.frequencies < edge))
     pairing = pair_modes(reference.rigid, low, gates)
-    return correlation_table(reference.rigid, low, pairing, std_hz=reference.rigid_std.frequency)
+    return correlation_table(
+        reference.rigid, low, pairing, std_hz=reference.rigid_std.frequency
+    )

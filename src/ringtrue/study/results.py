@@ -148,7 +148,8 @@ class Expansion:
 
     method: str
     modes: ModeSet  # at the scene's translations
-    misfit: Float  # (m,) of the readings that the expanded shape does not reproduce, relative
+    # (m,) of the readings that the expanded shape does not reproduce, relative
+    misfit: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -741,7 +742,8 @@ class ErrorIndicators:
     constitutive: Float  # (g,) share of the error in constitutive relation
     energy: Float  # (g,) share of the change of strain energy
     modes: Int  # (m,) positions in the reference modes
-    relative: Float  # (m,) error in constitutive relation over the strain energy of each mode
+    # (m,) error in constitutive relation over the strain energy of each mode
+    relative: Float
     expansion: str  # method by which the test shapes are expanded
     misfit: Float  # (m,) readings that the expansion does not reproduce, relative
 
@@ -749,7 +751,9 @@ class ErrorIndicators:
     def concentration(self) -> Float:
         """Error in constitutive relation over strain energy, (g,); NaN without strain."""
         known = self.strain > SCARCE
-        return np.where(known, self.constitutive / np.where(known, self.strain, 1.0), np.nan)
+        return np.where(
+            known, self.constitutive / np.where(known, self.strain, 1.0), np.nan
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -759,10 +763,13 @@ class CandidateEffects:
     parameters: ParameterSet
     what: tuple[str, ...]  # in words
     elements: tuple[str, ...]  # regions that each candidate changes
-    effect: Float  # (p,) of one prior standard deviation, in standard deviations of the residuals
-    others_known: Float  # (p,) posterior over prior standard deviation, all others known
+    # (p,) of one prior standard deviation, in standard deviations of the residuals
+    effect: Float
+    # (p,) posterior over prior standard deviation, all others known
+    others_known: Float
     all_free: Float  # (p,) the same with all candidates free
-    explains: Float  # (p,) share of the squared frequency errors that each explains by itself
+    # (p,) share of the squared frequency errors that each explains by itself
+    explains: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -772,7 +779,8 @@ class CandidatePool:
     made: int  # 0: the candidates are given
     dropped: tuple[str, ...]  # they change nothing
     screened: tuple[str, ...]  # they explain less than others
-    held: tuple[str, ...] = ()  # they scale a field of the suspension, which its tuning finds
+    # they scale a field of the suspension, which its tuning finds
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -783,12 +791,14 @@ class LocaliseStage:
     candidates: CandidateEffects
     pool: CandidatePool
     proposal: Proposal
-    proposal_basis: str = ""  # data of the proposal other than the modes of the study's own test
+    # data of the proposal other than the modes of the study's own test
+    proposal_basis: str = ""
     # (k,) nodes where a mass may be missing
     places: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     # ranked; each is judged by itself, the first first
     members: tuple[MissingMember, ...] = ()
-    form: FormFindings = field(default_factory=FormFindings)  # what the deviations follow
+    # what the deviations follow
+    form: FormFindings = field(default_factory=FormFindings)
     # the solver that has reduced the deck, if another: then no indicators, members and form
     reduced_by: str = ""
 
@@ -803,7 +813,8 @@ class SensitivityStage:
     fe_modes: Int
     sets: dict[str, tuple[str, ...]]  # named parameter sets
     rules: dict[str, str]  # how each set was chosen
-    clusters: tuple[str, ...]  # candidates that the data cannot tell from each other, in words
+    # candidates that the data cannot tell from each other, in words
+    clusters: tuple[str, ...]
     # set -> held candidate -> its stand-ins
     held: dict[str, dict[str, tuple[str, ...]]] = field(default_factory=dict)
 
@@ -890,7 +901,8 @@ class UpdateStage:
     sets: tuple[SetResult, ...]
     chosen: int
     why: str
-    initial_values: dict[str, float]  # of the chosen parameters: first target's value in the deck
+    # of the chosen parameters: first target's value in the deck
+    initial_values: dict[str, float]
     updated_values: dict[str, float]
     regions: dict[str, tuple[int, ...]]  # parameter -> scene groups that it changes
     data: tuple[DataResult, ...] = ()  # what was measured besides the modes
@@ -926,7 +938,8 @@ class TuneStage:
         str, ...
     ] = ()  # pairings that the test leaves open, with their weight, in words
     flags: tuple[str, ...] = ()  # factors that are not plausible
-    others: tuple[TunedConfiguration, ...] = ()  # configurations that were tuned to as well
+    # configurations that were tuned to as well
+    others: tuple[TunedConfiguration, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1014,7 +1027,8 @@ class DampedModes:
     before: Float
     after: Float
     after_std: Float
-    frf_before: Float  # relative error of the FRFs around the mode; NaN where there is none
+    # relative error of the FRFs around the mode; NaN where there is none
+    frf_before: Float
     frf_after: Float
 
     def spread(self, used: bool) -> tuple[float, float]:
@@ -1043,10 +1057,12 @@ class DampedConfiguration:
 class DampingStage:
     """Damping by region and by mode; None where the test says nothing of it."""
 
-    why: str  # why there is nothing, or why the regions are refused; empty where they hold
+    # why there is nothing, or why the regions are refused; empty where they hold
+    why: str
     regions: DampedRegions | None
     modes: DampedModes | None
-    misfit: float  # root mean square deviation of the ratios over the error of test and model
+    # root mean square deviation of the ratios over the error of test and model
+    misfit: float
     before: str  # what damps the model before, in words
     flags: tuple[str, ...]  # what is not plausible, in words
     files: tuple[str, ...]  # of the damped deck, if it was written
@@ -1091,7 +1107,8 @@ class PosteriorChains:
     """Samples of the posterior by Markov chains; empty where none were asked for."""
 
     draws: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (s, p) factors
-    sampled: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (p, 2) their intervals
+    # (p, 2) their intervals
+    sampled: Float = field(default_factory=lambda: np.zeros((0, 2)))
     acceptance: float = 0.0  # share of accepted moves
     independent: float = 0.0  # effective number of draws
     converged: bool = True  # the chains are long enough and agree
@@ -1104,7 +1121,8 @@ class UncertaintyStage:
     posterior: ParameterPosterior
     bands: FrequencyBands
     level: float  # of the intervals and bands
-    discrepancy: Float  # (2,) of the model: relative frequency and 1 − MAC, from modes left out
+    # (2,) of the model: relative frequency and 1 − MAC, from modes left out
+    discrepancy: Float
     assumed: Float  # (2,) the same as the updating assumed
     held: Held  # the used modes, predicted fold by fold
     flags: tuple[Flag, ...]  # parameters that are not plausible

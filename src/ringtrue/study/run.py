@@ -64,7 +64,9 @@ def _digest(path: Path) -> str:
         state = path.stat()
         return _hashed(path, state.st_mtime_ns, state.st_size)
     except (FileNotFoundError, IsADirectoryError) as e:
-        raise DataError(f"{path}: {absence(path)}; the study, its log or its deck names it") from e
+        raise DataError(
+            f"{path}: {absence(path)}; the study, its log or its deck names it"
+        ) from e
 
 
 @lru_cache(maxsize=4096)
@@ -79,7 +81,10 @@ def _seen_from(base: Path, path: Path) -> str:
 
 
 def stage_key(
-    stage: Stage, session: Session, upstream: Mapping[str, str], inputs: Mapping[str, str]
+    stage: Stage,
+    session: Session,
+    upstream: Mapping[str, str],
+    inputs: Mapping[str, str],
 ) -> str:
     """A hash over the stage's settings, its input files, the version and the keys of the stages it
     needs.
@@ -92,7 +97,8 @@ def stage_key(
         for name in stage.settings
     }
     files = {
-        name: inputs[name] for name in (_seen_from(session.base, p) for p in stage.files(session))
+        name: inputs[name]
+        for name in (_seen_from(session.base, p) for p in stage.files(session))
     }
     needs = {n: upstream[n] for n in stage.needs if n in upstream}
     text = json.dumps([__version__, stage.name, settings, files, needs], sort_keys=True)
@@ -180,8 +186,12 @@ def _span(session: Session, first: str | None, until: str | None) -> tuple[int, 
     """The first stage that is run anew whatever the store holds, and the last stage."""
     for name in (first, until):
         if name and not STAGES[_position(name)].applies(session):
-            lost = " and no ".join(STAGES[_position(name)].missing(session)).replace("|", " or ")
-            raise ConfigError(f"stage {name!r} does not apply: the study has no section {lost}")
+            lost = " and no ".join(STAGES[_position(name)].missing(session)).replace(
+                "|", " or "
+            )
+            raise ConfigError(
+                f"stage {name!r} does not apply: the study has no section {lost}"
+            )
     start = _position(first) if first else len(STAGES)
     stop = _position(until) if until else len(STAGES) - 1
     if first and start > stop:
@@ -205,7 +215,9 @@ def _check_targets(session: Session, todo: Iterable[Stage]) -> None:
     """What the study names must be in the deck: found before hours of identification, not after."""
     names = {s.name for s in todo}
     if "damping" in names:
-        for target in (t for r in session.config.damping.region for t in r.region().targets):
+        for target in (
+            t for r in session.config.damping.region for t in r.region().targets
+        ):
             resolve_target(session.remodelled.model, target)
     if "predict" in names and session.config.predict is not None:
         check_rotor(session.remodelled.model, session.config.predict)
@@ -234,7 +246,8 @@ def _protect(session: Session, files: Iterable[Path]) -> None:
     photos = [session.base / p for p in session.config.report.photos]
     reads(*files, *photos)
     writes(
-        session.store.path, *(session.out / name for name in (SETS, "summary.json", "report.html"))
+        session.store.path,
+        *(session.out / name for name in (SETS, "summary.json", "report.html")),
     )
 
 
@@ -283,7 +296,9 @@ def run_study(
     text = study.read_text(encoding="utf-8")
     session = Session.of(study, out, config)
     with one_run(), locked(session.out):
-        return _run(session, study, text=text, first=first, until=until, progress=progress)
+        return _run(
+            session, study, text=text, first=first, until=until, progress=progress
+        )
 
 
 def _run(
@@ -306,13 +321,17 @@ def _run(
     try:
         for i, stage in enumerate(todo):
             progress(i / len(todo), stage.title)
-            session.keys[stage.name] = key = stage_key(stage, session, session.keys, inputs)
+            session.keys[stage.name] = key = stage_key(
+                stage, session, session.keys, inputs
+            )
             stored = _intact_key(session, stage.name)
             if _position(stage.name) < start and stored == key:
                 loaded.append(stage.name)
                 continue
             began = time.perf_counter()
-            result = stage.run(session, part(progress, i / len(todo), (i + 1) / len(todo)))
+            result = stage.run(
+                session, part(progress, i / len(todo), (i + 1) / len(todo))
+            )
             stale = _downstream(stage.name) if stored != key else ()
             seconds = time.perf_counter() - began
             session.store.save(stage.name, key, result, seconds=seconds, drop=stale)
@@ -321,9 +340,8 @@ def _run(
             # decides which kernel of BLAS takes it, and so its last digit.
             session.put(stage.name, session.store.load(stage.name))
             log.info("%s: %.1f s", stage.name, seconds)
-    except (
-        BaseException
-    ):  # stopped by the user, too: what is stored can be reported, and the next run resumes
+    except BaseException:
+        # stopped by the user, too: what is stored can be reported, and the next run resumes
         if ran:
             _sign(session, inputs, text)
         raise
@@ -370,7 +388,10 @@ def provenance(session: Session, inputs: Mapping[str, str], text: str) -> Proven
     return Provenance(
         version=__version__,
         python=platform.python_version(),
-        packages={name: version(name) for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")},
+        packages={
+            name: version(name)
+            for name in ("numpy", "scipy", "h5py", "plotly", "pydantic")
+        },
         platform=platform.platform(),
         seed=session.config.study.seed,
         started=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -397,7 +418,15 @@ def load_study(store: Path) -> StudyRun:
     config = parse_config(made.settings, store)
     session = Session(config, store.parent / made.home, store.parent, held)
     there = held.stages()
-    results = {s.name: held.load(s.name) for s in STAGES if s.name in there and s.applies(session)}
+    results = {
+        s.name: held.load(s.name)
+        for s in STAGES
+        if s.name in there and s.applies(session)
+    }
     return StudyRun(
-        store.parent, session, results | {PROVENANCE: made}, made.timings, tuple(results)
+        store.parent,
+        session,
+        results | {PROVENANCE: made},
+        made.timings,
+        tuple(results),
     )

@@ -17,7 +17,9 @@ from ringtrue.model.frames import diagonal, positions
 from ringtrue.model.model import Model
 from ringtrue.study.results import Scene
 
-_SURFACES = {card: ((0, 1, 2),) if "TRIA" in card else ((0, 1, 2, 3),) for card in SURFACES}
+_SURFACES = {
+    card: ((0, 1, 2),) if "TRIA" in card else ((0, 1, 2, 3),) for card in SURFACES
+}
 _LINES = {
     "CBAR": ("GA", "GB"),
     "CBEAM": ("GA", "GB"),
@@ -36,7 +38,9 @@ _JOINTS = {
 }
 
 
-def make_scene(model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0) -> Scene:
+def make_scene(
+    model: Model, regions: Mapping[str, Sequence[int]], length: float = 1.0
+) -> Scene:
     """The drawing of a model.
 
     Parameters
@@ -85,7 +89,9 @@ def connected(scene: Scene, elements: Sequence[int]) -> Int:
     of = np.r_[scene.triangle_group, scene.triangle_group, scene.line_group]
     at = ends + n * of[:, None]
     size = n * max(len(scene.groups), 1)
-    joined = sparse.coo_array((np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(size, size))
+    joined = sparse.coo_array(
+        (np.ones(len(at)), (at[:, 0], at[:, 1])), shape=(size, size)
+    )
     label = connected_components(joined, directed=False)[1]
     first = np.r_[faces[:, 0], lines[:, 0]] + n * group
     part = label[first]
@@ -95,7 +101,9 @@ def connected(scene: Scene, elements: Sequence[int]) -> Int:
 
 def translations(scene: Scene) -> DofSet:
     """X Y Z of the nodes of a drawing, node by node."""
-    return DofSet(np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3]), scene.node.size))
+    return DofSet(
+        np.repeat(scene.node, 3), np.tile(np.array([1, 2, 3]), scene.node.size)
+    )
 
 
 def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
@@ -106,16 +114,22 @@ def scene_modes(modes: ModeSet, scene: Scene) -> ModeSet:
     assert isinstance(modes.labels, DofSet)
     at, sign = modes.labels.align(labels)
     shapes: Float = (
-        np.asarray(modes.shapes[at] * sign[:, None]).astype(np.float32).astype(np.float64)
+        np.asarray(modes.shapes[at] * sign[:, None])
+        .astype(np.float32)
+        .astype(np.float64)
     )
     return replace(modes, shapes=shapes, labels=labels)
 
 
-def _groups(pids: Int, regions: Mapping[str, Sequence[int]]) -> tuple[tuple[str, ...], Int]:
+def _groups(
+    pids: Int, regions: Mapping[str, Sequence[int]]
+) -> tuple[tuple[str, ...], Int]:
     """Names of groups, the regions first, then properties as they come; the group of each entry."""
     named = {pid: name for name, members in regions.items() for pid in members}
     each, first, inverse = np.unique(pids, return_index=True, return_inverse=True)
-    labels = [named.get(p, f"property {p}" if p else "no property") for p in each.tolist()]
+    labels = [
+        named.get(p, f"property {p}" if p else "no property") for p in each.tolist()
+    ]
     names = tuple(dict.fromkeys([*regions, *(labels[k] for k in np.argsort(first))]))
     at = {n: i for i, n in enumerate(names)}
     return names, np.array([at[x] for x in labels], dtype=np.int64)[inverse]
@@ -133,7 +147,9 @@ def _faces(model: Model) -> tuple[Int, Int]:
         t = model[card]
         g = t.stack(*(f"G{i + 1}" for i in range(1 + max(max(f) for f in faces))))
         own = [t["PID"], t.ids]
-        quads = np.concatenate([np.column_stack([g[:, (*f, f[-1])[:4]], *own]) for f in faces])
+        quads = np.concatenate(
+            [np.column_stack([g[:, (*f, f[-1])[:4]], *own]) for f in faces]
+        )
         (shell if len(faces) == 1 else solid).append(quads)
     kept = [_skin(np.concatenate(solid)), *shell] if solid else shell
     every = np.concatenate(kept) if kept else np.zeros((0, 6), dtype=np.int64)
@@ -156,7 +172,9 @@ def _ends(model: Model, cards: Mapping[str, tuple[str, str]]) -> Int:
     """Ends, property (0 for what has none) and element (l, 4)."""
     tables = [(model[c], names) for c, names in cards.items() if c in model]
     rows = [
-        np.column_stack([t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids, t.ids])
+        np.column_stack(
+            [t.stack(*names), t["PID"] if "PID" in t.columns else 0 * t.ids, t.ids]
+        )
         for t, names in tables
     ]
     return np.concatenate(rows) if rows else np.zeros((0, 4), dtype=np.int64)
@@ -175,6 +193,7 @@ def _lines(model: Model) -> tuple[Int, Int]:
     drawn = (at >= 0).all(axis=1) & (length > 1e-9 * diagonal(xyz))
     points = [joints[~drawn & (at[:, k] >= 0)][:, [k, k, 2, 3]] for k in (0, 1)]
     ends = np.concatenate(points)
-    _, first = np.unique(ends[:, :3], axis=0, return_index=True)  # several at one place are one
+    # several at one place are one
+    _, first = np.unique(ends[:, :3], axis=0, return_index=True)
     every = np.concatenate([lines, joints[drawn], ends[first]])
     return every[:, :2], every[:, 2:]

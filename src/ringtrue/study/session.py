@@ -93,7 +93,9 @@ class Session:
     _alignments: dict[TestModel, Alignment] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, study: Path, out: Path | None = None, config: StudyConfig | None = None) -> Session:
+    def of(
+        cls, study: Path, out: Path | None = None, config: StudyConfig | None = None
+    ) -> Session:
         """Of a study.toml, whose settings may be given; results are in its folder or in `out`.
 
         Raises
@@ -102,7 +104,9 @@ class Session:
             On a study file that is wrong.
         """
         folder = out or study.parent
-        return cls(config or read_config(study), study.parent, folder, Store(folder / STORE))
+        return cls(
+            config or read_config(study), study.parent, folder, Store(folder / STORE)
+        )
 
     def get(self, stage: str) -> Any:
         """The result of a stage, from this run or from the store."""
@@ -228,12 +232,16 @@ class Session:
     @property
     def everything(self) -> ParameterSet:
         """All candidates and suspensions."""
-        return ParameterSet(self.parameters.parameters + self.config.suspensions().parameters)
+        return ParameterSet(
+            self.parameters.parameters + self.config.suspensions().parameters
+        )
 
     @cached_property
     def configurations(self) -> tuple[StudyConfiguration, ...]:
         """The study's own deck and test, then its [[configuration]]s."""
-        return tuple(StudyConfiguration(self, s) for s in (None, *self.config.configuration))
+        return tuple(
+            StudyConfiguration(self, s) for s in (None, *self.config.configuration)
+        )
 
     @property
     def own(self) -> StudyConfiguration:
@@ -439,7 +447,9 @@ class StudyConfiguration:
     def measured(self) -> tuple[Measured, ...]:
         """What the [[residual]]s of this configuration name."""
         session = self.session
-        mine = [s for s in session.config.residual if (s.configuration or "") == self.name]
+        mine = [
+            s for s in session.config.residual if (s.configuration or "") == self.name
+        ]
         frfs = session.get("identify").frfs if mine and self.section is None else None
         source = Source(session.base, self.reference.elastic, frfs)
         return tuple(read_measured(s, source) for s in mine)

@@ -137,7 +137,9 @@ class Store:
             try:
                 return hdf5.load(f[stage])
             except (DataError, *DAMAGE) as e:
-                raise DataError(f"{self.path}: stage {stage!r}: {e}; run the study again") from e
+                raise DataError(
+                    f"{self.path}: stage {stage!r}: {e}; run the study again"
+                ) from e
 
     def stages(self) -> tuple[str, ...]:
         """The stages that are stored."""
@@ -150,7 +152,9 @@ class Store:
         try:
             old.copy(name, new)
         except DAMAGE as e:
-            _log.warning("%s: stage %r is damaged and left out (%s)", self.path, name, e)
+            _log.warning(
+                "%s: stage %r is damaged and left out (%s)", self.path, name, e
+            )
             if name in new:
                 del new[name]
 
@@ -181,7 +185,9 @@ def digest(group: h5py.Group) -> str:
 
     def add(name: str, item: h5py.Group | h5py.Dataset) -> None:
         attributes = {
-            k: np.asarray(item.attrs[k]) for k in sorted(item.attrs) if k not in (DIGEST, SECONDS)
+            k: np.asarray(item.attrs[k])
+            for k in sorted(item.attrs)
+            if k not in (DIGEST, SECONDS)
         }
         for k, value in attributes.items():
             total.update(f"{name}@{k} {value.dtype.str}".encode() + value.tobytes())

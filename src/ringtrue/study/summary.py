@@ -37,7 +37,9 @@ from ringtrue.study.results import (
 from ringtrue.study.run import StudyRun
 
 
-def pairs(table: CorrelationTable, repeats: float = float("nan")) -> list[dict[str, Any]]:
+def pairs(
+    table: CorrelationTable, repeats: float = float("nan")
+) -> list[dict[str, Any]]:
     """The pairs of a table as plain values; `deviation_std` is the deviation in standard deviations
     of the test, which knows no frequency better than it `repeats` it.
     """
@@ -59,7 +61,10 @@ def pairs(table: CorrelationTable, repeats: float = float("nan")) -> list[dict[s
             "within_scatter": not beyond if np.isfinite(z) else None,
         }
         for r, z, beyond in zip(
-            table.rows(), significance.z.tolist(), significance.significant.tolist(), strict=True
+            table.rows(),
+            significance.z.tolist(),
+            significance.significant.tolist(),
+            strict=True,
         )
     ]
 
@@ -101,7 +106,10 @@ def setups_json(plan: PlanStage) -> dict[str, Any]:
     """Points that are measured in all setups, and those of each."""
     sensors = plan.sensors
     count = sensors.setups.count if sensors.setups is not None else 0
-    return {"stay": sensors.roving(-1), "rove": [sensors.roving(k) for k in range(count)]}
+    return {
+        "stay": sensors.roving(-1),
+        "rove": [sensors.roving(k) for k in range(count)],
+    }
 
 
 def plan_json(plan: PlanStage) -> dict[str, Any]:
@@ -117,7 +125,9 @@ def plan_json(plan: PlanStage) -> dict[str, Any]:
         "channels": len(plan.sensors.test.channels),
         "references": list(plan.excitation.references),
         "worst_auto_mac": plan.sensors.worst_auto_mac,
-        "modes": [dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes],
+        "modes": [
+            dict(zip(("mode", "frequency_hz", "reach"), m, strict=True)) for m in modes
+        ],
     }
     if plan.sensors.setups is not None:
         out["setups"] = setups_json(plan)
@@ -148,7 +158,10 @@ def finite(value: Any) -> Any:
 def summarise(run: StudyRun) -> dict[str, Any]:
     """The summary of a run; parts that were not run are absent."""
     r = run.results
-    out: dict[str, Any] = {"title": run.config.study.title, "seed": run.config.study.seed}
+    out: dict[str, Any] = {
+        "title": run.config.study.title,
+        "seed": run.config.study.seed,
+    }
     repeats = _repeats(r)
     model: ModelStage | None = r.get("model")
     if model is not None:
@@ -170,13 +183,19 @@ def summarise(run: StudyRun) -> dict[str, Any]:
     if correlate is not None:
         out["initial"] = pairs(correlate.initial, repeats)
         out["remodelled"] = pairs(correlate.remodelled, repeats)
-        out["rigid_body"] = {"before": pairs(correlate.rigid_initial, repeats), "after": []}
+        out["rigid_body"] = {
+            "before": pairs(correlate.rigid_initial, repeats),
+            "after": [],
+        }
         out["rigid_body_unpaired"] = unpaired(correlate.rigid_initial)
         if correlate.sensors.alignment:
             out["alignment"] = correlate.sensors.alignment
         out |= _sensors(correlate.sensors)
         if (e := correlate.expanded) is not None:
-            out["expansion"] = {"method": e.method, "misfit_percent": (100 * e.misfit).tolist()}
+            out["expansion"] = {
+                "method": e.method,
+                "misfit_percent": (100 * e.misfit).tolist(),
+            }
         if correlate.remodelling is not None:
             out["remodelling"] = [asdict(s) for s in correlate.remodelling.history]
     out |= _localised(r) | _updated(r) | _known(r) | _used(r)
@@ -232,7 +251,9 @@ def _all_evidence(r: Mapping[str, Any]) -> dict[str, Any]:
         found["remodelled"] = correlate.evidence, correlate.remodelled
     if final is not None:
         found["final"] = final.evidence, final.table
-    return {name: _evidence(e, table) for name, (e, table) in found.items() if e is not None}
+    return {
+        name: _evidence(e, table) for name, (e, table) in found.items() if e is not None
+    }
 
 
 def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
@@ -243,7 +264,9 @@ def _evidence(e: Evidence, table: CorrelationTable) -> dict[str, Any]:
     ]
     if e.frfs is not None:
         sides = (("initial", e.frfs.initial), ("final", e.frfs.final))
-        out["frfs"] = {name: [asdict(x) for x in side.by_input()] for name, side in sides}
+        out["frfs"] = {
+            name: [asdict(x) for x in side.by_input()] for name, side in sides
+        }
     return out
 
 
@@ -276,7 +299,9 @@ def _localised(r: Mapping[str, Any]) -> dict[str, Any]:
     found: LocaliseStage | None = r.get("localise")
     if found is None:
         return {}
-    gathered = zip(found.indicators.regions, found.indicators.concentration.tolist(), strict=True)
+    gathered = zip(
+        found.indicators.regions, found.indicators.concentration.tolist(), strict=True
+    )
     proposed = [
         {
             "name": m.name,
@@ -312,17 +337,24 @@ def _known(r: Mapping[str, Any]) -> dict[str, Any]:
             "discrepancy_percent": (100 * found.discrepancy).tolist(),
             "intervals": dict(
                 zip(
-                    found.posterior.parameters.names, found.posterior.interval.tolist(), strict=True
+                    found.posterior.parameters.names,
+                    found.posterior.interval.tolist(),
+                    strict=True,
                 )
             ),
             "unproven": [
                 n
-                for n, open_ in zip(found.posterior.parameters.names, found.unproven, strict=True)
+                for n, open_ in zip(
+                    found.posterior.parameters.names, found.unproven, strict=True
+                )
                 if open_
             ],
             "flags": [flag.text for flag in found.flags],
             "left_out_inside": [int((found.bands.inside & out).sum()), int(out.sum())],
-            "folds_inside": [int((found.held.inside(found.level) & held).sum()), int(held.sum())],
+            "folds_inside": [
+                int((found.held.inside(found.level) & held).sum()),
+                int(held.sum()),
+            ],
         }
     }
 
@@ -339,9 +371,21 @@ def _measured(update: UpdateStage) -> dict[str, Any]:
                 "kind": d.kind,
                 "configuration": d.configuration or None,
                 "values": [
-                    dict(zip(heads, (label, unit, *(finite(float(v)) for v in row)), strict=True))
+                    dict(
+                        zip(
+                            heads,
+                            (label, unit, *(finite(float(v)) for v in row)),
+                            strict=True,
+                        )
+                    )
                     for label, unit, *row in zip(
-                        d.labels, d.units, d.measured, d.before, d.after, d.error, strict=True
+                        d.labels,
+                        d.units,
+                        d.measured,
+                        d.before,
+                        d.after,
+                        d.error,
+                        strict=True,
                     )
                 ],
             }
@@ -360,7 +404,11 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
     if update is not None:
         best = update.best
         std = best.std if known is None else known.posterior.relative
-        out |= {"solver": {"name": update.solver, "runs": update.runs}} if update.runs else {}
+        out |= (
+            {"solver": {"name": update.solver, "runs": update.runs}}
+            if update.runs
+            else {}
+        )
         out["parameter_set"] = {"name": best.name, "why": update.why}
         out["parameters"] = [
             {
@@ -379,12 +427,18 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
                 "mean_deviation_percent": s.fit.mean_deviation,
                 "max_deviation_percent": s.fit.max_deviation,
                 "mean_subspace_mac_percent": s.fit.mean_subspace_mac,
-                "mean_deviation_left_out_percent": finite(s.fit.mean_deviation_left_out),
+                "mean_deviation_left_out_percent": finite(
+                    s.fit.mean_deviation_left_out
+                ),
                 "condition": s.fit.condition,
                 "aicc": s.fit.criterion,
                 "outcome": s.outcome.value,
                 "discrepancy_percent": dict(
-                    zip(("frequency", "mac"), map(finite, 100 * s.discrepancy), strict=True)
+                    zip(
+                        ("frequency", "mac"),
+                        map(finite, 100 * s.discrepancy),
+                        strict=True,
+                    )
                 ),
             }
             | ({"settings": s.settings} if s.settings else {})
@@ -393,7 +447,8 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         out |= _measured(update)
     if tune is not None:
         out["suspension"] = [
-            {"name": n, "factor": a, "std": tune.std[n] * a} for n, a in tune.factors.items()
+            {"name": n, "factor": a, "std": tune.std[n] * a}
+            for n, a in tune.factors.items()
         ]
         if notes := [*tune.ambiguity, *tune.flags]:
             out["suspension_notes"] = notes
@@ -419,10 +474,19 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
     """Damping by region and the run-up of the rotor."""
     out: dict[str, Any] = {}
     damping: DampingStage | None = r.get("damping")
-    if damping is not None and damping.regions is not None and damping.modes is not None:
+    if (
+        damping is not None
+        and damping.regions is not None
+        and damping.modes is not None
+    ):
         d = damping.regions
         values = zip(
-            d.names, d.natures, d.targets, d.coefficients.tolist(), d.std.tolist(), strict=True
+            d.names,
+            d.natures,
+            d.targets,
+            d.coefficients.tolist(),
+            d.std.tolist(),
+            strict=True,
         )
         out["damping"] = {
             "regions": [
@@ -430,7 +494,9 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
                 for v in values
             ],
             "deviation_percent": [100 * x for x in damping.modes.spread(True)],
-            "deviation_left_out_percent": [finite(100 * x) for x in damping.modes.spread(False)],
+            "deviation_left_out_percent": [
+                finite(100 * x) for x in damping.modes.spread(False)
+            ],
             "flags": list(damping.flags),
             "refused": damping.why,
         }
@@ -438,7 +504,9 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
             out["damping"]["configurations"] = [
                 {
                     "name": o.name,
-                    "deviation_percent": [finite(100 * x) for x in o.modes.spread(True)],
+                    "deviation_percent": [
+                        finite(100 * x) for x in o.modes.spread(True)
+                    ],
                 }
                 for o in damping.others
             ]
@@ -452,7 +520,9 @@ def _used(r: Mapping[str, Any]) -> dict[str, Any]:
                 {
                     "name": name,
                     "unit": unit,
-                    "band": [float(b[i]) for b in (u.peak.low, u.peak.median, u.peak.high)],
+                    "band": [
+                        float(b[i]) for b in (u.peak.low, u.peak.median, u.peak.high)
+                    ],
                 }
                 for i, (name, unit) in enumerate(zip(u.names, u.units, strict=True))
             ],

@@ -37,7 +37,9 @@ def check_channels(channels: Sequence[str], sheet: TestModel, path: Path) -> Non
         sheet.pick(channels, forces=False)
 
 
-def modes_by_sheet(modes: ModeSet, sheet: TestModel, path: Path) -> tuple[ModeSet, tuple[str, ...]]:
+def modes_by_sheet(
+    modes: ModeSet, sheet: TestModel, path: Path
+) -> tuple[ModeSet, tuple[str, ...]]:
     """Modes by the names of the sheet, rows of opposite sign turned; and which names were others.
 
     Raises
@@ -48,9 +50,9 @@ def modes_by_sheet(modes: ModeSet, sheet: TestModel, path: Path) -> tuple[ModeSe
     check_channels(modes.channels, sheet, path)
     with about(path):
         names, sign = sheet.named(modes.channels)
-    return replace(modes, shapes=modes.shapes * sign[:, None], labels=names), other_names(
-        modes.channels, names, sign
-    )
+    return replace(
+        modes, shapes=modes.shapes * sign[:, None], labels=names
+    ), other_names(modes.channels, names, sign)
 
 
 def frfs_by_sheet(frfs: FrfSet, sheet: TestModel) -> tuple[FrfSet, tuple[str, ...]]:
@@ -105,7 +107,9 @@ def supplied_frfs(
 def without_channels(modes: ModeSet, lost: Sequence[str]) -> ModeSet:
     """Modes at the channels that are not among the lost ones, by whatever sign these are named."""
     index, _ = match_channels(modes.channels, lost)
-    return modes.rows([c for c, i in zip(modes.channels, index.tolist(), strict=True) if i < 0])
+    return modes.rows(
+        [c for c, i in zip(modes.channels, index.tolist(), strict=True) if i < 0]
+    )
 
 
 def _sides(
@@ -169,10 +173,15 @@ def pair_frequencies(
     said = dict(zip(pairing.unpaired_a.tolist(), pairing.reasons_a, strict=True))
     said |= {i: f"taken for mode {j + 1} of the deck, by frequency" for i, j in pairs}
     listed = ", ".join(f"{i + 1} for {j + 1}" for i, j in pairs)
-    unpaired = (f"mode {i + 1} is not used: {said[i]}" for i in pairing.unpaired_a.tolist())
+    unpaired = (
+        f"mode {i + 1} is not used: {said[i]}" for i in pairing.unpaired_a.tolist()
+    )
     doubts = pairing.doubts()
     if doubts:
-        doubts = (*doubts, "`lock` and `forbid` under [correlate] decide which mode a frequency is")
+        doubts = (
+            *doubts,
+            "`lock` and `forbid` under [correlate] decide which mode a frequency is",
+        )
     return PairedFrequencies(
         replace(test, shapes=shapes, labels=points.channels, norm=Norm.MODEL_SHAPES),
         points,
@@ -185,7 +194,9 @@ NO_MODES = ModeSet(np.zeros(0), np.zeros(0), np.zeros((0, 0)), ())
 NOT_KNOWN = Uncertainty.independent(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 
 
-def supplied_modes(path: Path, sheet: TestModel, unused: Sequence[str]) -> IdentifyStage:
+def supplied_modes(
+    path: Path, sheet: TestModel, unused: Sequence[str]
+) -> IdentifyStage:
     """The modes of a file as those of a test, without the unused channels; standard deviations
     where the file has them.
 
@@ -194,7 +205,9 @@ def supplied_modes(path: Path, sheet: TestModel, unused: Sequence[str]) -> Ident
     DataError
         If it holds no mode or no shapes, or a channel is not on the sensor sheet.
     """
-    modes, notes = modes_by_sheet(without_channels(read_modes(path), unused), sheet, path)
+    modes, notes = modes_by_sheet(
+        without_channels(read_modes(path), unused), sheet, path
+    )
     if not len(modes):
         raise DataError(f"{path}: no mode in the file")
     if not modes.channels:
@@ -206,7 +219,9 @@ def supplied_modes(path: Path, sheet: TestModel, unused: Sequence[str]) -> Ident
     return _of_file(path, sheet, modes, why, notes)
 
 
-def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> IdentifyStage:
+def supplied_frequencies(
+    path: Path, opened: Opened, config: StudyConfig
+) -> IdentifyStage:
     """Frequencies alone as a test: they take the shapes of modes of the deck, and are no test of
     these.
 
@@ -227,7 +242,11 @@ def supplied_frequencies(path: Path, opened: Opened, config: StudyConfig) -> Ide
 
 
 def _of_file(
-    path: Path, sheet: TestModel, modes: ModeSet, why: tuple[str, ...], notes: tuple[str, ...]
+    path: Path,
+    sheet: TestModel,
+    modes: ModeSet,
+    why: tuple[str, ...],
+    notes: tuple[str, ...],
 ) -> IdentifyStage:
     std = Uncertainty.independent(*read_std(path), np.zeros(modes.shapes.shape))
     return IdentifyStage(

@@ -18,7 +18,13 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.correlation.frf import FrfComparison, compare_frfs
 from ringtrue.correlation.pairing import Pairing
 from ringtrue.identification.common.manual_selection import current_poles
-from ringtrue.identification.frf.lines import Lines, functions, mirrored, mirrored_rows, prepare
+from ringtrue.identification.frf.lines import (
+    Lines,
+    functions,
+    mirrored,
+    mirrored_rows,
+    prepare,
+)
 from ringtrue.identification.frf.residues import (
     driving_pairs,
     lsfd,
@@ -104,7 +110,9 @@ def compared(
 def model_frfs(c: StudyConfiguration, model: ModelModes, measured: FrfSet) -> FrfSet:
     """The FRFs of a deck at the outputs, inputs and lines of measured ones."""
     session = c.session
-    return synthesised(model, c.observed(model.opened), measured, session.unit, session.fmax)
+    return synthesised(
+        model, c.observed(model.opened), measured, session.unit, session.fmax
+    )
 
 
 MARGIN = 1.2  # of the band, whose lines are fitted too
@@ -143,7 +151,11 @@ class FrfFit:
     def of(cls, found: IdentifiedModes, frfs: FrfSet) -> FrfFit:
         """Those in the band of an identification."""
         low, high = found.diagram.span
-        at = (frfs.freqs > 0) & (frfs.freqs >= low / MARGIN) & (frfs.freqs <= high * MARGIN)
+        at = (
+            (frfs.freqs > 0)
+            & (frfs.freqs >= low / MARGIN)
+            & (frfs.freqs <= high * MARGIN)
+        )
         every = (np.arange(len(side)) for side in (frfs.outputs, frfs.inputs))
         part = frfs.part(np.flatnonzero(at), *every)
         return cls(part, weighted_lines(part))
@@ -177,11 +189,16 @@ def single(measured: FrfSet, fitted: FrfSet, output: str, input_: str) -> Fitted
 
 def summed(measured: FrfSet, fitted: FrfSet) -> FittedData:
     """All FRFs as the root of the sum of their squares."""
-    a, b = (np.linalg.norm(x.data.reshape(x.freqs.size, -1), axis=1) for x in (measured, fitted))
+    a, b = (
+        np.linalg.norm(x.data.reshape(x.freqs.size, -1), axis=1)
+        for x in (measured, fitted)
+    )
     return FittedData(measured.freqs, _decibels(a**2), _decibels(b**2))
 
 
-def fitted_spectra(found: IdentifiedModes, choice: Choice | None) -> tuple[FittedData, ...]:
+def fitted_spectra(
+    found: IdentifiedModes, choice: Choice | None
+) -> tuple[FittedData, ...]:
     """The singular values of each band, summed, and what the modes after a choice explain.
 
     Raises
@@ -199,7 +216,9 @@ def fitted_spectra(found: IdentifiedModes, choice: Choice | None) -> tuple[Fitte
         near = (f > freqs[0] / MARGIN) & (f < freqs[-1] * MARGIN)
         fitted = fit_spectrum(freqs, power, poles[near])
         floor = 1e-3 * power  # less than nothing cannot be drawn
-        out.append(FittedData(freqs, _decibels(power), _decibels(np.maximum(fitted, floor))))
+        out.append(
+            FittedData(freqs, _decibels(power), _decibels(np.maximum(fitted, floor)))
+        )
     return tuple(out)
 
 
@@ -265,7 +284,9 @@ def fit_spectrum(freqs: Float, power: Float, poles: Complex) -> Float:
     # r_k and its conjugate at the conjugate pole, real and imaginary part
     real, imaginary = (decay + mirror).real, (1j * (decay - mirror)).real
     ramp = (freqs / max(float(freqs[-1]), 1e-300)) ** 2
-    columns = np.concatenate([real, imaginary, np.ones((freqs.size, 1)), ramp[:, None]], axis=1)
+    columns = np.concatenate(
+        [real, imaginary, np.ones((freqs.size, 1)), ramp[:, None]], axis=1
+    )
     weighted = columns / power[:, None]
     size = np.maximum(np.linalg.norm(weighted, axis=0), np.finfo(float).tiny)
     found, *_ = np.linalg.lstsq(weighted / size, np.ones(freqs.size), rcond=1e-10)

@@ -171,11 +171,16 @@ def mode_damping(
     damping, std : (t,) float64
     """
     zeta, slope = _ratios(values, mechanisms, (fit.viscous, fit.structural), modes)
-    return zeta, np.asarray(np.sqrt(np.einsum("tk,kl,tl->t", slope, fit.covariance, slope)))
+    return zeta, np.asarray(
+        np.sqrt(np.einsum("tk,kl,tl->t", slope, fit.covariance, slope))
+    )
 
 
 def _ratios(
-    values: Float, mechanisms: Sequence[Mechanism], damping: tuple[Float, Float], at: Int
+    values: Float,
+    mechanisms: Sequence[Mechanism],
+    damping: tuple[Float, Float],
+    at: Int,
 ) -> tuple[Float, Float]:
     """ζ (t,) of the modes that descend from the real modes `at`, and ∂ζ/∂c (t, k), with ΦᵀDΦ and
     ΦᵀHΦ.
@@ -221,7 +226,9 @@ def _linear(rows: Float, rhs: Float, mechanisms: Sequence[Mechanism]) -> Float:
     size = np.linalg.norm(rows, axis=0)
     if (size == 0).any():
         lost = mechanisms[int(np.argmin(size))].name
-        raise InputError(f"no datum depends on {lost!r}: leave it out, or give it a prior std")
+        raise InputError(
+            f"no datum depends on {lost!r}: leave it out, or give it a prior std"
+        )
     rhs = np.concatenate([rhs, weight * prior])
     return np.asarray(lsq_linear(rows / size, rhs, (low * size, high * size)).x / size)
 
@@ -249,7 +256,9 @@ def _refined(
         return np.concatenate([residual(u * scale)[0], weight * (u * scale - prior)])
 
     def slope(u: Float) -> Float:
-        return np.asarray(np.concatenate([residual(u * scale)[1], np.diag(weight)]) * scale)
+        return np.asarray(
+            np.concatenate([residual(u * scale)[1], np.diag(weight)]) * scale
+        )
 
     end = least_squares(
         value,
@@ -281,7 +290,9 @@ def _refined(
     )
 
 
-def _uncertainty(r: Float, g: Float, weight: Float, scale: Float) -> tuple[Float, Float, float]:
+def _uncertainty(
+    r: Float, g: Float, weight: Float, scale: Float
+) -> tuple[Float, Float, float]:
     """Covariance (c, c), standard deviation of each with all others known (c,), and mean square of
     the residuals, at least 1: a handful of ratios does not prove a smaller one.
 

@@ -99,10 +99,16 @@ class DampingRegion:
     std: float | None = None
 
     def __post_init__(self) -> None:
-        loss = {t for t in self.targets if t.field == "GE" and t.card in (*OWN_LOSS, *SPRINGS)}
+        loss = {
+            t
+            for t in self.targets
+            if t.field == "GE" and t.card in (*OWN_LOSS, *SPRINGS)
+        }
         dashpots = {t for t in self.targets if _is_dashpot(t)}
         if set(self.targets) not in (loss, dashpots) or not self.targets:
-            wrong = [t for t in self.targets if t not in loss | dashpots] or self.targets
+            wrong = [
+                t for t in self.targets if t not in loss | dashpots
+            ] or self.targets
             got = ", ".join(f"{t.card} {t.id} {t.field}" for t in wrong)
             raise InputError(
                 f"damping region {self.name}: got {got or 'no target'}; allowed are loss factors "
@@ -152,14 +158,19 @@ def default_regions(
     """
     sprung = []
     for p in suspension.parameters:
-        bushes = [t for t in p.targets if t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field)]
+        bushes = [
+            t
+            for t in p.targets
+            if t.card == "PBUSH" and re.fullmatch("K[1-6]", t.field)
+        ]
         if bushes:
             dashpots = tuple(CardField("PBUSH", t.id, f"B{t.field[1]}") for t in bushes)
             sprung.append(DampingRegion(p.name, dashpots))
     soft = {t.id for r in sprung for t in r.targets}
     found = [
         DampingRegion(
-            _name(model, card, ids, properties), tuple(CardField(card, i, "GE") for i in ids)
+            _name(model, card, ids, properties),
+            tuple(CardField(card, i, "GE") for i in ids),
         )
         for card in (*OWN_LOSS, "PBUSH", "PELAS")
         if card in model
@@ -167,7 +178,9 @@ def default_regions(
     ]
     if "CELAS2" in model:
         ids = model["CELAS2"].ids.tolist()
-        found.append(DampingRegion("CELAS2", tuple(CardField("CELAS2", i, "GE") for i in ids)))
+        found.append(
+            DampingRegion("CELAS2", tuple(CardField("CELAS2", i, "GE") for i in ids))
+        )
     found += sprung
     names = [r.name for r in found]
     # the card behind a name that two regions would share
@@ -188,12 +201,16 @@ def _alike(
         looks = np.nan_to_num(np.stack([table["RHO"], table["NU"]], axis=1), nan=-1.0)
         keys: list[object] = [tuple(row) for row in np.round(looks, 9).tolist()]
     elif table.card in ("PCOMP", "PCOMPG"):
-        keys = [frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))]
+        keys = [
+            frozenset(table.ragged("MID").row(i).tolist()) for i in range(len(table))
+        ]
     elif table.card in ("PBUSH", "PELAS"):
         stiffness = np.stack([table[k] for k in STIFFNESS[table.card]], axis=1)
         keys = []
         for i, row in zip(ids, stiffness.tolist(), strict=True):
-            named = frozenset(name for name, members in properties.items() if i in members)
+            named = frozenset(
+                name for name, members in properties.items() if i in members
+            )
             keys.append((named, *(f"{k:.9e}" for k in row)))
     else:
         keys = list(ids)
@@ -245,11 +262,15 @@ def undamped(model: Model) -> Model:
     for name in (f"GE{i}" for i in range(2, 7)):
         # a blank one goes with GE, the others have a value of their own
         if "PBUSH" in tables and name in tables["PBUSH"].columns:
-            tables["PBUSH"] = tables["PBUSH"].with_column(name, 0 * tables["PBUSH"][name])
+            tables["PBUSH"] = tables["PBUSH"].with_column(
+                name, 0 * tables["PBUSH"][name]
+            )
     return replace(model, tables=tables)
 
 
-def seen(model: Model, targets: Sequence[CardField], shapes: Float) -> tuple[Float, Float]:
+def seen(
+    model: Model, targets: Sequence[CardField], shapes: Float
+) -> tuple[Float, Float]:
     """ΦᵀDΦ and ΦᵀHΦ, (n, n) each, of the elements that the targets damp.
 
     Parameters
@@ -278,7 +299,9 @@ def seen(model: Model, targets: Sequence[CardField], shapes: Float) -> tuple[Flo
 def _set(model: Model, changes: Sequence[FieldChange]) -> Model:
     for c in changes:
         resolve_target(model, c)
-        model = model.with_values(c.card, c.field, np.array([c.id]), np.array([c.value]))
+        model = model.with_values(
+            c.card, c.field, np.array([c.id]), np.array([c.value])
+        )
     return model
 
 
@@ -287,7 +310,9 @@ def _held(model: Model, region: DampingRegion) -> list[FieldChange]:
     out = []
     for t in region.targets:
         value = float(model[t.card][t.field][resolve_target(model, t)[0]])
-        out.append(FieldChange(t.card, t.id, t.field, 0.0 if np.isnan(value) else value))
+        out.append(
+            FieldChange(t.card, t.id, t.field, 0.0 if np.isnan(value) else value)
+        )
     return out
 
 
@@ -384,7 +409,10 @@ def joined_dampers(parts: Sequence[Dampers]) -> Dampers:
 
 
 def matrices_of(
-    model: Model, regions: Sequence[DampingRegion], shapes: Float, total: tuple[Float, Float]
+    model: Model,
+    regions: Sequence[DampingRegion],
+    shapes: Float,
+    total: tuple[Float, Float],
 ) -> tuple[list[Float], tuple[Float, Float]]:
     """What a unit of each region's coefficient adds to ΦᵀDΦ or ΦᵀHΦ, (n, n) each, and what else the
     deck holds.
@@ -425,7 +453,9 @@ def matrices_of(
     return found, base
 
 
-def _known(region: DampingRegion, share: Float, ratio: float) -> tuple[float, float, float]:
+def _known(
+    region: DampingRegion, share: Float, ratio: float
+) -> tuple[float, float, float]:
     """Expected coefficient, its standard deviation and the upper bound; `share` (n,) per unit
     coefficient.
     """

@@ -105,7 +105,9 @@ class FormPosterior(FrozenArrays):
         """Central intervals of the factors, (p, 2), cut at the bounds."""
         low, high = self.parameters.bounds()
         ends = self.x[:, None] + self._quantiles(self.shift, self.std, level)
-        return np.stack([self.parameters.factors(np.clip(e, low, high)) for e in ends.T], axis=1)
+        return np.stack(
+            [self.parameters.factors(np.clip(e, low, high)) for e in ends.T], axis=1
+        )
 
     def band(self, level: float = 0.9) -> Float:
         """Central intervals of f_test / f_model, (m, 2)."""
@@ -115,7 +117,9 @@ class FormPosterior(FrozenArrays):
         """Of the normal mixtures (c, n): (n, 2)."""
         tails = ((1 - level) / 2, (1 + level) / 2)
         columns = zip(mean.T, std.T, strict=True)
-        return np.array([[quantile(self.weight, m, s, t) for t in tails] for m, s in columns])
+        return np.array(
+            [[quantile(self.weight, m, s, t) for t in tails] for m, s in columns]
+        )
 
     def flags(self, level: float = 0.9) -> dict[str, str]:
         """Parameters that have taken up an error of form: the updated factor is outside of its own
@@ -139,10 +143,16 @@ def quantile(weight: Float, mean: Float, std: Float, probability: float) -> floa
     """Of a mixture of normal distributions, (c,) each; NaN where one is."""
     if not np.isfinite(mean).all() or not np.isfinite(std).all():
         return float("nan")
-    reach = std * abs(float(ndtri(min(probability, 1 - probability) / weight.size))) + 1e-12
+    reach = (
+        std * abs(float(ndtri(min(probability, 1 - probability) / weight.size))) + 1e-12
+    )
     ends = float((mean - reach).min()), float((mean + reach).max())
     return float(
-        brentq(lambda t: float(weight @ ndtr((t - mean) / std)) - probability, *ends, xtol=1e-9)
+        brentq(
+            lambda t: float(weight @ ndtr((t - mean) / std)) - probability,
+            *ends,
+            xtol=1e-9,
+        )
     )
 
 
@@ -175,7 +185,9 @@ def form_posterior(
         causes=tuple("" if e is None else e.cause for e, _, _ in both),
         weight=weight / weight.sum(),
         shift=np.stack([link @ f.step for f in fits]),
-        std=np.stack([np.sqrt(np.einsum("pq,qr,pr->p", link, f.covariance, link)) for f in fits]),
+        std=np.stack(
+            [np.sqrt(np.einsum("pq,qr,pr->p", link, f.covariance, link)) for f in fits]
+        ),
         mode_shift=np.stack([f.mode_shift for f in fits]),
         mode_std=np.stack([f.mode_std for f in fits]),
     )
@@ -231,7 +243,9 @@ class _InLogs:
         only = problem.configurations[0]
         value, slope = problem.weighted(at)
         quantity = [t.quantity for t in only.terms]
-        hertz = np.array([quantity[k] is Quantity.FREQUENCY for k in at.kind], dtype=np.bool_)
+        hertz = np.array(
+            [quantity[k] is Quantity.FREQUENCY for k in at.kind], dtype=np.bool_
+        )
         aim = only.target
         test = at.mode[hertz]
         scale = np.ones(value.size)
@@ -267,7 +281,9 @@ class _InLogs:
         by_parameters = np.nan_to_num(self.modes @ found.step)
         return self._gaussian(effect, tau, effect.modes * found.amount * by_parameters)
 
-    def _gaussian(self, effect: CauseEffect | None, tau: float, product: Float) -> _Component:
+    def _gaussian(
+        self, effect: CauseEffect | None, tau: float, product: Float
+    ) -> _Component:
         """With an error of that standard deviation of each mode: Gaussian in the unknowns."""
         slope = self.slope
         own = self.modes
@@ -285,7 +301,9 @@ class _InLogs:
         a = slope.copy()
         b = self.value.copy()
         a[self.hertz] = linalg.solve_triangular(root, slope[self.hertz], lower=True)
-        b[self.hertz] = linalg.solve_triangular(root, self.value[self.hertz], lower=True)
+        b[self.hertz] = linalg.solve_triangular(
+            root, self.value[self.hertz], lower=True
+        )
         hessian = a.T @ a + prior
         step = linalg.solve(hessian, a.T @ b - prior @ begin, assume_a="pos")
         inverse = linalg.inv(hessian)

@@ -141,12 +141,16 @@ def clusters(sensitivities: Float, limit: float = COLLINEARITY.cosine) -> Int:
     if len(cosine) < 2:
         return np.zeros(len(cosine), dtype=np.int64)
     distance = squareform(np.maximum(1 - (cosine + cosine.T) / 2, 0.0), checks=False)
-    raw = fcluster(linkage(distance, "complete"), 1 - limit + 1e-12, criterion="distance")
+    raw = fcluster(
+        linkage(distance, "complete"), 1 - limit + 1e-12, criterion="distance"
+    )
     _, first, number = np.unique(raw, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[number].astype(np.int64)
 
 
-def told_apart(sensitivities: Float, order: Sequence[int]) -> tuple[Int, dict[int, Int]]:
+def told_apart(
+    sensitivities: Float, order: Sequence[int]
+) -> tuple[Int, dict[int, Int]]:
     """Which parameters of a set the data can distinguish, and which are to be held at nominal as
     they cannot.
 
@@ -220,7 +224,9 @@ def stood_for(
 def _columns(sensitivities: Float) -> Float:
     g = np.asarray(sensitivities, dtype=np.float64)
     if g.ndim != 2 or not np.isfinite(g).all():
-        raise InputError(f"sensitivities {g.shape}: must be a finite (residual, parameter) array")
+        raise InputError(
+            f"sensitivities {g.shape}: must be a finite (residual, parameter) array"
+        )
     return g
 
 
@@ -259,7 +265,9 @@ def plausibility(
     x = np.asarray(x, dtype=np.float64)
     ratios = np.zeros(x.size) if ratio is None else np.asarray(ratio, dtype=np.float64)
     if x.shape != (len(parameters),) or ratios.shape != x.shape:
-        raise InputError(f"x {x.shape} and ratio {ratios.shape} for {len(parameters)} parameters")
+        raise InputError(
+            f"x {x.shape} and ratio {ratios.shape} for {len(parameters)} parameters"
+        )
     low, high = parameters.bounds()
     margin = FLAGS.edge * (high - low)
     away = x / parameters.std()
@@ -275,7 +283,9 @@ def plausibility(
             found["bound"] = f"{said} is at {where}; the error may lie elsewhere"
         far = abs(away[i])
         if far > FLAGS.beyond:
-            found["prior"] = f"{said} is {far:.1f} prior standard deviations from the nominal value"
+            found["prior"] = (
+                f"{said} is {far:.1f} prior standard deviations from the nominal value"
+            )
         if ratios[i] > FLAGS.silent and far > 0.25:
             open_ = f"posterior/prior {ratios[i]:.2f}"
             found["silent"] = f"{said}, but the data do not determine it ({open_})"
@@ -298,7 +308,9 @@ def kept(x: Float, ends: Float) -> Float:
     return np.asarray((ends / np.where(x == 0.0, 1.0, x)).min(axis=0))
 
 
-def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Float) -> Bool:
+def unproven(
+    parameters: ParameterSet, factor: Float, interval: Float, share: Float
+) -> Bool:
     """Changes (p,) that the test does not prove: the interval of the factor holds 1, or few modes
     carry the change.
 
@@ -321,7 +333,9 @@ def unproven(parameters: ParameterSet, factor: Float, interval: Float, share: Fl
 
 def _found(p: Parameter, *factors: float) -> str:
     """Factors in words, `0.8 to 1.2`; of a mass that the deck lacks what is added."""
-    return " to ".join(f"{p.lump * max(a - 1, 0.0) if p.lump else a:.3g}" for a in factors)
+    return " to ".join(
+        f"{p.lump * max(a - 1, 0.0) if p.lump else a:.3g}" for a in factors
+    )
 
 
 def _said(p: Parameter, factor: float) -> str:
@@ -329,7 +343,11 @@ def _said(p: Parameter, factor: float) -> str:
 
 
 def form_flags(
-    parameters: ParameterSet, factor: Float, interval: Float, share: Float, correlation: Float
+    parameters: ParameterSet,
+    factor: Float,
+    interval: Float,
+    share: Float,
+    correlation: Float,
 ) -> tuple[Flag, ...]:
     """A flag for each change that is `unproven`; with others that the test knows only together with
     it, these instead.
@@ -349,15 +367,21 @@ def form_flags(
         p = parameters.parameters[i]
         why = []
         if open_:
-            why.append(f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}")
+            why.append(
+                f"its interval, {_found(p, low, high)}, holds {'none' if p.lump else 1}"
+            )
         if share[i] < FLAGS.kept:
-            turned = "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
+            turned = (
+                "turns round" if share[i] < 0 else f"shrinks to {100 * share[i]:.0f} %"
+            )
             why.append(f"its change {turned} when some of the modes are left out")
         near = np.setdiff1d(np.flatnonzero(np.abs(correlation[i]) > FLAGS.tied), [i])
         tied = [parameters.names[j] for j in near]
         whence = "it may take up an error of the model's form"
         if open_ and tied:
-            whence = f"the test knows it and {', '.join(tied)} together, not each by itself"
+            whence = (
+                f"the test knows it and {', '.join(tied)} together, not each by itself"
+            )
         text = f"{_said(p, factor[i])}, but {' and '.join(why)}; {whence}"
         flags.append(Flag(p.name, "form", float(factor[i]), text))
     return tuple(flags)

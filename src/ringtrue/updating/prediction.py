@@ -89,7 +89,9 @@ class RegionDamping(FrozenArrays):
         c = self.coefficients
         own = np.ones(self.base[0].shape[0])
         if rng is not None:
-            c = np.maximum(c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0)
+            c = np.maximum(
+                c + covariance_root(self.covariance) @ rng.standard_normal(c.size), 0.0
+            )
             own = np.exp(self.scatter * rng.standard_normal(own.size))
         d = self.base[0] + np.tensordot(c * self.viscous, self.matrices, axes=1)
         h = self.base[1] + np.tensordot(c * ~self.viscous, self.matrices, axes=1)
@@ -97,7 +99,9 @@ class RegionDamping(FrozenArrays):
         def ratios(lam: Float, y: Float) -> Float:
             w = np.sqrt(np.maximum(lam, MASSLESS * float(lam.max(initial=1.0))))
             viscous, structural = (np.einsum("rm,rm->m", y, a @ y) for a in (d, h))
-            return np.asarray(own[: w.size] * (viscous / (2 * w) + structural / (2 * w**2)))
+            return np.asarray(
+                own[: w.size] * (viscous / (2 * w) + structural / (2 * w**2))
+            )
 
         return ratios
 
@@ -406,12 +410,16 @@ def run_up(
 
     def one(x: Float, scatter: Float | None, ratios: Ratios) -> Float:
         h = harmonic(known.model, x, load, whole, ratios, scatter=scatter)
-        return np.array([o.amplitude(h[:, at]) for o, at in zip(outputs, every, strict=True)])
+        return np.array(
+            [o.amplitude(h[:, at]) for o, at in zip(outputs, every, strict=True)]
+        )
 
     found = []
     # an eigensolution each; streams of their own, so that no draw depends on how many modes others
     # have
-    for i, (x, own) in enumerate(zip(known.draws, rng.spawn(len(known.draws)), strict=True)):
+    for i, (x, own) in enumerate(
+        zip(known.draws, rng.spawn(len(known.draws)), strict=True)
+    ):
         of_modes, of_damping = own.spawn(2)
         scatter: Float = np.asarray(known.discrepancy * of_modes.standard_normal(r))
         found.append(one(x, scatter, known.damping.drawn(of_damping)))

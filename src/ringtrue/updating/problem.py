@@ -85,7 +85,9 @@ class Huber:
 
 def squares(value: Float, datum: Int) -> Float:
     """Squared weighted residual of each datum (n,) from rows (r,) numbered 0 to n − 1."""
-    return np.asarray(np.bincount(datum, value**2, minlength=int(datum.max(initial=-1)) + 1))
+    return np.asarray(
+        np.bincount(datum, value**2, minlength=int(datum.max(initial=-1)) + 1)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,9 +109,13 @@ class Configuration:
     name: str = "model"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", tuple(self.terms) or default_terms(self.target))
+        object.__setattr__(
+            self, "terms", tuple(self.terms) or default_terms(self.target)
+        )
 
-    def weighed(self, frequency: float, mac: float, independent: float = 1.0) -> Configuration:
+    def weighed(
+        self, frequency: float, mac: float, independent: float = 1.0
+    ) -> Configuration:
         """The same with other model discrepancies of a frequency (relative) and of 1 − MAC, in
         target and terms.
 
@@ -221,7 +227,11 @@ class Problem:
         if not self.configurations:
             raise InputError("a problem of updating needs at least one configuration")
         if not len(self.parameters):
-            put(self, "parameters", joined([c.model.parameters for c in self.configurations]))
+            put(
+                self,
+                "parameters",
+                joined([c.model.parameters for c in self.configurations]),
+            )
         p = len(self.parameters)
         if not self.precision.size:
             put(self, "precision", np.diag(1 / self.parameters.std() ** 2))
@@ -231,7 +241,9 @@ class Problem:
             put(self, "rows", np.zeros((0, p)))
         shapes = self.precision.shape, self.link.shape[0], self.rows.shape
         if shapes != ((p, p), p, (self.limits.size, p)):
-            raise InputError(f"{p} parameters: got precision, rows of link, constraints {shapes}")
+            raise InputError(
+                f"{p} parameters: got precision, rows of link, constraints {shapes}"
+            )
         for c in self.configurations:
             _positions(self.parameters, c)
 
@@ -264,7 +276,9 @@ class Problem:
         at_most = limits + 1e-9 * np.linalg.norm(rows, axis=1)
         if (rows @ y <= at_most).all():
             return y
-        out = y + least_distance(np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y)
+        out = y + least_distance(
+            np.eye(y.size), np.zeros(y.size), rows, limits - rows @ y
+        )
         if (rows @ out > at_most).any():
             raise ConfigError(
                 "no point fulfils the bounds of the parameters and all constraints: widen one of "
@@ -293,12 +307,16 @@ class Problem:
             link = self.link[at] if slopes else np.zeros((0, self.size))
             for term in c.terms:
                 block = term(here)
-                mode = np.where(block.mode == NO_MODE, NO_MODE, block.mode + i * MODE_STRIDE)
+                mode = np.where(
+                    block.mode == NO_MODE, NO_MODE, block.mode + i * MODE_STRIDE
+                )
                 blocks.append(replace(block, slope=block.slope @ link, mode=mode))
         value = np.concatenate([b.value for b in blocks])
         counts = [int(b.datum.max(initial=-1)) + 1 for b in blocks]
         first = np.cumsum([0, *counts[:-1]])
-        datum = np.concatenate([b.datum + f for b, f in zip(blocks, first, strict=True)])
+        datum = np.concatenate(
+            [b.datum + f for b, f in zip(blocks, first, strict=True)]
+        )
         return Evaluated(
             y=y,
             x=x,
@@ -336,7 +354,9 @@ class Problem:
         """
         gated = np.array([c.target.rule == "gates" for c in self.configurations])
         unpaired = 0.0
-        for c, gates, a, b in zip(self.configurations, gated, at.points, other.points, strict=True):
+        for c, gates, a, b in zip(
+            self.configurations, gated, at.points, other.points, strict=True
+        ):
             if not gates:
                 unpaired += c.cost_of_unpaired(a)
             elif not np.isin(b.pairs[:, 0], a.pairs[:, 0]).all():
@@ -382,14 +402,21 @@ def joined(sets: Sequence[ParameterSet]) -> ParameterSet:
     found: dict[str, Parameter] = {}
     for p in (p for s in sets for p in s.parameters):
         same = found.setdefault(p.name, p)
-        if (p.lower, p.upper, p.scale, p.std) != (same.lower, same.upper, same.scale, same.std):
+        if (p.lower, p.upper, p.scale, p.std) != (
+            same.lower,
+            same.upper,
+            same.scale,
+            same.std,
+        ):
             raise InputError(
                 f"parameter {p.name!r} has different bounds, scale or prior in two configurations"
             )
     return ParameterSet(tuple(found.values()))
 
 
-def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -> Problem:
+def held_to(
+    problem: Problem, names: Sequence[str], base: Float | None = None
+) -> Problem:
     """The problem with only some parameters free; the others stay at 0, without constraints on
     them.
 
@@ -405,8 +432,12 @@ def held_to(problem: Problem, names: Sequence[str], base: Float | None = None) -
     free = np.isin(every, list(names))
     keep = np.abs(problem.link[free]).sum(axis=0) > 0
     tied = np.abs(problem.link[~free][:, keep]).sum() > 0
-    if tied or (base is not None and np.abs(np.asarray(base)[~free]).max(initial=0.0) > 0):
-        raise InputError("parameters that stay must be at 0 and not be linked to free ones")
+    if tied or (
+        base is not None and np.abs(np.asarray(base)[~free]).max(initial=0.0) > 0
+    ):
+        raise InputError(
+            "parameters that stay must be at 0 and not be linked to free ones"
+        )
     link = problem.link[:, keep]
     limited = (problem.rows @ link).any(axis=1)
     return replace(
@@ -426,11 +457,15 @@ def weighed(problem: Problem, found: Weights) -> Problem:
 
 def doubting(problem: Problem, spread: float = 1.0) -> Problem:
     """The same with no pair that costs more than a lost mode (`Target.doubting`)."""
-    every = (replace(c, target=c.target.doubting(spread)) for c in problem.configurations)
+    every = (
+        replace(c, target=c.target.doubting(spread)) for c in problem.configurations
+    )
     return replace(problem, configurations=tuple(every))
 
 
-def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) -> Float:
+def least_distance(
+    hessian: Float, gradient: Float, rows: Float, limits: Float
+) -> Float:
     """d (q,) of least ½dᵀHd + gᵀd with rows d <= limits; 0 where no d fulfils them.
 
     H = RᵀR; with e = Rd + R⁻ᵀg the problem is least ‖e‖ inside inequalities, whose dual is a
@@ -450,7 +485,9 @@ def least_distance(hessian: Float, gradient: Float, rows: Float, limits: Float) 
         return plain
     length = np.linalg.norm(rows * size, axis=1)
     keep = length > 0
-    a = linalg.solve_triangular(r, (rows[keep] * size / length[keep, None]).T, trans="T").T
+    a = linalg.solve_triangular(
+        r, (rows[keep] * size / length[keep, None]).T, trans="T"
+    ).T
     b = limits[keep] / length[keep] + a @ free
     scale = max(np.abs(b).max(), 1e-300)  # the dual is solved at unit size
     u, gap = nnls(
@@ -514,7 +551,11 @@ def residual_at(problem: Problem, x: Float, *, slopes: bool = True) -> Residual:
         used.append(c.target.used[test])
     terms = [t for c in problem.configurations for t in c.terms]
     rows = np.bincount(at.kind, minlength=len(terms)).tolist()
-    other = [t.weight * n for t, n in zip(terms, rows, strict=True) if t.quantity is Quantity.OTHER]
+    other = [
+        t.weight * n
+        for t, n in zip(terms, rows, strict=True)
+        if t.quantity is Quantity.OTHER
+    ]
     quantity = np.array([t.quantity.value for t in terms], dtype=np.int64)
     return Residual(
         value=value,
@@ -560,11 +601,16 @@ def aicc(value: float, n: float, parameters: int) -> float:
     Anderson, eq. 7.
     """
     k = parameters + 1
-    return float(n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1))
+    return float(
+        n * np.log(max(value, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
+    )
 
 
 def comparable_criteria(
-    target: Target, residuals: Sequence[Residual], points: Sequence[Float], priors: Sequence[Float]
+    target: Target,
+    residuals: Sequence[Residual],
+    points: Sequence[Float],
+    priors: Sequence[Float],
 ) -> Float:
     """AICc (k,) of parameter sets that may have paired different modes: the same modes are counted
     in all.

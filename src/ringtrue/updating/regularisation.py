@@ -18,13 +18,20 @@ from scipy.optimize import minimize_scalar
 
 from ringtrue.core.arrays import Float
 from ringtrue.errors import ConfigError, InputError, did_you_mean
-from ringtrue.updating.problem import Evaluated, Problem, Residual, data_used_up, residual_at
+from ringtrue.updating.problem import (
+    Evaluated,
+    Problem,
+    Residual,
+    data_used_up,
+    residual_at,
+)
 from ringtrue.updating.solver import Method, Solution, solve
 from ringtrue.updating.target import Weights
 from ringtrue.updating.uncertainty import errors_of_shapes
 
 Rule = Literal["l-curve", "gcv", "evidence"]
-GRID = np.logspace(-8, 8, 161)  # factors tried, in units of the median squared singular value
+# factors tried, in units of the median squared singular value
+GRID = np.logspace(-8, 8, 161)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +94,13 @@ def standard(slope: Float, value: Float, x: Float, precision: Float) -> Standard
     definite.
     """
     root = linalg.cholesky(precision)
-    u, s, _ = linalg.svd(linalg.solve_triangular(root, slope.T, trans="T").T, full_matrices=False)
+    u, s, _ = linalg.svd(
+        linalg.solve_triangular(root, slope.T, trans="T").T, full_matrices=False
+    )
     if not s.any():
-        raise InputError("no residual depends on a parameter: there is nothing to weigh")
+        raise InputError(
+            "no residual depends on a parameter: there is nothing to weigh"
+        )
     b = value + slope @ x
     along = u.T @ b
     return Standard(s, along, max(float(b @ b - along @ along), 0.0), b.size)
@@ -153,7 +164,9 @@ def _least(problem: Standard, score: Callable[[Float], Float]) -> float:
     if i in (0, g.size - 1):
         return float(g[i])
     span = (np.log(g[i - 1]), np.log(g[i + 1]))
-    found = minimize_scalar(lambda t: float(score(np.exp([t]))[0]), bounds=span, method="bounded")
+    found = minimize_scalar(
+        lambda t: float(score(np.exp([t]))[0]), bounds=span, method="bounded"
+    )
     return float(np.exp(found.x))
 
 
@@ -208,7 +221,9 @@ def regularised(
         # the choice changes the linearisation that it rests on: shrinking steps keep the two from
         # chasing one another
         before = factor
-        factor = wanted if i == 0 else float(before * (wanted / before) ** (1 / (i + 1)))
+        factor = (
+            wanted if i == 0 else float(before * (wanted / before) ** (1 / (i + 1)))
+        )
         now = replace(problem, precision=factor * problem.precision)
         done = solve(now, method, start=done.y)
         if i > 0 and abs(np.log(factor / before)) < DISCREPANCY.settled:
@@ -232,7 +247,9 @@ def discrepancy_by_evidence(at: Evaluated, problem: Problem) -> Float:
     """
     kinds, kind = np.unique(at.kind, return_inverse=True)
     b = at.value + at.slope @ at.y
-    inner = at.slope @ linalg.solve(problem.linked_precision, at.slope.T, assume_a="pos")
+    inner = at.slope @ linalg.solve(
+        problem.linked_precision, at.slope.T, assume_a="pos"
+    )
     unit = 1.0 / np.bincount(at.datum)[at.datum]  # variance of a row in units of s²
     scale = np.ones(kinds.size)
 
@@ -282,12 +299,16 @@ def left_over(
     n = int(r.used.sum())
     if not n:
         loose = DISCREPANCY.loose
-        return replace(assumed, frequency=loose * assumed.frequency, mac=loose * assumed.mac)
+        return replace(
+            assumed, frequency=loose * assumed.frequency, mac=loose * assumed.mac
+        )
     spent = data_used_up(slope.T @ slope, np.eye(slope.shape[1]))
     swell = data * n / max(data * n - spent, 1.0)
     f = float(np.sqrt(np.mean(r.frequency_error[r.used] ** 2) * swell))
     m = float(np.mean(1 - r.mac[r.used]) * swell)
-    low = np.array([DISCREPANCY.tight * assumed.frequency, DISCREPANCY.tight**2 * assumed.mac])
+    low = np.array(
+        [DISCREPANCY.tight * assumed.frequency, DISCREPANCY.tight**2 * assumed.mac]
+    )
     high = DISCREPANCY.loose * np.array([assumed.frequency, assumed.mac])
     f, m = np.clip([f, m], low, high).tolist()
     return replace(
@@ -300,7 +321,11 @@ def left_over(
 
 def distance(a: Weights, b: Weights) -> float:
     """The largest change of the logarithm of a weight."""
-    return max(abs(float(np.log(p / q))) for p, q in zip(astuple(a), astuple(b), strict=True) if q)
+    return max(
+        abs(float(np.log(p / q)))
+        for p, q in zip(astuple(a), astuple(b), strict=True)
+        if q
+    )
 
 
 def left_at(problem: Problem, y: Float) -> Weights:

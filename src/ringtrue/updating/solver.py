@@ -22,7 +22,13 @@ from ringtrue.core.arrays import Float, FrozenArrays, Int
 from ringtrue.core.iterate import Outcome, Progress, iterate, part, quiet
 from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.side_by_side import Workers, side_by_side
-from ringtrue.errors import ConfigError, DataError, NumericalError, SolverError, did_you_mean
+from ringtrue.errors import (
+    ConfigError,
+    DataError,
+    NumericalError,
+    SolverError,
+    did_you_mean,
+)
 from ringtrue.io.files import atomic_write, keeps_up
 from ringtrue.io.foreign.parsers import read_json
 from ringtrue.updating.problem import Evaluated, Problem, held_to, least_distance
@@ -184,7 +190,9 @@ class Descent:
         """The minimum of the quadratic model inside all limits and a box of half width `reach`."""
         q = at.y.size
         rows, limits = self.problem.inequalities()
-        room = np.concatenate([np.maximum(limits - rows @ at.y, 0.0), np.full(2 * q, reach)])
+        room = np.concatenate(
+            [np.maximum(limits - rows @ at.y, 0.0), np.full(2 * q, reach)]
+        )
         return least_distance(h, g, np.concatenate([rows, np.eye(q), -np.eye(q)]), room)
 
     def propose(self, state: DescentState) -> tuple[Float, float]:
@@ -208,7 +216,9 @@ class Descent:
         try:
             trial = self.problem.evaluate(state.at.y + d, state.at)
         except (NumericalError, SolverError) as e:
-            return self._rejected(state, size, f"the trial point could not be solved: {e}")
+            return self._rejected(
+                state, size, f"the trial point could not be solved: {e}"
+            )
         now = self.problem.shared(trial, state.at)
         before = self.problem.shared(state.at, state.at)
         if now is None or before is None:
@@ -217,7 +227,9 @@ class Descent:
         # 1e-14: relative rise of J that is not one
         if not np.isfinite(now) or fall < -1e-14 * abs(before):
             return self._rejected(state, size, "the trial point does not lower J")
-        return self._accepted(state, trial, size, fall / promised if promised > 0 else 1.0)
+        return self._accepted(
+            state, trial, size, fall / promised if promised > 0 else 1.0
+        )
 
     def _accepted(
         self, state: DescentState, trial: Evaluated, size: float, ratio: float
@@ -274,7 +286,9 @@ class Descent:
         """Which tolerance is met; empty if none."""
         r, g = self.problem.weighted(state.at)
         whole = (
-            np.abs(g).T @ np.abs(r) + np.abs(self.problem.linked_precision @ state.at.y) + 1e-300
+            np.abs(g).T @ np.abs(r)
+            + np.abs(self.problem.linked_precision @ state.at.y)
+            + 1e-300
         )
         slope = self.problem.gradient(state.at)
         rows, limits = self.problem.inequalities()
@@ -331,23 +345,32 @@ def solve(
         If the checkpoint belongs to another problem.
     """
     method = method or Method()
-    begin = np.zeros(problem.size) if start is None else np.array(start, dtype=np.float64)
+    begin = (
+        np.zeros(problem.size) if start is None else np.array(start, dtype=np.float64)
+    )
     descent = Descent(problem, method, problem.nearest(begin))
     if checkpoint is not None:
         descent = replace(
-            _resumed(descent, checkpoint), keep=lambda s: write_checkpoint(checkpoint, problem, s)
+            _resumed(descent, checkpoint),
+            keep=lambda s: write_checkpoint(checkpoint, problem, s),
         )
     run = iterate(descent, limit=iterations, progress=progress)
     last = run.last
     history = tuple(
-        s.at for i, s in enumerate(run.states) if i == 0 or s.at is not run.states[i - 1].at
+        s.at
+        for i, s in enumerate(run.states)
+        if i == 0 or s.at is not run.states[i - 1].at
     )
     why = descent.reason(last) or last.why or run.outcome.value
     return _solution(problem, history, run.outcome, why, len(run.states))
 
 
 def _solution(
-    problem: Problem, history: tuple[Evaluated, ...], outcome: Outcome, why: str, count: int
+    problem: Problem,
+    history: tuple[Evaluated, ...],
+    outcome: Outcome,
+    why: str,
+    count: int,
 ) -> Solution:
     end = history[-1]
     precision = problem.linked_precision
@@ -510,7 +533,9 @@ class MultiStart(FrozenArrays):
         return float(np.mean(self.minimum == 0))
 
 
-def latin_hypercube(parameters: ParameterSet, count: int, rng: np.random.Generator) -> Float:
+def latin_hypercube(
+    parameters: ParameterSet, count: int, rng: np.random.Generator
+) -> Float:
     """Starts x (count, p), spread over the bounds."""
     if count < 1:
         raise ConfigError(f"{count} starts: 1 or more")
@@ -562,7 +587,9 @@ def multi_start(
     models = [c.model for c in problem.configurations]
     cases = {f"start {i + 1} of {count}": y for i, y in enumerate(starts)}
     follow = partial(_from_start, problem, method, limit)
-    ends = list(side_by_side(follow, cases, settings.workers, part(progress, 0.0, 0.8), models))
+    ends = list(
+        side_by_side(follow, cases, settings.workers, part(progress, 0.0, 0.8), models)
+    )
     found = {i: s for i, s in enumerate(ends) if isinstance(s, Solution)}
     if not found:
         why = ends[-1] if ends else "none given"
@@ -571,7 +598,9 @@ def multi_start(
     unfinished = [i for i in best if not found[i].outcome.ok]
     cases = {f"start {i + 1} goes on": found[i].y for i in unfinished}
     follow = partial(_from_start, problem, method, 10 * limit)
-    more = side_by_side(follow, cases, settings.workers, part(progress, 0.8, 1.0), models)
+    more = side_by_side(
+        follow, cases, settings.workers, part(progress, 0.8, 1.0), models
+    )
     for i, s in zip(unfinished, more, strict=True):
         if isinstance(s, Solution):
             found[i] = s

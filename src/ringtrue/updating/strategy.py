@@ -17,7 +17,14 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.correlation.assignment import WORTH
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
-from ringtrue.updating.problem import MODE_STRIDE, Evaluated, Problem, doubting, squares, weighed
+from ringtrue.updating.problem import (
+    MODE_STRIDE,
+    Evaluated,
+    Problem,
+    doubting,
+    squares,
+    weighed,
+)
 from ringtrue.updating.regularisation import (
     DISCREPANCY,
     Rule,
@@ -109,12 +116,16 @@ def settled(
     every = (replace(c, target=c.target.settled(p.now, spread)) for c, p in held)
     firm = replace(problem, configurations=tuple(every))
     if course.discrepancy == "found":
-        done, final = _sharpened(firm, near.y, lambda p, y: _solved(p, course, y, progress))
+        done, final = _sharpened(
+            firm, near.y, lambda p, y: _solved(p, course, y, progress)
+        )
     else:
         final = _likely(firm, near.end) if course.discrepancy == "evidence" else firm
         done = _solved(final, course, near.y, progress)
     if final is not firm:
-        done = replace(done, history=(*done.history[:-1], firm.evaluate(done.y, done.end)))
+        done = replace(
+            done, history=(*done.history[:-1], firm.evaluate(done.y, done.end))
+        )
     return Settled(done, final, (*near.history, *done.history[1:]))
 
 
@@ -125,7 +136,8 @@ def by_modes(problem: Problem) -> Problem:
     data have a minimum at each, and join once the modes are near.
     """
     parts = (
-        replace(c, terms=tuple(t for t in c.terms if not t.whole)) for c in problem.configurations
+        replace(c, terms=tuple(t for t in c.terms if not t.whole))
+        for c in problem.configurations
     )
     return replace(problem, configurations=tuple(parts))
 
@@ -149,7 +161,13 @@ def joined_by_all(
             for c in doubting(problem).configurations
         )
         broad = replace(problem, configurations=tuple(parts))
-        done = solve(broad, course.method, start=y, iterations=course.iterations, progress=progress)
+        done = solve(
+            broad,
+            course.method,
+            start=y,
+            iterations=course.iterations,
+            progress=progress,
+        )
         path += done.history[1:]
         y = done.y
     seen = [problem.evaluate(at.y) for at in path]
@@ -214,7 +232,10 @@ def displaced(problem: Problem, at: Evaluated) -> int:
     for c, *ends in zip(problem.configurations, begin.points, at.points, strict=True):
         alone = c.target.used.copy()
         alone[ends[1].pairs[:, 0]] = False
-        near = [c.target.compared(p.now).merged[alone].max(axis=1, initial=0.0) for p in ends]
+        near = [
+            c.target.compared(p.now).merged[alone].max(axis=1, initial=0.0)
+            for p in ends
+        ]
         out += int((np.maximum(*near) > WORTH.hold * c.target.pairing.mac_gate).sum())
     return out
 
@@ -236,7 +257,9 @@ def whole_cost(problem: Problem, at: Evaluated) -> float:
     return data + at.lost + float(at.x @ problem.precision @ at.x) + unpaired
 
 
-def _solved(problem: Problem, course: Course, start: Float, progress: Progress) -> Solution:
+def _solved(
+    problem: Problem, course: Course, start: Float, progress: Progress
+) -> Solution:
     if course.prior != "given":
         return regularised(problem, course.prior, course.method, start=start).solution
     return solve(
@@ -285,7 +308,9 @@ class Enriched(Protocol):
     def parameters(self) -> ParameterSet: ...
     def linearise(self, x: Float) -> Linearisation: ...
     def modes(self, x: Float) -> Linearisation: ...
-    def enrich(self, x: Float, *, sensitivities: bool = False) -> tuple[Self, Linearisation]: ...
+    def enrich(
+        self, x: Float, *, sensitivities: bool = False
+    ) -> tuple[Self, Linearisation]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,7 +335,8 @@ class Verified:
     full_solutions: int
 
 
-SAME_OBJECTIVE = 0.01  # change of J over 1 + J by a full solution up to which the basis is good
+# change of J over 1 + J by a full solution up to which the basis is good
+SAME_OBJECTIVE = 0.01
 FULL_SOLUTIONS = 4  # compare `error` with the tolerance for a run that used them up
 
 
@@ -347,7 +373,9 @@ def solve_verified(
     only = problem.configurations[0]
     model = only.model
     if len(problem.configurations) != 1 or not isinstance(model, Enriched):
-        raise InputError("a verified updating needs one configuration and a ReducedModel")
+        raise InputError(
+            "a verified updating needs one configuration and a ReducedModel"
+        )
     solved = solved or (lambda p, y: (solve(p, start=y), p))
     done, end = solved(problem, start)
     error = np.inf
@@ -356,7 +384,9 @@ def solve_verified(
     while (error > tolerance or moved > SAME_OBJECTIVE) and count < FULL_SOLUTIONS:
         at = [problem.parameters.names.index(n) for n in model.parameters.names]
         better, truth = model.enrich(done.x[at], sensitivities=True)
-        top = max([1.05 * only.target.frequencies.max(), *(t.highest for t in only.terms)])
+        top = max(
+            [1.05 * only.target.frequencies.max(), *(t.highest for t in only.terms)]
+        )
         seen = np.flatnonzero(truth.frequencies <= top)
         error = _off(model.modes(done.x[at]).frequencies[seen], truth.frequencies[seen])
         model = better

@@ -128,7 +128,9 @@ class Suspended:
         """Of x about the best point, over all assignments: their spread is part of it, (p, p)."""
         w = np.array([a.weight for a in self.assignments])
         away = np.array([a.x - self.best.x for a in self.assignments])
-        within = np.tensordot(w, np.array([a.covariance for a in self.assignments]), axes=1)
+        within = np.tensordot(
+            w, np.array([a.covariance for a in self.assignments]), axes=1
+        )
         return np.asarray(within + np.einsum("a,ap,aq->pq", w, away, away))
 
     @property
@@ -200,7 +202,11 @@ def tune(
     NotConverged
         If no assignment can be refined.
     """
-    x = np.zeros(len(model.parameters)) if start is None else np.array(start, dtype=np.float64)
+    x = (
+        np.zeros(len(model.parameters))
+        if start is None
+        else np.array(start, dtype=np.float64)
+    )
     tests = np.flatnonzero(target.used)
     now = model.linearise(x)
     # the lowest six, or as many as the test has
@@ -224,7 +230,10 @@ def tune(
             continue
         pairs = end.modes[choice]
         twins = [e for e, c in found if np.array_equal(e.modes[c], pairs)]
-        far = [np.abs((end.x - e.x) / std).max(initial=0.0) >= ASSIGNMENTS.same for e in twins]
+        far = [
+            np.abs((end.x - e.x) / std).max(initial=0.0) >= ASSIGNMENTS.same
+            for e in twins
+        ]
         if all(far):
             found.append((end, choice))
         progress((i + 1) / len(order), f"assignment {i + 1} of the rigid-body modes")
@@ -258,8 +267,14 @@ def _ranked(
     std = model.parameters.std()
     w = target.weights
     # in ln f the model is close to linear in log stiffness, so it holds over a wide prior
-    slope = now.d_lambda[labels] / (8 * np.pi**2 * now.frequencies[labels] ** 2)[:, None] * std
-    miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (now.x / std)
+    slope = (
+        now.d_lambda[labels]
+        / (8 * np.pi**2 * now.frequencies[labels] ** 2)[:, None]
+        * std
+    )
+    miss = np.log(target.frequencies[tests, None] / now.frequencies[labels]) + slope @ (
+        now.x / std
+    )
     r = miss[np.arange(tests.size), choices]
     inner = slope @ slope.T
     own = np.diag(w.frequency**2 + target.std[tests] ** 2)
@@ -290,7 +305,9 @@ def _evaluate(
         near = {t: g for g in close_groups(target.frequencies, *limits) for t in g}
         for t, j in zip(tests.tolist(), chosen.tolist(), strict=True):
             alone = len(near[t]) == 1 or j not in group
-            r, g = shape_residual(target.shapes, now, t, np.array((j,) if alone else group[j]))
+            r, g = shape_residual(
+                target.shapes, now, t, np.array((j,) if alone else group[j])
+            )
             value.append(np.sqrt(w.shape / w.mac) * r)
             slope.append(np.sqrt(w.shape / w.mac) * g)
     v = np.concatenate(value)
@@ -350,7 +367,9 @@ class _Refinement:
             return replace(at, still=True)
         now = self.model.linearise(trial)
         # the modes of `now` that continue `modes` of `before`, by one assignment over MAC
-        rows, columns = linear_sum_assignment(-mac(at.now.shapes[:, at.modes], now.shapes))
+        rows, columns = linear_sum_assignment(
+            -mac(at.now.shapes[:, at.modes], now.shapes)
+        )
         follow = np.asarray(columns[np.argsort(rows)])
         new = self._at(trial, now, follow, max(at.damping / 5, 1e-9))
         return new if new.cost < at.cost else replace(at, damping=8 * at.damping)
@@ -367,7 +386,11 @@ class _Refinement:
 
 
 def _weighed(
-    model: ObservedModel, target: Target, tests: Int, labels: Int, ends: list[tuple[_At, Int]]
+    model: ObservedModel,
+    target: Target,
+    tests: Int,
+    labels: Int,
+    ends: list[tuple[_At, Int]],
 ) -> tuple[Assignment, ...]:
     """Assignments by their evidence, residuals larger than foreseen taken as model discrepancy of
     all of them.

@@ -34,7 +34,8 @@ from ringtrue.shapes import above_rounding, close_groups, fade, unit
 # a used mode without a partner counts like a frequency deviation of ten standard deviations
 LOST = 100.0
 DOUBT = 16.0  # four standard deviations, of a mode whose shape says nothing
-SURE = 1e-6  # of the cost of a lost mode, by which a pair that the user decides is better
+# of the cost of a lost mode, by which a pair that the user decides is better
+SURE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +151,17 @@ class Target:
         """
         if self.frequency_only or not self.shapes.any():
             return np.zeros(mac.shape)
-        chance = chance_of_mac(mac, independent_patterns(self.shapes)) * self.frequencies.size
+        chance = (
+            chance_of_mac(mac, independent_patterns(self.shapes))
+            * self.frequencies.size
+        )
         return -2 * np.log(np.clip(chance, np.finfo(np.float64).tiny, 1.0))
 
     def compared(self, now: Linearisation) -> Scores:
         """Each test mode with each mode of the model."""
-        modes = ComparedModes(self.frequencies, self.shapes, now.frequencies, now.shapes)
+        modes = ComparedModes(
+            self.frequencies, self.shapes, now.frequencies, now.shapes
+        )
         return scores(modes, self.pairing)
 
     def lowest(self, count: int) -> Target:
@@ -187,7 +193,9 @@ class Target:
             used = self.used & np.isin(np.arange(self.used.size), pairs[:, 0])
             if used.any():
                 break
-        return replace(self, used=used, fixed=(pairs, tuple(s.held() for s in spread_out)))
+        return replace(
+            self, used=used, fixed=(pairs, tuple(s.held() for s in spread_out))
+        )
 
 
 def match(
@@ -204,7 +212,9 @@ def match(
         rest, _ = span_residuals(target.shapes, now, pairs, of)
         return pairs, 1 - (rest**2).sum(axis=0), of
     s = target.compared(now)
-    locks = target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
+    locks = (
+        target.followed.locks(now.shapes) if target.followed is not None else NO_LOCKS
+    )
     if target.rule == "cost":
         pairs = _cheapest(target, now, s, locks)
     elif target.rule == "capped":
@@ -213,14 +223,18 @@ def match(
         # a shape that matches by less than the gate says less against the deviation
         gate = np.array(target.pairing.mac_gate)
         less = target.unexpected(gate) - target.unexpected(np.minimum(s.merged, gate))
-        pairs = pairs[((_costs(target, s) < target.lost - less) | forced)[tuple(pairs.T)]]
+        pairs = pairs[
+            ((_costs(target, s) < target.lost - less) | forced)[tuple(pairs.T)]
+        ]
     else:
         pairs = _gated(target, now, s, locks, held)
     of = spans(target.frequencies, target.used, pairs, now, target.pairing)
     return pairs, s.merged[pairs[:, 0], pairs[:, 1]], of
 
 
-def _gated(target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None) -> Int:
+def _gated(
+    target: Target, now: Linearisation, s: Scores, locks: Locks, held: Bool | None
+) -> Int:
     """Pairs (k, 2) inside the gates, those of modes in `held` (m,) inside wider ones."""
     every = np.ones(target.frequencies.size, dtype=np.bool_)
     usable = _usable(now)
@@ -273,10 +287,16 @@ def _trust(target: Target, now: Linearisation, s: Scores) -> Float:
     if not faint.any() or np.isnan(s.merged).any():
         return trust
     rest = np.maximum(1 - s.merged, 0.0)
-    in_reach = (np.abs(s.error) <= target.pairing.frequency_gate) & ~faint & (now.frequencies > 0)
+    in_reach = (
+        (np.abs(s.error) <= target.pairing.frequency_gate)
+        & ~faint
+        & (now.frequencies > 0)
+    )
     visible = np.where(in_reach, rest, np.inf).min(axis=1, keepdims=True)
     better = rest < visible
-    trust[:, faint] = np.where(better, 1 - rest / np.where(better, visible, 1.0), 0.0)[:, faint]
+    trust[:, faint] = np.where(better, 1 - rest / np.where(better, visible, 1.0), 0.0)[
+        :, faint
+    ]
     return trust
 
 
@@ -337,7 +357,11 @@ class Span:
 
 
 def spans(
-    frequencies: Float, used: Bool, pairs: Int, now: Linearisation, settings: PairingSettings
+    frequencies: Float,
+    used: Bool,
+    pairs: Int,
+    now: Linearisation,
+    settings: PairingSettings,
 ) -> tuple[Span, ...]:
     """The span of each pair (k, 2) of a test mode and a mode of the model; a mode at 0 Hz stands
     alone.
@@ -411,13 +435,17 @@ def span_residuals(
         parts = [shape_residual(shapes, now, t[k], g) for g in span.sets]
         rests = np.array([r for r, _ in parts])
         rest[:, k] = span.weight @ rests
-        slope[:, k] = np.einsum("s,scp->cp", span.weight, np.array([g for _, g in parts]))
+        slope[:, k] = np.einsum(
+            "s,scp->cp", span.weight, np.array([g for _, g in parts])
+        )
         if span.slope.shape[1]:
             slope[:, k] -= rests.T @ span.slope
     return rest, slope
 
 
-def shape_residual(shapes: Float, now: Linearisation, t: int, group: Int) -> tuple[Float, Float]:
+def shape_residual(
+    shapes: Float, now: Linearisation, t: int, group: Int
+) -> tuple[Float, Float]:
     """(I − P) ψ and ∂(Pψ)/∂x with P the projector on the model's shapes; ‖(I − P) ψ‖² = 1 − MAC.
 
     The scale (modal scale factor) and a rotation inside the group are projected out at every point.

@@ -85,7 +85,9 @@ class Posterior(FrozenArrays):
     @property
     def std(self) -> Float:
         """Standard deviation of x, (p,)."""
-        return np.asarray(np.sqrt(np.einsum("pq,qr,pr->p", self.link, self.covariance, self.link)))
+        return np.asarray(
+            np.sqrt(np.einsum("pq,qr,pr->p", self.link, self.covariance, self.link))
+        )
 
     @property
     def ratio(self) -> Float:
@@ -111,7 +113,10 @@ class Posterior(FrozenArrays):
         if not 0 < level < 1:
             raise InputError(f"level {level}: allowed are values between 0 and 1")
         p = 0.5 + level / 2
-        reach = float(ndtri(p) if np.isinf(self.freedom) else stdtrit(self.freedom, p)) * self.std
+        reach = (
+            float(ndtri(p) if np.isinf(self.freedom) else stdtrit(self.freedom, p))
+            * self.std
+        )
         low, high = self.parameters.bounds()
         ends = (np.clip(self.x - reach, low, high), np.clip(self.x + reach, low, high))
         return np.stack([self.parameters.factors(e) for e in ends], axis=1)
@@ -131,7 +136,10 @@ class Posterior(FrozenArrays):
 
     def sample(self, count: int, rng: np.random.Generator) -> Float:
         """Draws of x, (count, p), pulled back to the bounds."""
-        z = rng.standard_normal((count, self.y.size)) @ covariance_root(self.covariance).T
+        z = (
+            rng.standard_normal((count, self.y.size))
+            @ covariance_root(self.covariance).T
+        )
         if np.isfinite(self.freedom):
             z *= np.sqrt(self.freedom / rng.chisquare(self.freedom, count))[:, None]
         low, high = self.parameters.bounds()
@@ -145,7 +153,11 @@ class Posterior(FrozenArrays):
 
 
 def laplace(
-    problem: Problem, at: Evaluated, scale: Float | None = None, *, independent: float | None = None
+    problem: Problem,
+    at: Evaluated,
+    scale: Float | None = None,
+    *,
+    independent: float | None = None,
 ) -> Posterior:
     """The posterior around the best point of a problem.
 
@@ -200,7 +212,11 @@ def laplace(
 
 
 def around(
-    problem: Problem, at: Evaluated, free: Bool | None = None, *, freedom: float = np.inf
+    problem: Problem,
+    at: Evaluated,
+    free: Bool | None = None,
+    *,
+    freedom: float = np.inf,
 ) -> Posterior:
     """The posterior about a point that is not its mean, where W is the inverse covariance of the
     residuals.
@@ -246,9 +262,13 @@ def _size(
     """
     hat = np.einsum("rq,qr->r", g, inverse)
     kept = (
-        share.sum() - 2 * share @ hat + share @ np.einsum("qr,qs,sr->r", inverse, g.T @ g, inverse)
+        share.sum()
+        - 2 * share @ hat
+        + share @ np.einsum("qr,qs,sr->r", inverse, g.T @ g, inverse)
     )
-    return max(errors - float(hat.sum()), 1.0), float(value @ value) / max(float(kept), 1e-12)
+    return max(errors - float(hat.sum()), 1.0), float(value @ value) / max(
+        float(kept), 1e-12
+    )
 
 
 def as_likelihood(
@@ -276,10 +296,14 @@ def as_likelihood(
     measured stays.
     """
     if not (frequency >= 0 and shape > 0):
-        raise InputError(f"discrepancy of frequencies {frequency} (>= 0), of shapes {shape} (> 0)")
+        raise InputError(
+            f"discrepancy of frequencies {frequency} (>= 0), of shapes {shape} (> 0)"
+        )
     count = configuration.target.shapes.shape[0] if independent is None else independent
     rest = tuple(t for t in configuration.terms if t.quantity is Quantity.OTHER)
-    return replace(configuration, terms=(Eigenvalues(frequency), Shapes(shape, count), *rest))
+    return replace(
+        configuration, terms=(Eigenvalues(frequency), Shapes(shape, count), *rest)
+    )
 
 
 def covariance_root(covariance: Float) -> Float:
@@ -292,7 +316,9 @@ def covariance_root(covariance: Float) -> Float:
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(size > 0, size, 1.0)
     value, turn = linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * ((turn * np.sqrt(np.maximum(value, 0.0))) @ turn.T))
+    return np.asarray(
+        scale[:, None] * ((turn * np.sqrt(np.maximum(value, 0.0))) @ turn.T)
+    )
 
 
 def energy_shares(model: Model, system: System, vectors: Float) -> Float:
@@ -337,7 +363,9 @@ def errors_of_shapes(target: Target, now: Linearisation) -> float:
     if not used.any():
         return 1.0
     rest, _ = span_residuals(target.shapes, now, pairs, of)
-    return independent_errors(rest[:, used], np.array([s.size for s in of])[used], now.shapes)
+    return independent_errors(
+        rest[:, used], np.array([s.size for s in of])[used], now.shapes
+    )
 
 
 def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
@@ -363,7 +391,10 @@ def independent_errors(rest: Float, own: Float, shapes: Float) -> float:
         return 1.0
     held = float(((space.T @ rest) ** 2).sum()) / total
     size = (rest**2).sum(axis=0)
-    by_chance = float(size @ np.clip((space.shape[1] - own) / np.maximum(n - own, 1), 0, 1)) / total
+    by_chance = (
+        float(size @ np.clip((space.shape[1] - own) / np.maximum(n - own, 1), 0, 1))
+        / total
+    )
     of_form = float(np.clip((held - by_chance) / (1 - by_chance), 0.0, 1.0))
     return 1 / (of_form + (1 - of_form) / n)
 
@@ -459,7 +490,11 @@ def ensemble(
     """
     x = np.array(start, dtype=np.float64)
     walkers, q = x.shape
-    if walkers % 2 or walkers < 2 * q + 2 or np.linalg.matrix_rank(x - x.mean(axis=0)) < q:
+    if (
+        walkers % 2
+        or walkers < 2 * q + 2
+        or np.linalg.matrix_rank(x - x.mean(axis=0)) < q
+    ):
         raise InputError(
             f"{walkers} walkers for {q} unknowns: an even number >= {2 * q + 2}, spread in all "
             "directions"
@@ -532,4 +567,6 @@ def _reduction(samples: Float) -> Float:
     parts = np.concatenate([samples[:half], samples[half : 2 * half]], axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
     between = parts.mean(axis=0).var(axis=0, ddof=1)
-    return np.asarray(np.sqrt((half - 1) / half + between / np.where(within > 0, within, 1.0)))
+    return np.asarray(
+        np.sqrt((half - 1) / half + between / np.where(within > 0, within, 1.0))
+    )

@@ -96,7 +96,9 @@ class Held(FrozenArrays):
 
         The discrepancy is known from so many errors: Student's quantile.
         """
-        reach = float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std * self.predicted
+        reach = (
+            float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std * self.predicted
+        )
         return np.stack([self.predicted - reach, self.predicted + reach], axis=1)
 
     def inside(self, level: float) -> Bool:
@@ -120,7 +122,9 @@ def folds_of(used: Bool, count: int) -> tuple[tuple[int, ...], ...]:
     """
     at = np.flatnonzero(used)
     if not 2 <= count <= at.size:
-        raise InputError(f"{count} folds of {at.size} modes: from 2 to the number of modes")
+        raise InputError(
+            f"{count} folds of {at.size} modes: from 2 to the number of modes"
+        )
     return tuple(tuple(at[i::count].tolist()) for i in range(count))
 
 
@@ -185,7 +189,9 @@ def k_fold(
     unused = np.flatnonzero(~target.used).tolist()
     for i, fold in enumerate([*folds, unused] if unused else folds):
         used = target.used & ~np.isin(np.arange(m), fold)
-        problem = Problem((replace(configuration, target=replace(target, used=used)), *others))
+        problem = Problem(
+            (replace(configuration, target=replace(target, used=used)), *others)
+        )
         done = solve(problem, start=begin)
         good = good and done.outcome is Outcome.CONVERGED
         begin = done.y if start is None else start
@@ -205,7 +211,11 @@ def k_fold(
         progress((i + 1) / len(folds), f"left out: fold {i + 1} of {len(folds)}")
     error = predicted / target.frequencies - 1
     by_f = spread[:, 0]
-    fixed = by_f * float(np.mean(target.std**2)) + spread[:, 1] * mean_miss(mac) + spread[:, 2]
+    fixed = (
+        by_f * float(np.mean(target.std**2))
+        + spread[:, 1] * mean_miss(mac)
+        + spread[:, 2]
+    )
     known = np.sqrt(fixed + target.std**2)
     found = discrepancy(error, known, 1 + by_f)
     return Held(
@@ -373,7 +383,9 @@ def misfits(
             kind = kind + 1
             named = next(others, None) if isinstance(term, Weighted) else None
             squares = term.fit(point)
-            used_up = float(np.trace(linalg.solve(normal, g[rows].T @ g[rows], assume_a="pos")))
+            used_up = float(
+                np.trace(linalg.solve(normal, g[rows].T @ g[rows], assume_a="pos"))
+            )
             freedom = max(squares.size - used_up, 1.0)
             limit = float(chdtri(freedom, limits.risk))
             if float(squares.sum()) <= limit:

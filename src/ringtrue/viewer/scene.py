@@ -62,7 +62,9 @@ def shape_arrays(real: Float, imag: Float | None = None) -> dict[str, Any]:
     if imag is not None:
         parts["imag"] = np.nan_to_num(imag)
     peak = max(float(np.abs(a).max(initial=0.0)) for a in parts.values()) or 1.0
-    whole = {name: np.round(a * (32767 / peak)).astype(np.int16) for name, a in parts.items()}
+    whole = {
+        name: np.round(a * (32767 / peak)).astype(np.int16) for name, a in parts.items()
+    }
     return {"peak": peak, **whole}
 
 
@@ -87,12 +89,15 @@ def to_block(payload: Any) -> bytes:
         nonlocal size
         at = size
         raw = a.tobytes()
-        raw += bytes(-len(raw) % 4)  # an array of the viewer begins at a multiple of its kind
+        # an array of the viewer begins at a multiple of its kind
+        raw += bytes(-len(raw) % 4)
         pieces.append(raw)
         size += len(raw)
         return [at, a.size]
 
-    head = json.dumps(_mapped(payload, place), separators=(",", ":"), allow_nan=False).encode()
+    head = json.dumps(
+        _mapped(payload, place), separators=(",", ":"), allow_nan=False
+    ).encode()
     return b"".join([len(head).to_bytes(4, "little"), head, *pieces])
 
 
@@ -100,7 +105,9 @@ def _mapped(value: Any, write: Callable[[Any_], Any]) -> Any:
     """The structure with each array as what `write` makes of it, under its kind."""
     if isinstance(value, np.ndarray):
         if value.dtype.name not in KINDS:
-            raise InputError(f"array of {value.dtype.name}: the viewer reads {', '.join(KINDS)}")
+            raise InputError(
+                f"array of {value.dtype.name}: the viewer reads {', '.join(KINDS)}"
+            )
         little = value.astype(value.dtype.newbyteorder("<"), copy=False)
         return {KINDS[value.dtype.name]: write(np.ascontiguousarray(little))}
     if isinstance(value, Mapping):
@@ -231,7 +238,10 @@ def test_arrays(test: TestModel) -> dict[str, Any]:
 
 
 def sensor_arrays(
-    test: TestModel, kinds: Mapping[str, str], colors: Sequence[str], rest: str = "sensors"
+    test: TestModel,
+    kinds: Mapping[str, str],
+    colors: Sequence[str],
+    rest: str = "sensors",
 ) -> dict[str, Any]:
     """The channels of a test as arrows.
 
@@ -315,10 +325,14 @@ class View:
             If anywidget is not installed.
         """
         if find_spec("anywidget") is None:
-            raise UnsupportedError("a widget needs anywidget: pip install 'ringtrue[notebook]'")
+            raise UnsupportedError(
+                "a widget needs anywidget: pip install 'ringtrue[notebook]'"
+            )
         return _widget_class()(drawn=to_block(self.payload), height=HEIGHT)
 
-    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, Any]:
+    def _repr_mimebundle_(
+        self, include: Any = None, exclude: Any = None
+    ) -> dict[str, Any]:
         """The widget where anywidget is installed, without the page, which holds the same again."""
         if find_spec("anywidget") is None:
             return {}

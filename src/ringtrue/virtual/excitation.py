@@ -15,7 +15,8 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int, freeze_arrays
 from ringtrue.errors import InputError
 from ringtrue.virtual.sensors import coloured, lines
 
-_GRID = np.geomspace(0.01, 200.0, 4000)  # where the shape of the ground spectrum is normalised, Hz
+# where the shape of the ground spectrum is normalised, Hz
+_GRID = np.geomspace(0.01, 200.0, 4000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,9 @@ def ground_psd(freqs: Float, rms: float) -> Float:
     A hump of ocean microseism at 0.28 Hz with 30 % of the variance and cultural noise between 2 and
     40 Hz with the rest (the shape of Peterson, 1993, new noise models, for a busy site).
     """
-    return rms**2 * (0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs))
+    return rms**2 * (
+        0.3 * _normal(_microseism, freqs) + 0.7 * _normal(_cultural, freqs)
+    )
 
 
 def _microseism(f: Float) -> Float:
@@ -78,7 +81,9 @@ def _normal(shape: Callable[[Float], Float], freqs: Float) -> Float:
 def force_psd(freqs: Float, ambient: Ambient) -> Float:
     """Small forces, one-sided, N²/Hz."""
     f = np.maximum(freqs, 0.3)
-    return ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0)
+    return (
+        ambient.force_density**2 * (1 + (ambient.force_corner / f) ** 2) * (freqs > 0)
+    )
 
 
 def input_psd(ids: Sequence[str], freqs: Float, ambient: Ambient) -> Float:
@@ -149,9 +154,14 @@ def _ground(
     `ground`.
     """
     own = coloured(
-        np.repeat(ground_psd(freqs, ambient.ground_rms)[None], 4, axis=0), samples, rate, rng
+        np.repeat(ground_psd(freqs, ambient.ground_rms)[None], 4, axis=0),
+        samples,
+        rate,
+        rng,
     )
-    velocity = np.sqrt(1 - ambient.correlation**2) * own[:3] + ambient.correlation * own[3]
+    velocity = (
+        np.sqrt(1 - ambient.correlation**2) * own[:3] + ambient.correlation * own[3]
+    )
     velocity[:2] *= ambient.lateral
     s = np.where(freqs > 0, 2j * np.pi * freqs, np.inf)
     motions: dict[str, Complex] = {}
@@ -160,7 +170,9 @@ def _ground(
     return motions
 
 
-def machine_force(ambient: Ambient, samples: int, rate: float, rng: np.random.Generator) -> Float:
+def machine_force(
+    ambient: Ambient, samples: int, rate: float, rng: np.random.Generator
+) -> Float:
     """(sample,) force of the machine, N: amplitude ±10 % and phase wander within seconds."""
     freqs = lines(samples, rate)
     slow = 1.0 / (1 + (freqs / 0.05) ** 4) * (freqs > 0)
@@ -191,7 +203,9 @@ class Pulses:
     flat: Bool = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "flat", np.broadcast_to(self.flat, np.shape(self.start)))
+        object.__setattr__(
+            self, "flat", np.broadcast_to(self.flat, np.shape(self.start))
+        )
         freeze_arrays(self)
 
     @property
@@ -207,7 +221,10 @@ class Pulses:
     def join(parts: Sequence[Pulses]) -> Pulses:
         """All pulses of all parts."""
         return Pulses(
-            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pulses))
+            *(
+                np.concatenate([getattr(p, f.name) for p in parts])
+                for f in fields(Pulses)
+            )
         )
 
 
@@ -242,17 +259,23 @@ def _sampled(p: Pulses, samples: int, rate: float) -> Float:
     force = p.impulse[:, None] * np.diff(given, axis=1) * rate
     cell = first[:, None] + np.arange(width)
     ok = (cell >= 0) & (cell < samples)
-    return np.asarray(np.bincount(cell[ok], force[ok], minlength=samples), dtype=np.float64)
+    return np.asarray(
+        np.bincount(cell[ok], force[ok], minlength=samples), dtype=np.float64
+    )
 
 
-def event_times(spacing: Sequence[float], duration: float, rng: np.random.Generator) -> Float:
+def event_times(
+    spacing: Sequence[float], duration: float, rng: np.random.Generator
+) -> Float:
     """(event,) starts, s: the given spacings in turn, ±5 %, the first after a tenth of one; none in
     the last.
     """
     if not len(spacing) or min(spacing) <= 0:
         raise InputError(f"event spacing {list(spacing)} s: must be positive")
     count = int(np.ceil(duration / min(spacing))) + 1
-    steps = np.resize(np.asarray(spacing, dtype=np.float64), count) * rng.uniform(0.95, 1.05, count)
+    steps = np.resize(np.asarray(spacing, dtype=np.float64), count) * rng.uniform(
+        0.95, 1.05, count
+    )
     times = 0.1 * steps[0] + np.concatenate([[0.0], np.cumsum(steps[:-1])])
     return np.asarray(times[times < max(duration - 0.8 * min(spacing), 0.5 * duration)])
 
@@ -277,7 +300,9 @@ def dropped_weight(times: Float, points: Int, rng: np.random.Generator) -> Pulse
     flight = 2 * speed[1:] / g + contact
     start = times + np.vstack([np.zeros(n), np.cumsum(flight, axis=0)])
     impulse = -30.0 * speed * (1 + e)
-    return Pulses(start.ravel(), np.tile(contact, 3), impulse.ravel(), np.tile(points, 3))
+    return Pulses(
+        start.ravel(), np.tile(contact, 3), impulse.ravel(), np.tile(points, 3)
+    )
 
 
 def sledge(times: Float, points: Int, rng: np.random.Generator) -> Pulses:

@@ -70,7 +70,12 @@ class SofteningJoints(FrozenArrays):
     slip: Float
 
     def __post_init__(self) -> None:
-        sizes = {len(self.model.outputs), self.inputs.size, self.loss.size, self.slip.size}
+        sizes = {
+            len(self.model.outputs),
+            self.inputs.size,
+            self.loss.size,
+            self.slip.size,
+        }
         if len(sizes) > 1 or (self.slip <= 0).any() or (self.loss < 0).any():
             raise InputError(
                 f"joints: {len(self.model.outputs)} extensions, {self.inputs.size} forces, "
@@ -85,7 +90,9 @@ class SofteningJoints(FrozenArrays):
 
     def tangent(self, extension: Float) -> Float:
         """(j, sample) derivative of the pseudo-force by the extension, N/m."""
-        return np.asarray(self.loss[:, None] * np.tanh(extension / self.slip[:, None]) ** 2)
+        return np.asarray(
+            self.loss[:, None] * np.tanh(extension / self.slip[:, None]) ** 2
+        )
 
     def with_forces(self, forces: Complex, samples: int, rate: float) -> Complex:
         """The forces (in, line) with those that the joints add.
@@ -112,7 +119,8 @@ class SofteningJoints(FrozenArrays):
             return fft.irfft(spectrum, samples)
 
         start = fft.irfft(alone, samples)
-        beyond = np.zeros_like(start)  # what the pseudo-forces have more than the mean loss
+        # what the pseudo-forces have more than the mean loss
+        beyond = np.zeros_like(start)
         for _ in range(ITERATION.rounds):
             extension = start + extension_by(beyond)
             wanted = self.pseudo_force(extension)
@@ -134,13 +142,18 @@ class SofteningJoints(FrozenArrays):
         unit = np.ones((1, freqs.size), dtype=np.complex128)
         out = []
         for i in self.inputs:
-            columns = {x: getattr(model, x)[:, [i]] for x in ("participation", "lower", "upper")}
+            columns = {
+                x: getattr(model, x)[:, [i]]
+                for x in ("participation", "lower", "upper")
+            }
             lone = replace(model, **columns, inputs=(model.inputs[i],))
             out.append(response_spectrum(lone, unit, freqs, quantity="displacement"))
         return np.stack(out, axis=1)
 
 
-def _softened(free: Complex, receptance: Complex, loss: Float) -> tuple[Complex, Complex]:
+def _softened(
+    free: Complex, receptance: Complex, loss: Float
+) -> tuple[Complex, Complex]:
     """Extensions (j, line) and receptances (j, j, line) with springs that have lost the mean
     `loss` (j, 1): what is left for the iteration is half as much, up or down.
     """
@@ -160,6 +173,10 @@ def _step(extension_by: Callable[[Float], Float], tangent: Float, left: Float) -
 
     operator = LinearOperator((left.size, left.size), matvec=changed, dtype=left.dtype)
     step, _ = gmres(
-        operator, left.ravel(), rtol=ITERATION.step, restart=ITERATION.directions, maxiter=1
+        operator,
+        left.ravel(),
+        rtol=ITERATION.step,
+        restart=ITERATION.directions,
+        maxiter=1,
     )
     return step.reshape(left.shape)

@@ -19,7 +19,13 @@ from ringtrue.core.modes import ModalModel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.record_table import RecordChannel
-from ringtrue.virtual.excitation import Ambient, Pulses, ambient_forces, input_psd, pulse_spectrum
+from ringtrue.virtual.excitation import (
+    Ambient,
+    Pulses,
+    ambient_forces,
+    input_psd,
+    pulse_spectrum,
+)
 from ringtrue.virtual.joints import SofteningJoints
 from ringtrue.virtual.sensors import (
     Chain,
@@ -70,13 +76,20 @@ def record_channels(
 
 
 def write_sheet(
-    path: Path, test: TestModel, channels: Sequence[str], sensors: Sequence[Sensor] | None = None
+    path: Path,
+    test: TestModel,
+    channels: Sequence[str],
+    sensors: Sequence[Sensor] | None = None,
 ) -> None:
     """A sensor sheet; without `sensors` only places, directions and groups, and points without
     channels too.
     """
     place = dict(
-        zip(test.points.tolist(), zip(test.xyz.tolist(), test.groups, strict=True), strict=True)
+        zip(
+            test.points.tolist(),
+            zip(test.xyz.tolist(), test.groups, strict=True),
+            strict=True,
+        )
     )
     here = {c: i for i, c in enumerate(test.channels)}
     rows = []
@@ -84,15 +97,27 @@ def write_sheet(
         point = int(test.at[here[c]])
         xyz, group = place[point]
         s = sensors[k] if sensors else None
-        tail = [s.quantity, s.unit, f"{s.sensitivity:g}", f"{s.range:g}", s.name] if s else [""] * 5
+        tail = (
+            [s.quantity, s.unit, f"{s.sensitivity:g}", f"{s.range:g}", s.name]
+            if s
+            else [""] * 5
+        )
         rows.append(
-            [point, *(f"{v:.6g}" for v in xyz), direction(test.axes[here[c]]), c, group, *tail]
+            [
+                point,
+                *(f"{v:.6g}" for v in xyz),
+                direction(test.axes[here[c]]),
+                c,
+                group,
+                *tail,
+            ]
         )
     if sensors is None:
         used = {r[0] for r in rows}
         bare = [p for p in np.unique(test.lines).tolist() if p not in used]
         rows += [
-            [p, *(f"{v:.6g}" for v in place[p][0]), "", "", place[p][1], *[""] * 5] for p in bare
+            [p, *(f"{v:.6g}" for v in place[p][0]), "", "", place[p][1], *[""] * 5]
+            for p in bare
         ]
     _table(path, HEADER, rows)
 
@@ -110,7 +135,9 @@ def write_lines(path: Path, test: TestModel) -> None:
     _table(path, ("from", "to"), test.lines.tolist())
 
 
-def write_log(path: Path, tests: Sequence[Mapping[str, object]], sensors: Sequence[Sensor]) -> None:
+def write_log(
+    path: Path, tests: Sequence[Mapping[str, object]], sensors: Sequence[Sensor]
+) -> None:
     """campaign.json: tests with their records, and the data sheets of the sensor types."""
     sheets = {
         s.name: {
@@ -121,7 +148,12 @@ def write_log(path: Path, tests: Sequence[Mapping[str, object]], sensors: Sequen
         }
         for s in dict.fromkeys(sensors)
     }
-    log = {"format": "ringtrue-campaign", "version": 1, "sensors": sheets, "tests": list(tests)}
+    log = {
+        "format": "ringtrue-campaign",
+        "version": 1,
+        "sensors": sheets,
+        "tests": list(tests),
+    }
     path.write_text(json.dumps(log, indent=1) + "\n")
 
 
@@ -218,13 +250,23 @@ def strike(
     double = double[:last]
     overload = overload[:last]
     n = double.size
-    times = plan.rest + np.arange(n) * (plan.block + plan.rest) + rng.uniform(0, 0.2 * plan.rest, n)
+    times = (
+        plan.rest
+        + np.arange(n) * (plan.block + plan.rest)
+        + rng.uniform(0, 0.2 * plan.rest, n)
+    )
     hard = rng.uniform(0, 1, n)
-    contact = plan.contact[1] - np.ptp(plan.contact) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
-    peak = plan.peak[0] + np.ptp(plan.peak) * np.clip(hard + rng.normal(0, 0.1, n), 0, 1)
+    contact = plan.contact[1] - np.ptp(plan.contact) * np.clip(
+        hard + rng.normal(0, 0.1, n), 0, 1
+    )
+    peak = plan.peak[0] + np.ptp(plan.peak) * np.clip(
+        hard + rng.normal(0, 0.1, n), 0, 1
+    )
     pulses = Pulses(times, contact, -2 / np.pi * peak * contact, np.full(n, at))
     sampled = _sampled_peak(pulses, rate)
-    wanted = np.where(overload, limit * rng.uniform(1.05, 1.4, n), np.minimum(sampled, 0.9 * limit))
+    wanted = np.where(
+        overload, limit * rng.uniform(1.05, 1.4, n), np.minimum(sampled, 0.9 * limit)
+    )
     pulses = replace(pulses, impulse=pulses.impulse * wanted / sampled)
     second = pulses.pick(double)
     k = int(double.sum())
@@ -243,7 +285,9 @@ def _sampled_peak(pulses: Pulses, rate: float) -> Float:
     width = int(np.ceil(0.25 * rate)) * 2
     alone = replace(
         pulses,
-        start=np.arange(pulses.at.size) * width / rate + 0.25 + pulses.start % (1 / rate),
+        start=np.arange(pulses.at.size) * width / rate
+        + 0.25
+        + pulses.start % (1 / rate),
         at=0 * pulses.at,
     )
     n = width * pulses.at.size
@@ -356,7 +400,9 @@ class AmbientTest:
 
     def volts(self, forces: Complex, freqs: Float) -> Complex:
         """(channel, line) spectra at the recorder, without noise."""
-        motion = response_spectrum(self.model, forces, freqs, quantity=self.chain.sensors[0].motion)
+        motion = response_spectrum(
+            self.model, forces, freqs, quantity=self.chain.sensors[0].motion
+        )
         self.chain.to_volts(motion, self.rate)
         return motion
 
@@ -365,18 +411,25 @@ def expected_snr(test: AmbientTest) -> float:
     """Median over channels and modes of the ratio at resonance without events, dB."""
     f = np.abs(test.poles) / (2 * np.pi)
     inputs = input_psd([c.id for c in test.model.inputs], f, test.site)
-    signal = expected_power(test.model, test.poles, inputs, test.chain.sensors[0].motion)
+    signal = expected_power(
+        test.model, test.poles, inputs, test.chain.sensors[0].motion
+    )
     noise = np.stack([s.noise_psd(f, test.rate) for s in test.chain.sensors])
     return float(np.median(ratio_db(signal, noise)))
 
 
-def scaled_to_snr(test: AmbientTest, snr_db: float, bounds: tuple[float, float]) -> AmbientTest:
+def scaled_to_snr(
+    test: AmbientTest, snr_db: float, bounds: tuple[float, float]
+) -> AmbientTest:
     """The test with all ambient levels scaled for a ratio at resonance, ground motion within
     `bounds`, m/s rms.
     """
     gain = 10 ** ((snr_db - expected_snr(test)) / 20)
     return replace(
-        test, site=scale_site(test.site, float(np.clip(test.site.ground_rms * gain, *bounds)))
+        test,
+        site=scale_site(
+            test.site, float(np.clip(test.site.ground_rms * gain, *bounds))
+        ),
     )
 
 
@@ -408,9 +461,13 @@ def ambient_record(
         forces += pulse_spectrum(pulses, forces.shape[0], samples, test.rate)
     if test.joints is not None:
         forces = test.joints.with_forces(forces, samples, test.rate)
-    signal = response_spectrum(test.model, forces, freqs, quantity=test.chain.sensors[0].motion)
+    signal = response_spectrum(
+        test.model, forces, freqs, quantity=test.chain.sensors[0].motion
+    )
     volts, noise = record_volts(signal, test.chain, samples, test.rate, rng)
     strength = resonance_power(signal, test.poles, samples, test.rate)
-    quantisation = np.array([s.step**2 / 6 / test.rate for s in test.chain.sensors])[:, None]
+    quantisation = np.array([s.step**2 / 6 / test.rate for s in test.chain.sensors])[
+        :, None
+    ]
     noisy = resonance_power(noise, test.poles, samples, test.rate) + quantisation
     return volts, float(np.median(ratio_db(strength, noisy)))

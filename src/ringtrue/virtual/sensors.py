@@ -23,7 +23,8 @@ from ringtrue.core.signals import Quantity
 from ringtrue.errors import InputError
 
 MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
-_CHUNK = 1 << 11  # lines at a time: the modal coordinates of 130 modes take 4 MB and stay in cache
+# lines at a time: the modal coordinates of 130 modes take 4 MB and stay in cache
+_CHUNK = 1 << 11
 
 
 def lines(samples: int, rate: float) -> Float:
@@ -32,7 +33,11 @@ def lines(samples: int, rate: float) -> Float:
 
 
 def response_spectrum(
-    model: ModalModel, forces: Complex, freqs: Float, *, quantity: Motion = "acceleration"
+    model: ModalModel,
+    forces: Complex,
+    freqs: Float,
+    *,
+    quantity: Motion = "acceleration",
 ) -> Complex:
     """Spectrum of the motion of all outputs.
 
@@ -57,10 +62,14 @@ def response_spectrum(
     if quantity not in DERIVATIVE:
         raise InputError(f"quantity {quantity!r}: allowed are {', '.join(DERIVATIVE)}")
     out = np.empty((model.shapes.shape[0], freqs.size), dtype=np.complex128)
-    for at in range(0, freqs.size, _CHUNK):  # bounds the memory of the modal coordinates
+    # bounds the memory of the modal coordinates
+    for at in range(0, freqs.size, _CHUNK):
         part = slice(at, at + _CHUNK)
         out[:, part] = _motion(
-            model, forces[:, part], np.asarray(2j * np.pi * freqs[part]), DERIVATIVE[quantity]
+            model,
+            forces[:, part],
+            np.asarray(2j * np.pi * freqs[part]),
+            DERIVATIVE[quantity],
         )
     return out
 
@@ -173,7 +182,9 @@ class NoiseFloor:
         return np.where(freqs > 0, self.density**2 * (1 + self.corner / safe), 0.0)
 
 
-def coloured(psd: Float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+def coloured(
+    psd: Float, samples: int, rate: float, rng: np.random.Generator
+) -> Complex:
     """Spectra of Gaussian noise, periodic over the record.
 
     Parameters
@@ -208,7 +219,9 @@ def power(spectrum: Complex, samples: int, rate: float) -> Float:
     return 2.0 / (rate * samples) * (spectrum.real**2 + spectrum.imag**2)
 
 
-def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float) -> Complex:
+def tone(
+    freq: float, amplitude: Float, phase: Float, samples: int, rate: float
+) -> Complex:
     """Spectra (row, line) of amplitude·cos(2πft + phase), f moved to the nearest line."""
     out = np.zeros((amplitude.size, samples // 2 + 1), dtype=np.complex128)
     line = round(freq * samples / rate)
@@ -217,7 +230,9 @@ def tone(freq: float, amplitude: Float, phase: Float, samples: int, rate: float)
     return out
 
 
-def hum(amplitude: Float, samples: int, rate: float, rng: np.random.Generator) -> Complex:
+def hum(
+    amplitude: Float, samples: int, rate: float, rng: np.random.Generator
+) -> Complex:
     """Mains hum and its third harmonic (30 %); lines above half the rate are filtered away.
 
     Returns
@@ -311,7 +326,9 @@ class Sensor:
         for name in MOTIONS:
             if name == self.quantity:
                 return name
-        raise InputError(f"{self.name} measures {self.quantity}; allowed are {', '.join(MOTIONS)}")
+        raise InputError(
+            f"{self.name} measures {self.quantity}; allowed are {', '.join(MOTIONS)}"
+        )
 
     @property
     def step(self) -> float:
@@ -480,7 +497,9 @@ def _kinds(sensors: tuple[Sensor, ...]) -> tuple[list[Sensor], Int]:
     return kinds, np.array([here[s] for s in sensors])
 
 
-def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float) -> Float:
+def resonance_power(
+    spectrum: Complex, poles: Complex, samples: int, rate: float
+) -> Float:
     """Mean spectral density within the half-power band of each mode.
 
     Parameters
@@ -493,12 +512,19 @@ def resonance_power(spectrum: Complex, poles: Complex, samples: int, rate: float
     (channel, m) float64, unit²/Hz
     """
     total = np.concatenate(
-        [np.zeros((spectrum.shape[0], 1)), np.cumsum(power(spectrum, samples, rate), axis=1)],
+        [
+            np.zeros((spectrum.shape[0], 1)),
+            np.cumsum(power(spectrum, samples, rate), axis=1),
+        ],
         axis=1,
     )
     f = np.abs(poles) / (2 * np.pi)
     half = np.abs(poles.real) / (2 * np.pi)
-    low = np.floor((f - half) * samples / rate).astype(np.int64).clip(1, spectrum.shape[1] - 1)
+    low = (
+        np.floor((f - half) * samples / rate)
+        .astype(np.int64)
+        .clip(1, spectrum.shape[1] - 1)
+    )
     high = (np.ceil((f + half) * samples / rate).astype(np.int64) + 1).clip(
         low + 1, spectrum.shape[1]
     )
@@ -517,7 +543,9 @@ def ratio_db(signal: Float, noise: Float) -> Float:
     return 10 * np.log10(np.maximum(signal, tiny) / np.maximum(noise, tiny))
 
 
-def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion) -> Float:
+def expected_power(
+    model: ModalModel, poles: Complex, input_psd: Float, quantity: Motion
+) -> Float:
     """(out, m) spectral density at the resonances, inputs uncorrelated with `input_psd` (in, m)
     there.
     """
@@ -525,5 +553,6 @@ def expected_power(model: ModalModel, poles: Complex, input_psd: Float, quantity
     power_of_s = DERIVATIVE[quantity] - POWER[model.kind]
     h = np.moveaxis(model.synthesise(f), 0, -1)  # (out, in, m)
     return np.asarray(
-        np.einsum("oim,im->om", np.abs(h) ** 2, input_psd) * (2 * np.pi * f) ** (2 * power_of_s)
+        np.einsum("oim,im->om", np.abs(h) ** 2, input_psd)
+        * (2 * np.pi * f) ** (2 * power_of_s)
     )

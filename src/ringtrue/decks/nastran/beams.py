@@ -75,7 +75,8 @@ def _place(r: Reader, at: int) -> float:
     x = r.real(at, "X/XB", 1.0)
     if not 0 < x <= 1:
         raise r.fail(
-            "X/XB", f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B"
+            "X/XB",
+            f"a station at {x:g} of the length; allowed are places behind 0 up to 1, end B",
         )
     return x
 
@@ -97,7 +98,9 @@ def _beam_row(r: Reader) -> Row:
             blank = row[f"{name[:-1]}A"]
         row[name] = r.real(place, name, blank)
     between = [(x, place) for x, place in stations if x < 1.0]
-    inner = {n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)}
+    inner = {
+        n: [r.real(p + k, n, np.nan) for _, p in between] for k, n in enumerate(BETWEEN)
+    }
     return row | {"X": [x for x, _ in between]} | inner
 
 
@@ -130,7 +133,9 @@ def _areas(r: Reader) -> NDArray[np.float64]:
         [[r.real(i + k, n, 0.0) for i in at] for k, n in enumerate(("Yi", "Zi", "Ci"))]
     )
     symmetry = r.whole(14, "SYMOPT", 0)
-    other = any(r.text(i + 3) and r.whole(i + 3, "MIDi") != r.whole(1, "MID") for i in at)
+    other = any(
+        r.text(i + 3) and r.whole(i + 3, "MIDi") != r.whole(1, "MID") for i in at
+    )
     why = (
         "lumped areas of several materials; give PBEAM with A, I1, I2, I12 weighted by the moduli"
         if other
@@ -142,7 +147,11 @@ def _areas(r: Reader) -> NDArray[np.float64]:
         raise r.unsupported(why)
     if symmetry == 1:
         given = np.hstack(
-            [given * np.array([[a], [b], [1.0]]) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+            [
+                given * np.array([[a], [b], [1.0]])
+                for a in (1.0, -1.0)
+                for b in (1.0, -1.0)
+            ]
         )
     return given
 
@@ -153,10 +162,15 @@ def _dimensions(r: Reader, at: int) -> tuple[list[float], float, int]:
     """
     kind = r.text(3).upper()
     if kind not in SECTIONS:
-        raise r.unsupported(f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}")
+        raise r.unsupported(
+            f"section {kind!r}; supported are {', '.join(sorted(SECTIONS))}"
+        )
     count = SECTIONS[kind][0]
     may = FALLBACK.get(kind, {})
-    dims = [r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None) for k in range(count)]
+    dims = [
+        r.real(at + k, f"DIM{k + 1}", np.nan if k in may else None)
+        for k in range(count)
+    ]
     return dims, r.real(at + count, "NSM", 0.0), at + count + 1
 
 
@@ -184,10 +198,17 @@ def _made(r: Reader) -> Row:
     end_b = next(((d, m) for x, d, m, _ in stations if x == 1.0), None)
     try:
         row = properties(name, kind, (dims, nsm), end_b)
-        inner = [(x, properties("PBARL", kind, (d, m), None)) for x, d, m, _ in stations if x < 1.0]
+        inner = [
+            (x, properties("PBARL", kind, (d, m), None))
+            for x, d, m, _ in stations
+            if x < 1.0
+        ]
     except (ValueError, ArithmeticError) as e:
         raise r.fail("DIM1", str(e)) from None
-    between = {b: [p.get(a, 0.0) for _, p in inner] for a, b in zip(END_A, BETWEEN, strict=True)}
+    between = {
+        b: [p.get(a, 0.0) for _, p in inner]
+        for a, b in zip(END_A, BETWEEN, strict=True)
+    }
     return row | {"X": [x for x, _ in inner]} | between
 
 
@@ -229,7 +250,17 @@ _BEND = {
     "ZC": 20,
     "DELTAN": 21,
 }
-_PIPE = {"FSI": 2, "RM": 3, "T": 4, "P": 5, "RB": 6, "THETAB": 7, "NSM": 10, "RC": 11, "ZC": 12}
+_PIPE = {
+    "FSI": 2,
+    "RM": 3,
+    "T": 4,
+    "P": 5,
+    "RB": 6,
+    "THETAB": 7,
+    "NSM": 10,
+    "RC": 11,
+    "ZC": 12,
+}
 
 
 def bend_places(fields: Sequence[str]) -> Mapping[str, int]:
@@ -249,7 +280,11 @@ def pbend(r: Reader) -> Iterator[Row]:
             "of pipes FSI = 1, NSM, RC and ZC are; give A, I1, I2, J with the flexibility in "
             "I1 and I2"
         )
-    row: dict[str, Any] = {"PID": r.whole(0, "PID"), "MID": r.whole(1, "MID"), "FSI": int(pipe)}
+    row: dict[str, Any] = {
+        "PID": r.whole(0, "PID"),
+        "MID": r.whole(1, "MID"),
+        "FSI": int(pipe),
+    }
     for name, i in at.items():
         if name != "FSI":
             row[name] = r.real(i, name, np.nan if name == "DELTAN" else 0.0)

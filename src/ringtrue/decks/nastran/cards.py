@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from ringtrue.core.arrays import Bool, Int
 from ringtrue.decks.nastran.deck import WIDTH, Deck
-from ringtrue.decks.nastran.lexer import BLOCK, FreeLines, cuts, free_lines, upper_slices
+from ringtrue.decks.nastran.lexer import (
+    BLOCK,
+    FreeLines,
+    cuts,
+    free_lines,
+    upper_slices,
+)
 from ringtrue.errors import DeckError
 from ringtrue.model.cards import CARDS, SPECIAL, SYNONYMS
 
@@ -59,7 +65,9 @@ class Cards:
     def kinds(self) -> tuple[NDArray[np.bytes_], Int, Int]:
         """Names that occur, sorted, the first card of each and how many there are, each (k,)."""
         begin = _runs(self.name)
-        names, first, which = np.unique(self.name[begin], return_index=True, return_inverse=True)
+        names, first, which = np.unique(
+            self.name[begin], return_index=True, return_inverse=True
+        )
         count = np.diff(np.append(begin, self.name.size))
         return names, begin[first], np.bincount(which, weights=count).astype(np.int64)
 
@@ -91,10 +99,15 @@ class Cards:
                     yield pure, self._fixed(pure, lines, width)
             free = (style == 2).all(axis=1)
             if free.any():
-                free[free] = self.free.regular(self._rows(group[free], lines)).all(axis=1)
+                free[free] = self.free.regular(self._rows(group[free], lines)).all(
+                    axis=1
+                )
             if free.any():
                 rows = self._rows(group[free], lines)
-                yield group[free], self.free.cells(rows.reshape(-1)).reshape(len(rows), -1)
+                yield (
+                    group[free],
+                    self.free.cells(rows.reshape(-1)).reshape(len(rows), -1),
+                )
             mixed = group[~(free | (style == 0).all(axis=1) | (style == 1).all(axis=1))]
             if mixed.size:
                 yield mixed, self._mixed(mixed, lines)
@@ -104,7 +117,9 @@ class Cards:
         return np.asarray(self.raw_of[self.head[cards][:, None] + np.arange(lines)])
 
     def _fixed(self, cards: Int, lines: int, width: int) -> NDArray[np.bytes_]:
-        block = np.ascontiguousarray(self.text[self.head[cards][:, None] + np.arange(lines), 8:72])
+        block = np.ascontiguousarray(
+            self.text[self.head[cards][:, None] + np.arange(lines), 8:72]
+        )
         return np.strings.strip(block.reshape(cards.size, -1).view(f"S{width}"))
 
     def _mixed(self, cards: Int, lines: int) -> NDArray[np.bytes_]:
@@ -134,7 +149,9 @@ class Cards:
             return [text[i : i + width].strip() for i in range(8, 72, width)]
         row = self.raw_of[at]
         line = self.deck.raw[self.deck.start[row] : self.deck.stop[row]].upper()
-        parts = [line[a + 1 : b].strip() for a, b in pairwise([-1, *cuts(line), len(line)])]
+        parts = [
+            line[a + 1 : b].strip() for a, b in pairwise([-1, *cuts(line), len(line)])
+        ]
         size = 4 if style == 3 else 8
         if any(parts[size + 2 :]):
             raise DeckError(
@@ -192,7 +209,11 @@ def cards(deck: Deck) -> Cards:
     for i, name in enumerate(plain.tolist()):
         if not re.fullmatch(rb"[A-Z][A-Z0-9]*|=.*|/", name):
             at = int(keep[head[begin[np.flatnonzero(which == i)[0]]]])
-            raise _at(deck, at, f"{name.decode('latin-1')!r} in columns 1-8 is not a card name")
+            raise _at(
+                deck,
+                at,
+                f"{name.decode('latin-1')!r} in columns 1-8 is not a card name",
+            )
         plain[i] = SYNONYMS.get(name, name)
     return _replicated(
         Cards(
@@ -218,7 +239,9 @@ def _runs(name: NDArray[np.bytes_]) -> Int:
 def _replicated(cards: Cards) -> Cards:
     """The cards with those that repeat others written out, each on a line of its own."""
     raw = np.frombuffer(cards.deck.raw, dtype=np.uint8)
-    marked = (_lines_with(raw, 61, cards.deck) | _lines_with(raw, 40, cards.deck))[cards.raw_of]
+    marked = (_lines_with(raw, 61, cards.deck) | _lines_with(raw, 40, cards.deck))[
+        cards.raw_of
+    ]
     line_of = np.repeat(np.arange(cards.head.size), cards.count)
     suspect = np.unique(line_of[marked])
     suspect = suspect[_read_here(cards.name[suspect])]
@@ -285,7 +308,9 @@ def _expanded(
             new = state.expand(name, fields)
         except ValueError as e:
             path, line = cards.place(card)
-            raise DeckError(str(e), path=path, line=line, card=name.decode("latin-1")) from None
+            raise DeckError(
+                str(e), path=path, line=line, card=name.decode("latin-1")
+            ) from None
         start = int(cards.head[card])
         pieces += [np.arange(done, start), np.full(len(new), -1 - start)]
         done = start + int(cards.count[card])
@@ -503,7 +528,13 @@ class Replication:
                     break
                 if step:
                     steps[j] = step[1]
-                out.append(before[j] if f == b"=" else _plus(before[j], step[1], 1) if step else f)
+                out.append(
+                    before[j]
+                    if f == b"="
+                    else _plus(before[j], step[1], 1)
+                    if step
+                    else f
+                )
         return out, steps
 
 

@@ -15,7 +15,9 @@ from ringtrue.model.case_control import CONSTRAINTS, METHODS
 from ringtrue.model.model import CaseControl, Model, Table
 
 # a blank may stand for =
-_COMMAND = re.compile(r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S)
+_COMMAND = re.compile(
+    r"\s*([A-Z]\w*)\s*(\([^)]*\))?(?:\s*=\s*|\s+)(.*?)\s*", re.I | re.S
+)
 _SUBCASE = re.compile(r"\s*SUBC\w*[\s=]*(\d{1,9})?", re.I)
 _CHOICES = ("TITLE", "METHOD", "SPC", "MPC", "NSM", "AUTOSPC", "SDAMPING")
 _SETS = ("SPC", "MPC", "NSM", "K2GG", "M2GG", "B2GG")
@@ -27,7 +29,9 @@ STIFFENING = {
     "BGSET": ("BGSET", "BGADD"),
     "BCSET": ("BCTSET", "BCTADD"),
     "BCONTACT": ("BCBODY", "BCTABL"),
-    **dict.fromkeys(("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")),
+    **dict.fromkeys(
+        ("STATSUB", "NLIC"), (*PRELOADS, "BOLTFOR", "BOLTFRC", "PRETENS", "SPCR")
+    ),
 }
 # modes and responses under load, by Autodesk
 _PRESTRESS = re.compile(r"\s*SOL[\s=]+(18[2-9]|.*PRESTRESS)", re.I)
@@ -56,7 +60,9 @@ def commands(top: Sequence[str]) -> dict[str, str]:
         Executive and case control lines.
     """
     common, *subcases = (choices for _, choices in _sections(top))
-    chosen = next((s for s in subcases if "METHOD" in s), subcases[0] if subcases else {})
+    chosen = next(
+        (s for s in subcases if "METHOD" in s), subcases[0] if subcases else {}
+    )
     return {**common, **chosen}
 
 
@@ -106,7 +112,10 @@ def stiffening(top: Sequence[str]) -> tuple[str, ...]:
         {"STATSUB"} if any(_PRESTRESS.match(line) for line in top) else set()
     )
     return tuple(
-        start for command, names in STIFFENING.items() if command in chosen for start in names
+        start
+        for command, names in STIFFENING.items()
+        if command in chosen
+        for start in names
     )
 
 
@@ -126,7 +135,9 @@ def _sections(top: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
             if name == "TEMPERATURE" and (
                 kind := re.match(r"\(?\s*(MAT|INIT|)", (found[2] or "").upper())
             ):
-                of = {"MAT": "TEMP(MAT)", "INIT": "TEMP(INIT)"}.get(kind[1], "TEMP(LOAD)")
+                of = {"MAT": "TEMP(MAT)", "INIT": "TEMP(INIT)"}.get(
+                    kind[1], "TEMP(LOAD)"
+                )
                 sections[-1][1][of] = found[3]
     return sections
 
@@ -136,7 +147,9 @@ def _not_taken(top: Sequence[str], found: Mapping[str, str]) -> tuple[int, ...]:
     (_, common), *subcases = _sections(top)
     every = [(number, {**common, **choices}) for number, choices in subcases]
     return tuple(
-        n for n, c in every if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS)
+        n
+        for n, c in every
+        if "METHOD" in c and any(c.get(k) != found.get(k) for k in _SETS)
     )
 
 
@@ -168,7 +181,9 @@ def load_sets(top: Sequence[str]) -> list[tuple[str, int]]:
             )
         text = choices["LOAD"]
         if not re.fullmatch(r"\d{1,18}", text, re.A):
-            raise DeckError(f"LOAD = {text} in case control: it must be the number of a set")
+            raise DeckError(
+                f"LOAD = {text} in case control: it must be the number of a set"
+            )
         out.append((name, int(text)))
     return out
 
@@ -183,7 +198,9 @@ def modal_damping_set(top: Sequence[str]) -> int:
     """
     text = commands(top).get("SDAMPING", "0")
     if not re.fullmatch(r"\d{1,18}|NONE", text, re.A | re.I):
-        raise DeckError(f"SDAMPING = {text} in case control: it must be the number of a TABDMP1")
+        raise DeckError(
+            f"SDAMPING = {text} in case control: it must be the number of a TABDMP1"
+        )
     return 0 if text.upper() == "NONE" else int(text)
 
 
@@ -284,7 +301,9 @@ def only_sets(case: CaseControl, tables: Mapping[str, Table]) -> CaseControl:
     only = []
     for kind in ("SPC", "MPC"):
         add = CONSTRAINTS[kind][0]
-        every = np.unique(tables[add].ids).tolist() if add in tables else sets(tables, kind)
+        every = (
+            np.unique(tables[add].ids).tolist() if add in tables else sets(tables, kind)
+        )
         only.append(every[0] if len(every) == 1 else 0)
     return replace(case, spc=only[0], mpc=only[1])
 
@@ -306,7 +325,8 @@ def unclear_sets(model: Model, *, chosen: bool) -> list[DeckError]:
         if asked and there and asked not in there:
             out.append(
                 DeckError(
-                    f"case control asks for {kind} = {asked}; the deck has {names}", path=where
+                    f"case control asks for {kind} = {asked}; the deck has {names}",
+                    path=where,
                 )
             )
         elif not asked and not chosen and there:
@@ -330,5 +350,7 @@ def empty_choices(model: Model) -> list[str]:
     ]
     methods = [i for card in METHODS if card in model for i in model[card].ids.tolist()]
     if model.case.method not in (0, *methods) and "EIGB" not in model.kept:
-        out.append(f"METHOD = {model.case.method}: the deck has no EIGRL or EIGR of that number")
+        out.append(
+            f"METHOD = {model.case.method}: the deck has no EIGRL or EIGR of that number"
+        )
     return out

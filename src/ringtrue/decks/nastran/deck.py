@@ -127,7 +127,9 @@ class _Reading:
             line = data.count(b"\n", 0, begin) + 1
             at = found.end()
             try:
-                child = self._locate(next(g for g in found.groups() if g is not None), path, line)
+                child = self._locate(
+                    next(g for g in found.groups() if g is not None), path, line
+                )
             except DeckError as wrong:
                 if not any(_lines_of(upper, b"CEND", after=at)):
                     raise
@@ -176,7 +178,11 @@ class _Reading:
 
     def _locate(self, quoted: bytes, path: Path, line: int) -> Path:
         names = [Path(n) for n in _spellings(quoted)]
-        tried = [folder / name for name in names for folder in (path.parent, self.main.parent)]
+        tried = [
+            folder / name
+            for name in names
+            for folder in (path.parent, self.main.parent)
+        ]
         in_any_case = (there for t in tried if (there := any_case(t)))
         for candidate in itertools.chain(tried, in_any_case):
             if candidate.is_file():
@@ -198,7 +204,11 @@ def any_case(path: Path) -> Path | None:
     for part in path.parts[bool(path.anchor) :]:
         inside = [f / part for f in found] if part == ".." else []
         found = inside or [
-            e for f in found if f.is_dir() for e in f.iterdir() if e.name.lower() == part.lower()
+            e
+            for f in found
+            if f.is_dir()
+            for e in f.iterdir()
+            if e.name.lower() == part.lower()
         ]
     return found[0] if len(found) == 1 else None
 
@@ -207,10 +217,14 @@ def _spellings(quoted: bytes) -> list[str]:
     """What a name may be that is broken over lines: put together as it is, or with one blank where
     it was broken.
     """
-    parts = [part.strip().decode("utf-8", "surrogateescape") for part in quoted.splitlines()]
+    parts = [
+        part.strip().decode("utf-8", "surrogateescape") for part in quoted.splitlines()
+    ]
     names = [glue.join(parts).strip().replace("\\", "/") for glue in ("", " ")]
     return list(
-        dict.fromkeys(spelling for name in names for spelling in (name, *_by_logical_name(name)))
+        dict.fromkeys(
+            spelling for name in names for spelling in (name, *_by_logical_name(name))
+        )
     )
 
 
@@ -231,7 +245,9 @@ def _text(path: Path) -> bytes:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise DeckError("the file is UTF-16; save it as plain text", path=path)
     if b"\n" not in data and b"\r" in data.rstrip(b"\r"):
-        raise DeckError("its lines end with CR alone; save it with LF or CR LF", path=path)
+        raise DeckError(
+            "its lines end with CR alone; save it with LF or CR LF", path=path
+        )
     return data.removeprefix(b"\xef\xbb\xbf")
 
 
@@ -251,7 +267,8 @@ def load(path: str | Path) -> Deck:
         program = other_program(opened.read(65_536))  # its first lines say it
     if program:
         raise DeckError(
-            f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it", path=path
+            f"this is a deck of {program}; ringtrue reads decks of Nastran: convert it",
+            path=path,
         )
     reading = _Reading(path)
     reading.read(reading.main)
@@ -259,14 +276,19 @@ def load(path: str | Path) -> Deck:
     if lost := reading.left_out:
         more = f" ({len(lost) - 1} more like it)" if len(lost) > 1 else ""
         log.warning(
-            "%s%s; left out, as the executive control above CEND changes no model", lost[0], more
+            "%s%s; left out, as the executive control above CEND changes no model",
+            lost[0],
+            more,
         )
     raw = b"".join([*(p.data for p in reading.pieces), b" " * WIDTH])
     start, stop, file, line = _lines(reading.pieces, raw)
     sections = _sections(raw, start, path)
     first = sections[0].first
     top = (
-        tuple(raw[a:b].decode("latin-1") for a, b in zip(start[:first], stop[:first], strict=True))
+        tuple(
+            raw[a:b].decode("latin-1")
+            for a, b in zip(start[:first], stop[:first], strict=True)
+        )
         if first
         else ()
     )
@@ -299,7 +321,9 @@ def load(path: str | Path) -> Deck:
     return replace(main, parts=parts, unread=place)
 
 
-def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0) -> Iterator[int]:
+def _lines_of(
+    upper: bytes, word: bytes, stop: int | None = None, after: int = 0
+) -> Iterator[int]:
     """Where the lines begin that have nothing but blanks before `word`; a plain search is fast in
     large decks.
     """
@@ -313,12 +337,18 @@ def _lines_of(upper: bytes, word: bytes, stop: int | None = None, after: int = 0
 
 def _lines(pieces: list[_Piece], raw: bytes) -> tuple[Int, Int, Int, Int]:
     ends = np.flatnonzero(np.frombuffer(raw, dtype=np.uint8) == 10).astype(np.int64)
-    start = np.concatenate([[0], ends[:-1] + 1]) if ends.size else np.empty(0, dtype=np.int64)
+    start = (
+        np.concatenate([[0], ends[:-1] + 1])
+        if ends.size
+        else np.empty(0, dtype=np.int64)
+    )
     edges = np.cumsum([0, *(len(p.data) for p in pieces)])
     count = np.diff(np.searchsorted(ends, edges))
     file = np.repeat(np.array([p.file for p in pieces], dtype=np.int64), count)
     line = np.repeat(
-        np.array([p.first_line for p in pieces], dtype=np.int64) - (np.cumsum(count) - count), count
+        np.array([p.first_line for p in pieces], dtype=np.int64)
+        - (np.cumsum(count) - count),
+        count,
     )
     line = line + np.arange(ends.size)
     data = np.frombuffer(raw, dtype=np.uint8)
@@ -338,7 +368,9 @@ def _sections(raw: bytes, start: Int, path: Path) -> list[_Section]:
     """The sections of bulk data, the main one first."""
     upper = raw.upper()
     found = ((at, _BEGIN.match(upper, at)) for at in _lines_of(upper, b"BEGIN"))
-    begins = [(int(np.searchsorted(start, at)), m.group().rstrip()) for at, m in found if m]
+    begins = [
+        (int(np.searchsorted(start, at)), m.group().rstrip()) for at, m in found if m
+    ]
     others = [(at, text) for at, text in begins if re.search(rb"\bSUPER|\bAUX", text)]
     mains = [at for at, text in begins if re.search(rb"\bBULK\b|BEGIN\s*$", text)]
     mains = [at for at in mains if at not in dict(others)]
@@ -359,7 +391,9 @@ def _without_comments(raw: bytes, start: Int, stop: Int) -> Int:
     dollars = np.flatnonzero(np.frombuffer(raw, dtype=np.uint8) == 36).astype(np.int64)
     if not dollars.size:
         return stop
-    row, first = np.unique(np.searchsorted(start, dollars, side="right") - 1, return_index=True)
+    row, first = np.unique(
+        np.searchsorted(start, dollars, side="right") - 1, return_index=True
+    )
     out = stop.copy()
     out[row] = np.minimum(out[row], dollars[first])
     return out
@@ -393,7 +427,9 @@ def other_program(data: bytes) -> str:
     ''
     """
     lines = [line.strip() for line in data.upper().splitlines()]
-    lines = [line for line in lines if line and not line.startswith((b"$", b"**", b"!"))]
+    lines = [
+        line for line in lines if line and not line.startswith((b"$", b"**", b"!"))
+    ]
     if not lines:
         return ""
     keywords = [found[1].strip() for line in lines if (found := _KEYWORD.match(line))]

@@ -22,13 +22,21 @@ from ringtrue.decks.nastran.writer import format_card, format_field
 from ringtrue.errors import DeckError, InputError
 from ringtrue.io.files import atomic_write, one_run, reads, writes
 from ringtrue.model.cards import CARDS, columns
-from ringtrue.model.edit import BOTH_ENDS, FieldChange, field_value, ply_field, resolve_target
+from ringtrue.model.edit import (
+    BOTH_ENDS,
+    FieldChange,
+    field_value,
+    ply_field,
+    resolve_target,
+)
 from ringtrue.model.model import Model
 
 Place = tuple[int, int]  # file number, line from 1
 
 
-def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Path) -> list[Path]:
+def edit_fields(
+    model: Model, changes: Sequence[FieldChange], out_dir: str | Path
+) -> list[Path]:
     """Copy a deck with all its includes, changing only the characters of the given fields.
 
     A field keeps the format of its line (small, large, free); the value is written with the digits
@@ -62,7 +70,9 @@ def edit_fields(model: Model, changes: Sequence[FieldChange], out_dir: str | Pat
         masses = []
         for change in new:
             node = int(model["CONM2"]["G"][resolve_target(model, change)[0]])
-            masses.append(format_card("CONM2", [change.id, node, None, float(change.value)]))
+            masses.append(
+                format_card("CONM2", [change.id, node, None, float(change.value)])
+            )
         data[0] = _inserted(data[0], "".join(masses))
     return _write(files, data, Path(out_dir))
 
@@ -116,11 +126,15 @@ def _loaded(model: Model) -> tuple[Cards, list[Path], list[list[bytes]]]:
 
 def _files(model: Model) -> tuple[str, ...]:
     if not model.files:
-        raise InputError("this model was not read from a deck, so there is none to edit")
+        raise InputError(
+            "this model was not read from a deck, so there is none to edit"
+        )
     return model.files
 
 
-def add_cards(model: Model, file: str | Path, text: str, out_dir: str | Path) -> list[Path]:
+def add_cards(
+    model: Model, file: str | Path, text: str, out_dir: str | Path
+) -> list[Path]:
     """Copy a deck with cards added: before ENDDATA of `file` (one of `model.files`), at its end if
     it has none.
 
@@ -156,8 +170,12 @@ def unified_diff(old: Sequence[str | Path], new: Sequence[str | Path]) -> str:
         before = a.read_bytes()
         after = b.read_bytes()
         if before != after:
-            old_lines, new_lines = (x.decode("latin-1").splitlines() for x in (before, after))
-            parts += difflib.unified_diff(old_lines, new_lines, a.name, b.name, lineterm="")
+            old_lines, new_lines = (
+                x.decode("latin-1").splitlines() for x in (before, after)
+            )
+            parts += difflib.unified_diff(
+                old_lines, new_lines, a.name, b.name, lineterm=""
+            )
     return "\n".join(parts) + ("\n" if parts else "")
 
 
@@ -211,7 +229,8 @@ def _copies(files: Sequence[Path], data: Sequence[bytes], out_dir: Path) -> list
             found = load(home / files[0].relative_to(root)).files
         except DeckError as e:
             raise DeckError(
-                f"a copy of the deck would not find its INCLUDE files: {e}", path=files[0]
+                f"a copy of the deck would not find its INCLUDE files: {e}",
+                path=files[0],
             ) from e
         strangers = [f for f in found if not Path(f).is_relative_to(home)]
     if strangers:
@@ -319,26 +338,35 @@ def _scale_matrix(
     """Multiply the terms of a DMIG, those of the section of bulk data that its header is in."""
     every = found.named("DMIG")
     begins = np.sort([d.start[0] for d in found.deck.parts.values() if d.start.size])
-    section = np.searchsorted(begins, found.deck.start[found.raw_of[found.head]], side="right")
+    section = np.searchsorted(
+        begins, found.deck.start[found.raw_of[found.head]], side="right"
+    )
     name = found.fields(header)[0]
     for card in every[section[every] == section[header]].tolist():
         fields = found.fields(card)
         if fields[0] != name or fields[1] == b"0":
             continue
         if found.style[found.head[card]] == 4 or card in found.copied:
-            raise _refused(found, card, change, "it is written by replication (=): write it out")
+            raise _refused(
+                found, card, change, "it is written by replication (=): write it out"
+            )
         rows = found.raw_of[found.head[card] + np.arange(found.count[card])].tolist()
-        at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
+        at: list[Place] = [
+            (int(found.deck.file[r]), int(found.deck.line[r])) for r in rows
+        ]
         lines = [CardLine(contents[f][n - 1]) for f, n in at]
         for start, line, (f, n) in zip(starts_of(lines), lines, at, strict=False):
             for k in range(line.size):
-                place = start + k  # terms are points, components and two parts of the value
+                # terms are points, components and two parts of the value
+                place = start + k
                 if place >= 6 and place % 4 == 2 and fields[place]:
                     line.write(k, real(fields[place].decode()) * float(change.value))
             contents[f][n - 1] = line.whole
 
 
-def _edit_card(found: Cards, contents: Sequence[list[bytes]], group: _CardChanges) -> None:
+def _edit_card(
+    found: Cards, contents: Sequence[list[bytes]], group: _CardChanges
+) -> None:
     name = found.name[group.card].decode()
     rows = found.raw_of[found.head[group.card] + np.arange(found.count[group.card])]
     at: list[Place] = [(int(found.deck.file[r]), int(found.deck.line[r])) for r in rows]
@@ -353,14 +381,18 @@ def _edit_card(found: Cards, contents: Sequence[list[bytes]], group: _CardChange
             continue
         if place is None and name == "PBUSH":
             # the place of a field on a new line of a PBUSH, which gets the line's flag
-            write_value(lines, -(-starts_of(lines)[-1] // 8) * 8 + 1, bush_flag(change.field))
+            write_value(
+                lines, -(-starts_of(lines)[-1] // 8) * 8 + 1, bush_flag(change.field)
+            )
             place = field_place("PBUSH", texts_of(lines), change.id, change.field)
         if place is None:
             raise _refused(found, group.card, change, "the card has no place for it")
         follower = inherited(name, texts_of(lines), change.field)
         if follower and follower[1]:  # the next ply keeps what it has
             at_next, text = follower
-            write_value(lines, at_next, real(text) if change.field.startswith("T") else text)
+            write_value(
+                lines, at_next, real(text) if change.field.startswith("T") else text
+            )
         write_value(lines, place, _typed(change))
     for i, (f, n) in enumerate(at):
         contents[f][n - 1] = lines[i].whole
@@ -376,14 +408,20 @@ def _inherits(
 ) -> bool:
     """Whether a blank field of end B of a PBEAM follows end A, which gets the same value."""
     partner = next((a for a, b in BOTH_ENDS.items() if b == change.field), None)
-    if change.card != "PBEAM" or partner is None or given.get((change.id, partner)) != change.value:
+    if (
+        change.card != "PBEAM"
+        or partner is None
+        or given.get((change.id, partner)) != change.value
+    ):
         return False
     return place is None or not texts_of(lines)[place]
 
 
 def _typed(change: FieldChange) -> int | float | str:
     kinds = {s.name: s.kind for s in columns(change.card)}
-    kind = kinds.get(change.field) or kinds.get((ply_field(change.field) or ("",))[0], "i")
+    kind = kinds.get(change.field) or kinds.get(
+        (ply_field(change.field) or ("",))[0], "i"
+    )
     if kind == "f":
         return float(change.value)
     if kind == "i" and not isinstance(change.value, int | np.integer):
@@ -393,7 +431,8 @@ def _typed(change: FieldChange) -> int | float | str:
     return change.value
 
 
-_fields = lru_cache(maxsize=64)(split_line)  # a line is looked at some six times for each value
+# a line is looked at some six times for each value
+_fields = lru_cache(maxsize=64)(split_line)
 
 
 class CardLine:
@@ -418,7 +457,9 @@ class CardLine:
 
     @property
     def is_large(self) -> bool:
-        return b"*" in (self.text.split(b",")[0] if self.fields.style == "free" else self.text[:8])
+        return b"*" in (
+            self.text.split(b",")[0] if self.fields.style == "free" else self.text[:8]
+        )
 
     def write(self, k: int, value: int | float | str) -> None:
         """Write a value into data field `k` (from 0), with the digits that fit."""
@@ -496,8 +537,11 @@ def _set_fixed(line: CardLine, k: int, value: int | float | str, width: int) -> 
     new = format_field(value, width).encode()
     a, b = fields.spans[k]
     old = text[a:b]
-    new = new.ljust(width) if old[:1].strip() and old[-1:].isspace() else new.rjust(width)
-    reached = len(text[: fields.end].expandtabs(8))  # columns that the line has before a comment
+    new = (
+        new.ljust(width) if old[:1].strip() and old[-1:].isspace() else new.rjust(width)
+    )
+    # columns that the line has before a comment
+    reached = len(text[: fields.end].expandtabs(8))
     pad = b" " * max(8 + k * width - reached, 0)
     rest = text[b:]
     return text[:a] + pad + (new + rest if rest else new.rstrip())

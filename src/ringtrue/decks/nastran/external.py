@@ -23,7 +23,9 @@ from ringtrue.io.matrices import read_op4, write_op4
 from ringtrue.model.case_control import listed_dofs
 from ringtrue.model.model import Model, Ragged, Table, table
 
-_ASSIGN = re.compile(r"\s*ASSIGN\s+INPUTT4\s*=\s*['\"]([^'\"]+)['\"].*?\bUNIT\s*=\s*(\d+)", re.I)
+_ASSIGN = re.compile(
+    r"\s*ASSIGN\s+INPUTT4\s*=\s*['\"]([^'\"]+)['\"].*?\bUNIT\s*=\s*(\d+)", re.I
+)
 # as in punch files, or in the OUTPUT4 files of programs and versions
 _OP4_NAMES = {
     "KAAX": ("KAAX", "KAA", "KXX"),
@@ -57,14 +59,16 @@ def matrices_of_op4(model: Model, path: Path) -> Table:
     rows = listed_dofs(model, ("EXTRN",))
     if (np.diff(rows.key) <= 0).any():
         raise DeckError(
-            f"EXTRN must name points that rise, as the rows of {path.name} do", path=path
+            f"EXTRN must name points that rise, as the rows of {path.name} do",
+            path=path,
         )
     made = []
     for name, names in _OP4_NAMES.items():
         matrix = next((held[n] for n in names if n in held), None)
         if matrix is None and name == "KAAX":
             raise DeckError(
-                f"it holds {', '.join(held) or 'nothing'}, and no KAAX, KAA or KXX", path=path
+                f"it holds {', '.join(held) or 'nothing'}, and no KAAX, KAA or KXX",
+                path=path,
             )
         if matrix is None or not matrix.count_nonzero():
             continue
@@ -77,7 +81,9 @@ def matrices_of_op4(model: Model, path: Path) -> Table:
     return dmig_table(rows, made)
 
 
-def dmig_table(rows: DofSet, matrices: Sequence[tuple[str, Any_ | sparse.csr_array]]) -> Table:
+def dmig_table(
+    rows: DofSet, matrices: Sequence[tuple[str, Any_ | sparse.csr_array]]
+) -> Table:
     """Symmetric real matrices by name, (n, n) each over the same DOFs, as a table of DMIG."""
     lower = [sparse.coo_array(sparse.tril(sparse.csr_array(m))) for _, m in matrices]
     offsets = np.cumsum([0, *(m.nnz for m in lower)])
@@ -133,7 +139,9 @@ class ExternalPart(FrozenArrays):
         return 100 + self.number
 
 
-def write_part(part: ExternalPart, stem: str | Path, *, op4: bool = False) -> tuple[Path, ...]:
+def write_part(
+    part: ExternalPart, stem: str | Path, *, op4: bool = False
+) -> tuple[Path, ...]:
     """Write `stem`.asm and `stem`.pch: INCLUDE the one in the main bulk data of a deck, the other
     before its ENDDATA.
 
@@ -145,7 +153,9 @@ def write_part(part: ExternalPart, stem: str | Path, *, op4: bool = False) -> tu
         The matrices in `stem`.op4, in full precision, in place of DMIG in the punch file; the deck
         assigns it, as in ASSIGN INPUTT4='part.op4', UNIT=101.
     """
-    asm, pch, matrices = (Path(f"{stem}{ending}") for ending in (".asm", ".pch", ".op4"))
+    asm, pch, matrices = (
+        Path(f"{stem}{ending}") for ending in (".asm", ".pch", ".op4")
+    )
     written = (asm, pch, matrices) if op4 else (asm, pch)
     writes(*written)
     scalar = part.rows.node[part.rows.direction == 0].tolist()
@@ -153,10 +163,14 @@ def write_part(part: ExternalPart, stem: str | Path, *, op4: bool = False) -> tu
     joined = [i for point in (*ids, *scalar) for i in (point, point)]
     own = write_bulk(part.points)
     if scalar:
-        own += "".join(format_card("SPOINT", scalar[i : i + 8]) for i in range(0, len(scalar), 8))
+        own += "".join(
+            format_card("SPOINT", scalar[i : i + 8]) for i in range(0, len(scalar), 8)
+        )
     number = part.number
     medium = (
-        ["EXTOP4", None, "MANUAL", None, None, part.unit] if op4 else ["EXTERNAL", None, "MANUAL"]
+        ["EXTOP4", None, "MANUAL", None, None, part.unit]
+        if op4
+        else ["EXTERNAL", None, "MANUAL"]
     )
     main = format_card("SEBULK", [number, *medium])
     main += format_card("SECONCT", [number, 0, None, "NO", *[None] * 4, *joined])
@@ -164,7 +178,9 @@ def write_part(part: ExternalPart, stem: str | Path, *, op4: bool = False) -> tu
     components = {node: c for c, nodes in kept.items() for node in nodes}
     listed = [x for node, c in sorted(components.items()) for x in (node, c)]
     bulk = format_card("EXTRN", listed)
-    bulk += "".join(format_card("ASET1", [c, *nodes]) for c, nodes in kept.items()) + own
+    bulk += (
+        "".join(format_card("ASET1", [c, *nodes]) for c, nodes in kept.items()) + own
+    )
     named = {"KAAX": part.stiffness, "MAAX": part.mass}
     if op4:
         write_op4(matrices, named)

@@ -21,7 +21,9 @@ from ringtrue.model.model import Ragged, Table
 
 _POWERS = 10.0 ** np.arange(23)
 _BLOCK = 65_536
-_REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d+)|[ED](\d+))?", re.I | re.A)
+_REAL = re.compile(
+    r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d+)|[ED](\d+))?", re.I | re.A
+)
 _TOKEN = re.compile(rb"[^ \t]+")
 _PLUS, _MINUS, _DOT, _E, _D = b"+-.ED"
 
@@ -35,7 +37,8 @@ def characters(cells: NDArray[np.bytes_]) -> NDArray[np.uint8]:
 def _decimal(c: NDArray[np.uint8], use: Bool) -> Int:
     """The integer spelled by the digits chosen in each column of (width, n), (n,)."""
     value = np.zeros(c.shape[1], dtype=np.int64)
-    for digit, chosen in zip(c, use, strict=True):  # over the 8 or 16 characters of a field
+    # over the 8 or 16 characters of a field
+    for digit, chosen in zip(c, use, strict=True):
         value = np.where(chosen, value * 10 + (digit - np.uint8(48)), value)
     return value
 
@@ -90,13 +93,19 @@ def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool
     sign = (c == _PLUS) | (c == _MINUS)
     letter = (c == _E) | (c == _D)
     dot = c == _DOT
-    mark = letter.copy()  # where the exponent begins: a letter, or a sign that no letter precedes
+    # where the exponent begins: a letter, or a sign that no letter precedes
+    mark = letter.copy()
     mark[1:] |= sign[1:] & ~letter[:-1]
     tail = np.logical_or.accumulate(mark, axis=0)
     head = ~tail
     count = (digit & head).sum(axis=0)
     wild = ~(digit | sign | letter | dot | (c == 0))
-    good = ~wild.any(axis=0) & (count > 0) & (mark.sum(axis=0) <= 1) & (dot.sum(axis=0) <= 1)
+    good = (
+        ~wild.any(axis=0)
+        & (count > 0)
+        & (mark.sum(axis=0) <= 1)
+        & (dot.sum(axis=0) <= 1)
+    )
     good &= ~(dot & tail).any(axis=0) & ((digit & tail).any(axis=0) == mark.any(axis=0))
     fraction = (digit & head & np.logical_or.accumulate(dot, axis=0)).sum(axis=0)
     power = np.zeros(count.size, dtype=np.int64)
@@ -109,7 +118,8 @@ def _reals(cells: NDArray[np.bytes_], c: NDArray[np.uint8]) -> tuple[Float, Bool
     scale = _POWERS[abs(np.where(exact, power, 0))]
     value = np.where(power < 0, value / scale, value * scale)
     value = np.where(c[0] == _MINUS, -value, value)
-    for i in np.flatnonzero(good & ~exact).tolist():  # rare: more digits than a double holds
+    # rare: more digits than a double holds
+    for i in np.flatnonzero(good & ~exact).tolist():
         try:
             value[i] = real(cells[i].decode("latin-1"))
         except ValueError:  # a zero byte among the digits
@@ -132,7 +142,9 @@ def is_real(cells: NDArray[np.bytes_]) -> Bool:
     given = np.flatnonzero(cells != b"")
     for at, c in _blocks(cells[given]):
         inner = (c[1:] == _PLUS) | (c[1:] == _MINUS)
-        out[given[at]] = ((c == _DOT) | (c == _E) | (c == _D)).any(axis=0) | inner.any(axis=0)
+        out[given[at]] = ((c == _DOT) | (c == _E) | (c == _D)).any(axis=0) | inner.any(
+            axis=0
+        )
     return out
 
 
@@ -171,9 +183,13 @@ def split_line(line: bytes) -> LineFields:
         parts = [(a + 1, b) for a, b in pairwise([-1, *cuts(data), len(data)])]
         first = data[parts[0][0] : parts[0][1]].strip().upper()
         large = b"*" in first
-        return LineFields("free", _name(first), tuple(parts[1 : 5 if large else 9]), end)
+        return LineFields(
+            "free", _name(first), tuple(parts[1 : 5 if large else 9]), end
+        )
     columns = _columns(data)
-    first = bytes(b for b, at in zip(data, columns, strict=True) if at < 8).strip().upper()
+    first = (
+        bytes(b for b, at in zip(data, columns, strict=True) if at < 8).strip().upper()
+    )
     width = 16 if b"*" in first else 8
     edges = [bisect_left(columns, 8 + k * width) for k in range(64 // width + 1)]
     spans = tuple(pairwise(edges))
@@ -185,7 +201,11 @@ def cuts(line: bytes) -> list[int]:
     2.
     """
     commas = [i for i, b in enumerate(line) if b == 44]
-    begins = [found.start() for found in _TOKEN.finditer(line[: commas[0]])] if commas else []
+    begins = (
+        [found.start() for found in _TOKEN.finditer(line[: commas[0]])]
+        if commas
+        else []
+    )
     if len(begins) != 2 or line[begins[0]] in b"+*":
         return commas
     return [begins[1] - 1, *commas]
@@ -239,7 +259,9 @@ class Reader:
 
     def fail(self, name: str, why: str) -> DeckError:
         c = self.card
-        return DeckError(why, path=self.files[c.file], line=c.line, card=c.name, field=name)
+        return DeckError(
+            why, path=self.files[c.file], line=c.line, card=c.name, field=name
+        )
 
     def unsupported(self, why: str) -> UnsupportedCard:
         c = self.card
@@ -273,11 +295,15 @@ class Reader:
                 at = at[2:]
             if last < first or step < 1:
                 got = f"{first} THRU {last} BY {step}"
-                raise self.fail(name, f"a THRU b BY c needs a <= b and c >= 1, got {got}")
+                raise self.fail(
+                    name, f"a THRU b BY c needs a <= b and c >= 1, got {got}"
+                )
             if there is None:
                 out += range(first, last + 1, step)
             else:
-                inside = (there >= first) & (there <= last) & ((there - first) % step == 0)
+                inside = (
+                    (there >= first) & (there <= last) & ((there - first) % step == 0)
+                )
                 out += there[inside].tolist()
         return out
 
@@ -291,8 +317,14 @@ class Reader:
             raise self.fail(name, f"{t!r} is not a real") from None
 
 
-Row = Mapping[str, Any]  # values by the names of `model.cards`, lists for ragged columns
-_DTYPES: Mapping[str, Any] = {"i": np.int64, "f": np.float64, "s": np.str_, "c": np.str_}
+# values by the names of `model.cards`, lists for ragged columns
+Row = Mapping[str, Any]
+_DTYPES: Mapping[str, Any] = {
+    "i": np.int64,
+    "f": np.float64,
+    "s": np.str_,
+    "c": np.str_,
+}
 
 
 def table_of_rows(card: str, rows: Sequence[tuple[Card, Row]]) -> Table:
@@ -315,7 +347,9 @@ def table_of_rows(card: str, rows: Sequence[tuple[Card, Row]]) -> Table:
 
 def ragged(rows: Sequence[Sequence[Any]], dtype: Any) -> Ragged:
     values = [v for r in rows for v in r]
-    return Ragged(np.array(values, dtype=dtype), np.cumsum([0, *map(len, rows)]).astype(np.int64))
+    return Ragged(
+        np.array(values, dtype=dtype), np.cumsum([0, *map(len, rows)]).astype(np.int64)
+    )
 
 
 BLOCK = 65_536  # lines at a time: the temporaries stay in the cache
@@ -351,7 +385,11 @@ class FreeLines:
         count = self.count[rows]
         first = self.first[rows]
         stop = self.deck.stop[rows]
-        begin = self.deck.start[rows] if k == 0 else self.comma[np.minimum(first + k - 1, last)] + 1
+        begin = (
+            self.deck.start[rows]
+            if k == 0
+            else self.comma[np.minimum(first + k - 1, last)] + 1
+        )
         end = np.where(k < count, self.comma[np.minimum(first + k, last)], stop)
         there = k <= count
         return np.where(there, begin, stop), np.where(there, end, stop)
@@ -378,7 +416,9 @@ class FreeLines:
         blocks = []
         for a in range(0, rows.size, BLOCK):
             at = rows[a : a + BLOCK]
-            blocks.append(np.stack([self.field(at, k) for k in range(1, _LINE + 1)], axis=1))
+            blocks.append(
+                np.stack([self.field(at, k) for k in range(1, _LINE + 1)], axis=1)
+            )
         return np.concatenate(blocks)
 
 
@@ -410,7 +450,9 @@ def _blanks(lines: FreeLines) -> list[int]:
     for a in range(0, rows.size, BLOCK):
         at = rows[a : a + BLOCK]
         first = lines.field(at, 0)
-        inside = (np.strings.find(first, b" ") >= 0) | (np.strings.find(first, b"\t") >= 0)
+        inside = (np.strings.find(first, b" ") >= 0) | (
+            np.strings.find(first, b"\t") >= 0
+        )
         for row in at[inside].tolist():  # rare
             begin = int(lines.deck.start[row])
             line = lines.deck.raw[begin : int(lines.deck.stop[row])]

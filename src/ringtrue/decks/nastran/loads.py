@@ -17,7 +17,9 @@ from ringtrue.errors import DeckError, UnsupportedCard
 from ringtrue.model.cards import PRELOADS
 
 log = logging.getLogger(__name__)
-LINE_KINDS = tuple(f"{what}{axis}{own}" for own in ("", "E") for what in "FM" for axis in "XYZ")
+LINE_KINDS = tuple(
+    f"{what}{axis}{own}" for own in ("", "E") for what in "FM" for axis in "XYZ"
+)
 LINE_SCALES = ("LE", "FR", "LEPR", "FRPR")
 Vector = tuple[float, float, float]
 
@@ -152,10 +154,14 @@ def load_cases(found: Cards, parts: Sequence[PartCards] = ()) -> tuple[LoadCase,
         If a set has loads of other cards, such as ACCEL1 or RFORCE.
     """
     if not (asked := load_sets(found.deck.top)):
-        raise DeckError("case control has no LOAD: give one, or --force", path=found.deck.files[0])
+        raise DeckError(
+            "case control has no LOAD: give one, or --force", path=found.deck.files[0]
+        )
     for part in parts:
         if alone := [
-            name for name, of in load_sets(part.cards.deck.top) if (name, of) not in asked
+            name
+            for name, of in load_sets(part.cards.deck.top)
+            if (name, of) not in asked
         ]:
             raise DeckError(
                 f"{alone[0]} loads a superelement alone: give loads in subcases without SUPER",
@@ -174,7 +180,9 @@ def load_cases(found: Cards, parts: Sequence[PartCards] = ()) -> tuple[LoadCase,
     return tuple(out)
 
 
-def _of_sections(found: Cards, parts: Sequence[PartCards], number: int) -> tuple[AnyLoad, ...]:
+def _of_sections(
+    found: Cards, parts: Sequence[PartCards], number: int
+) -> tuple[AnyLoad, ...]:
     """The loads of a set in the main bulk data and in those of all parts; gravity counts once."""
     if not parts:
         return _of_set(found, number)
@@ -187,13 +195,18 @@ def _of_sections(found: Cards, parts: Sequence[PartCards], number: int) -> tuple
             loads = ()
         gravity.append([ld for ld in loads if _is_gravity(ld)])
         out += [_placed(ld, part.numbers) for ld in loads if not _is_gravity(ld)]
-    if any(own != gravity[1] for own in gravity[2:]) or gravity[0] not in ([], gravity[1]):
+    if any(own != gravity[1] for own in gravity[2:]) or gravity[0] not in (
+        [],
+        gravity[1],
+    ):
         raise DeckError(
             f"load set {number}: GRAV acts on some parts only: give it in the bulk data of each",
             path=found.deck.files[0],
         )
     if not (out or gravity[1]):
-        raise _AbsentSet(f"load set {number} is not in the deck", path=found.deck.files[0])
+        raise _AbsentSet(
+            f"load set {number} is not in the deck", path=found.deck.files[0]
+        )
     return (*out, *gravity[1])
 
 
@@ -203,7 +216,9 @@ def _is_gravity(load: AnyLoad) -> bool:
 
 def _placed(load: AnyLoad, numbers: Mapping[str, Numbers]) -> AnyLoad:
     """A load by the numbers that its points, frames and elements have in the whole."""
-    points, frames, elements = (numbers.get(k, {}) for k in ("point", "frame", "element"))
+    points, frames, elements = (
+        numbers.get(k, {}) for k in ("point", "frame", "element")
+    )
     if isinstance(load, Load):
         ends = tuple(points.get(p, p) for p in load.ends)
         node = points.get(load.node, load.node)
@@ -242,16 +257,21 @@ def _alone(found: Cards, number: int) -> tuple[AnyLoad, ...]:
     for name in (n.decode() for n in found.kinds()[0].tolist()):
         if name == "LOAD" or name.startswith("TEMP") or not name.startswith(PRELOADS):
             continue
-        for c in written_out(found, name):  # over the loads, which are fewer than the elements
+        # over the loads, which are fewer than the elements
+        for c in written_out(found, name):
             r = Reader(c, found.deck.files)
             if r.text(0) != str(number):
                 continue
             if name not in _READ:
                 why = f"of a static load, {', '.join(_READ)} are read"
-                raise UnsupportedCard(name, path=found.deck.files[c.file], line=c.line, why=why)
+                raise UnsupportedCard(
+                    name, path=found.deck.files[c.file], line=c.line, why=why
+                )
             out += _READ[name](r)
     if not out:
-        raise _AbsentSet(f"load set {number} is not in the deck", path=found.deck.files[0])
+        raise _AbsentSet(
+            f"load set {number} is not in the deck", path=found.deck.files[0]
+        )
     return tuple(out)
 
 
@@ -271,12 +291,18 @@ def _force(r: Reader) -> list[AnyLoad]:
     at = 1 if r.card.name == "GRAV" else 2
     node = 0 if at == 1 else _node(r)
     cid = r.whole(at, "CID", 0)
-    return [Load(r.card.name, node, cid, _vector(r, at + 2)).times(r.real(at + 1, "the size", 0.0))]
+    return [
+        Load(r.card.name, node, cid, _vector(r, at + 2)).times(
+            r.real(at + 1, "the size", 0.0)
+        )
+    ]
 
 
 def _between(r: Reader) -> list[AnyLoad]:
     """FORCE1 and MOMENT1: SID G F G1 G2; FORCE2 and MOMENT2: SID G F G1 G2 G3 G4."""
-    ends = tuple(r.whole(i, f"G{i - 2}") for i in range(3, 7 if r.card.name.endswith("2") else 5))
+    ends = tuple(
+        r.whole(i, f"G{i - 2}") for i in range(3, 7 if r.card.name.endswith("2") else 5)
+    )
     return [Load(r.card.name[:-1], _node(r), 0, (r.real(2, "F"), 0.0, 0.0), ends)]
 
 
@@ -307,7 +333,9 @@ def _pload2(r: Reader) -> list[AnyLoad]:
     if r.text(3).upper() == "THRU":
         ranges = [(r.whole(2, "EID1"), r.whole(4, "EID2"))]
     else:
-        ranges = [(r.whole(i, "EID"),) * 2 for i in range(2, len(r.card.fields)) if r.text(i)]
+        ranges = [
+            (r.whole(i, "EID"),) * 2 for i in range(2, len(r.card.fields)) if r.text(i)
+        ]
     return [Pressure("PLOAD2", _place(r), size, a, b) for a, b in ranges]
 
 
@@ -324,7 +352,9 @@ def _pload4(r: Reader) -> list[AnyLoad]:
     )
     vector = _vector(r, 9) if any(r.text(i) for i in (9, 10, 11)) else None
     if r.text(12).upper() not in ("", "SURF") or r.text(13).upper() not in ("", "NORM"):
-        raise r.fail("SORL", "loads along edges (LINE) and LDIR are not read; give FORCE")
+        raise r.fail(
+            "SORL", "loads along edges (LINE) and LDIR are not read; give FORCE"
+        )
     if vector is not None and not np.any(vector):
         raise r.fail("N1", "a direction without length")
     pressure = Pressure(
@@ -347,7 +377,9 @@ def _pload1(r: Reader) -> list[AnyLoad]:
     if kind not in LINE_KINDS:
         raise r.fail("TYPE", f"{kind or 'blank'}; allowed are {' '.join(LINE_KINDS)}")
     if scale not in LINE_SCALES:
-        raise r.fail("SCALE", f"{scale or 'blank'}; allowed are {' '.join(LINE_SCALES)}")
+        raise r.fail(
+            "SCALE", f"{scale or 'blank'}; allowed are {' '.join(LINE_SCALES)}"
+        )
     first = r.real(4, "X1")
     size = r.real(5, "P1")
     single = not r.text(6)
@@ -357,7 +389,9 @@ def _pload1(r: Reader) -> list[AnyLoad]:
     single = single or last == first
     projected = scale.endswith("PR")
     if projected and not single and (kind.endswith("E") or kind[0] == "M"):
-        raise r.fail("SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}")
+        raise r.fail(
+            "SCALE", f"{scale} is read with FX, FY and FZ; for {kind} give {scale[:2]}"
+        )
     sizes = (size, size if single else r.real(7, "P2", 0.0))
     eid = r.whole(1, "EID")
     load = LineLoad(

@@ -168,7 +168,9 @@ def joined(sections: Sequence[BulkSection], op4: Mapping[int, Path]) -> Joined:
             tables[name] = stacked(tables[name], table) if name in tables else table
     tables |= _points(made, kinds)
     if "DMIG" in tables:
-        tables["DMIG"] = tables["DMIG"].with_column("ID", np.arange(1, len(tables["DMIG"]) + 1))
+        tables["DMIG"] = tables["DMIG"].with_column(
+            "ID", np.arange(1, len(tables["DMIG"]) + 1)
+        )
     stiffness, mass, damping = (_matrices(sections, kinds, *of) for of in _EXTERNAL)
     case = replace(
         residual.case,
@@ -259,10 +261,14 @@ def _with_matrices(
             path=where,
         )
     matrices = matrices_of_op4(model, op4[kind.unit])
-    return BulkSection(section.number, replace(model, tables={**model.tables, "DMIG": matrices}))
+    return BulkSection(
+        section.number, replace(model, tables={**model.tables, "DMIG": matrices})
+    )
 
 
-def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> list[Int]:
+def _joints(
+    sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind]
+) -> list[Int]:
     """Which joint each point of each section belongs to: points of one number are one point."""
     first = np.cumsum([0, *(s.points.size for s in sections)])
     place = {s.number: i for i, s in enumerate(sections)}
@@ -280,7 +286,9 @@ def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> 
             points = sections[place[number]].points
             ids = table.ragged(f"GID{side}").row(row)
             order = np.argsort(points)
-            found = order[np.searchsorted(points, ids, sorter=order).clip(max=points.size - 1)]
+            found = order[
+                np.searchsorted(points, ids, sorter=order).clip(max=points.size - 1)
+            ]
             if (lost := points[found] != ids).any():
                 why = f"superelement {number} has no point {ids[lost][0]}"
                 raise card_error(sections[0].model, table, row, why)
@@ -290,13 +298,18 @@ def _joints(sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> 
         if kind.automatic and "GRID" in sections[place[number]].model:
             pairs += _coincident(sections, place[number], first, kinds)
     edges = np.concatenate(pairs)
-    graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(first[-1], first[-1]))
+    graph = sparse.coo_array(
+        (np.ones(len(edges)), edges.T), shape=(first[-1], first[-1])
+    )
     label = connected_components(graph, directed=False)[1].astype(np.int64)
     return np.split(label, first[1:-1])
 
 
 def _coincident(
-    sections: Sequence[BulkSection], part: int, first: Int, kinds: Mapping[int, _PartKind]
+    sections: Sequence[BulkSection],
+    part: int,
+    first: Int,
+    kinds: Mapping[int, _PartKind],
 ) -> list[Int]:
     """Pairs of points of a part and those of other sections at the same place."""
     mine = KDTree(positions(sections[part].model))
@@ -308,7 +321,9 @@ def _coincident(
             continue
         theirs = KDTree(positions(section.model))
         near = mine.sparse_distance_matrix(theirs, tolerance, output_type="ndarray")
-        out.append(np.stack([first[part] + near["i"], first[other] + near["j"]], axis=1))
+        out.append(
+            np.stack([first[part] + near["i"], first[other] + near["j"]], axis=1)
+        )
     return out
 
 
@@ -330,7 +345,11 @@ def _numbers(
         ids = {"point": section.points.tolist()}
         for table in _numbered(section.model):
             ids.setdefault(kind_of(table.card), []).extend(table.ids.tolist())
-        new = [p for p, j in zip(ids["point"], joint.tolist(), strict=True) if j not in place]
+        new = [
+            p
+            for p, j in zip(ids["point"], joint.tolist(), strict=True)
+            if j not in place
+        ]
         maps: dict[str, Numbers] = {}
         moved = []
         for kind, numbers in ids.items():
@@ -392,7 +411,11 @@ def _renumbered(section: BulkSection, numbers: Mapping[str, Numbers]) -> BulkSec
         return section
     model = section.model
     tables = dict(model.tables)
-    others = {kind: new for kind, new in numbers.items() if kind in ("element", "property") and new}
+    others = {
+        kind: new
+        for kind, new in numbers.items()
+        if kind in ("element", "property") and new
+    }
     if others and (named := [card for card in _BY_NUMBER if card in model]):
         why = (
             f"superelement {section.number} numbers elements or properties as another part does, "
@@ -421,14 +444,18 @@ def _changed(table: Table, name: str, numbers: Numbers) -> Table:
 
 
 def _refuse_distant(
-    given: Sequence[BulkSection], made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]
+    given: Sequence[BulkSection],
+    made: Sequence[BulkSection],
+    kinds: Mapping[int, _PartKind],
 ) -> None:
     """Refuse joined points that do not lie at one place, or whose displacement frames differ."""
     first: dict[int, tuple[int, Float, Float]] = {}
     tolerance = {0: 0.0, **{n: k.tolerance for n, k in kinds.items()}}
     table = given[0].model.tables.get("SECONCT")
     if table is not None:
-        for number, tol in zip(table["SEIDA"].tolist(), table["TOL"].tolist(), strict=True):
+        for number, tol in zip(
+            table["SEIDA"].tolist(), table["TOL"].tolist(), strict=True
+        ):
             tolerance[number] = max(tolerance[number], tol)
     grids = [s.model["GRID"].ids for s in made if "GRID" in s.model]
     ids, count = np.unique(
@@ -442,7 +469,8 @@ def _refuse_distant(
         rows = np.flatnonzero(np.isin(new, ids[count > 1]))
         xyz = positions(before.model)[rows]
         cd = axes(before.model, grid["CD"][rows], xyz)
-        for row, x, frame in zip(rows.tolist(), xyz, cd, strict=True):  # of the boundary
+        # of the boundary
+        for row, x, frame in zip(rows.tolist(), xyz, cd, strict=True):
             mine = (section.number, x, frame)
             other, x0, frame0 = first.setdefault(int(new[row]), mine)
             where = f"it is joined to a point of superelement {other}"
@@ -467,7 +495,8 @@ def _own_tables(section: BulkSection, common: Mapping[str, int]) -> dict[str, Ta
     if section.number and mass:
         path, line = model.place(model[mass[0]], 0)
         why = (
-            f"lists of non-structural mass in superelement {section.number}: give NSM of properties"
+            f"lists of non-structural mass in superelement {section.number}: give "
+            "NSM of properties"
         )
         raise UnsupportedCard(mass[0], path=path, line=line, why=why)
     gone = {*NODES, "SEBULK", "SECONCT", "EXTRN"}
@@ -482,7 +511,9 @@ def _own_tables(section: BulkSection, common: Mapping[str, int]) -> dict[str, Ta
             kept = tables[card].take(rows)
             tables[card] = kept.with_column("SID", np.full(rows.size, common[kind]))
     if section.number and "DMIG" in tables:
-        names = [_named(name, section.number) for name in tables["DMIG"]["NAME"].tolist()]
+        names = [
+            _named(name, section.number) for name in tables["DMIG"]["NAME"].tolist()
+        ]
         tables["DMIG"] = tables["DMIG"].with_column("NAME", np.array(names))
     return {name: table for name, table in tables.items() if len(table)}
 
@@ -492,7 +523,9 @@ def _named(matrix: str, number: int) -> str:
     return f"{matrix.upper()}@{number}"
 
 
-def _points(made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> dict[str, Table]:
+def _points(
+    made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]
+) -> dict[str, Table]:
     """GRID and SPOINT, joined ones once: of the section that comes first, held as in any of them.
 
     SEID is the part that a point is in the interior of.
@@ -512,7 +545,8 @@ def _points(made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> dict
     _, first, which = np.unique(table.ids, return_index=True, return_inverse=True)
     held = table["PS"].astype("U6")
     seid = table["SEID"].copy()
-    for row in np.flatnonzero(first[which] != np.arange(which.size)).tolist():  # the joined ones
+    # the joined ones
+    for row in np.flatnonzero(first[which] != np.arange(which.size)).tolist():
         keeper = first[which[row]]
         held[keeper] = "".join(sorted({*held[keeper], *held[row]}))
         seid[keeper] = 0
@@ -528,7 +562,10 @@ def _points(made: Sequence[BulkSection], kinds: Mapping[int, _PartKind]) -> dict
 
 
 def _matrices(
-    sections: Sequence[BulkSection], kinds: Mapping[int, _PartKind], command: str, written: str
+    sections: Sequence[BulkSection],
+    kinds: Mapping[int, _PartKind],
+    command: str,
+    written: str,
 ) -> tuple[tuple[float, str], ...]:
     """The terms of K2GG or its like: those that case control takes, and that of each external
     superelement.
@@ -539,7 +576,11 @@ def _matrices(
         if "DMIG" not in section.model:
             continue
         have = np.char.upper(section.model["DMIG"]["NAME"].astype(str)).tolist()
-        own = [(f, name) for f, name in getattr(section.model.case, command) if name in have]
+        own = [
+            (f, name)
+            for f, name in getattr(section.model.case, command)
+            if name in have
+        ]
         if kinds[section.number].external and not own:
             suffixed = f"{written[0]}{section.number}"  # DMIGSFIX=EXTID
             own = [(1.0, name) for name in (written, suffixed) if name in have]
@@ -556,7 +597,10 @@ def _matrices(
     table = sections[0].model.tables.get("DMIG")
     mine = np.char.upper(table["NAME"].astype(str)).tolist() if table else []
     asked = getattr(sections[0].model.case, command)
-    return (*((f, name) for f, name in asked if name in mine or name not in taken), *terms)
+    return (
+        *((f, name) for f, name in asked if name in mine or name not in taken),
+        *terms,
+    )
 
 
 def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
@@ -568,7 +612,9 @@ def _params(sections: Sequence[BulkSection]) -> dict[str, int | float | str]:
     for name, default in _OF_MATRICES.items():
         values = {s.number: s.model.param(name, default) for s in with_mesh}
         if len(set(values.values())) > 1:
-            found = ", ".join(f"{value:g} in superelement {n}" for n, value in values.items())
+            found = ", ".join(
+                f"{value:g} in superelement {n}" for n, value in values.items()
+            )
             raise DeckError(
                 f"PARAM,{name} is {found}: give all the same",
                 path=sections[0].model.files[0],

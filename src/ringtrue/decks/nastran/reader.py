@@ -41,7 +41,14 @@ from ringtrue.decks.nastran.tables import (
     written_out,
 )
 from ringtrue.errors import DeckError, UnsupportedCard
-from ringtrue.model.cards import CARDS, MADE, NONSTRUCTURAL, columns, is_unsupported, reason
+from ringtrue.model.cards import (
+    CARDS,
+    MADE,
+    NONSTRUCTURAL,
+    columns,
+    is_unsupported,
+    reason,
+)
 from ringtrue.model.case_control import ModalDamping, idle, left_out
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import Missing, missing
@@ -55,7 +62,8 @@ _SHARED_IDS = frozenset(  # several cards of one id belong together
 )
 # a THRU passes over points that are not there
 _OF_POINTS_THERE = ("SPC1", "ASET1", "OMIT1", "QSET1")
-_ONE_NUMBER = (  # cards that share their numbers: a field that names one does not say of which card
+# cards that share their numbers: a field that names one does not say of which card
+_ONE_NUMBER = (
     ("MAT1", "MAT2", "MAT8", "MAT9"),
     ("PSHELL", "PCOMP", "PCOMPG"),
     ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S"),
@@ -129,13 +137,18 @@ def _sections(deck: Deck) -> dict[int, Deck]:
     if not deck.parts:
         return {0: deck}
     every = {0: deck, **deck.parts}
-    return {n: replace(d, top=of_superelement(deck.top, n), parts={}) for n, d in every.items()}
+    return {
+        n: replace(d, top=of_superelement(deck.top, n), parts={})
+        for n, d in every.items()
+    }
 
 
 def _read(deck: Deck) -> _ReadDeck:
     if deck.unread:
         file, line = deck.unread
-        raise UnsupportedCard("BEGIN", path=deck.files[file], line=line, why=reason("BEGIN"))
+        raise UnsupportedCard(
+            "BEGIN", path=deck.files[file], line=line, why=reason("BEGIN")
+        )
     every = {number: cards(d) for number, d in _sections(deck).items()}
     models = {number: _section(found) for number, found in every.items()}
     found = _ReadDeck(models[0], every)
@@ -205,7 +218,9 @@ def survey(path: str | Path) -> Survey:
     sections = []
     for number, part in _sections(deck).items():
         found = cards(part)
-        stopping = {name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)}
+        stopping = {
+            name: "{}:{}".format(*found.place(at)) for at, name in _stopping(found)
+        }
         if deck.unread and not number:
             stopping["BEGIN"] = f"{deck.files[deck.unread[0]]}:{deck.unread[1]}"
         refused = {
@@ -213,8 +228,12 @@ def survey(path: str | Path) -> Survey:
             for card, place in stopping.items()
         }
         model, skipped = _model(found)
-        refused |= {card: f"{at[0]}:{at[1]}: {why}" for card, (why, at) in skipped.items()}
-        own = [_dangling(model, f) for f in missing(model, _foreign_ids(found, refused))]
+        refused |= {
+            card: f"{at[0]}:{at[1]}: {why}" for card, (why, at) in skipped.items()
+        }
+        own = [
+            _dangling(model, f) for f in missing(model, _foreign_ids(found, refused))
+        ]
         own += [*unclear_sets(model, chosen=bool(deck.top)), *_misnamed(model)]
         own += [] if own else open_bushes(model)
         names, _, count = found.kinds()
@@ -235,14 +254,21 @@ def survey(path: str | Path) -> Survey:
 def _stopping(found: Cards) -> list[tuple[int, str]]:
     """The first card of each name that must not be passed over, in order."""
     names, first, _ = found.kinds()
-    more = stiffening(found.deck.top)  # beginnings of names that case control makes count
+    # beginnings of names that case control makes count
+    more = stiffening(found.deck.top)
     out = []
-    for at, name in zip(first.tolist(), (n.decode() for n in names.tolist()), strict=True):
+    for at, name in zip(
+        first.tolist(), (n.decode() for n in names.tolist()), strict=True
+    ):
         stops = is_unsupported(name) or name[0] == "/" or name.startswith(more)
         if stops and name not in SPECIAL:
             out.append((at, name))
     # MSC's; NX lists elements
-    cut = [(at, "BOLT") for at in found.named("BOLT").tolist() if b"TOP" in found.fields(at)]
+    cut = [
+        (at, "BOLT")
+        for at in found.named("BOLT").tolist()
+        if b"TOP" in found.fields(at)
+    ]
     return sorted([*out, *cut[:1]])
 
 
@@ -256,7 +282,17 @@ def _foreign_ids(found: Cards, unsupported: Collection[str]) -> dict[str, set[in
         if name.startswith(("P", "MAT")):
             for _, cells in found.cells(name):
                 ids |= {int(c) for c in cells[:, 0].tolist() if c.isdigit()}
-    for card in ("PSHELL", "PCOMP", "PBAR", "PBEAM", "PSOLID", "PROD", "PBUSH", "PELAS", "MAT1"):
+    for card in (
+        "PSHELL",
+        "PCOMP",
+        "PBAR",
+        "PBEAM",
+        "PSOLID",
+        "PROD",
+        "PBUSH",
+        "PELAS",
+        "MAT1",
+    ):
         out[card] = ids
     return out
 
@@ -268,8 +304,11 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     tables: dict[str, Table] = {}
     kept: dict[str, int] = {}
     skipped: dict[str, tuple[str, tuple[str, int]]] = {}
-    for name, n in zip((x.decode() for x in names.tolist()), count.tolist(), strict=True):
-        if name in NONSTRUCTURAL and not case.nsm:  # counts only where case control chooses it
+    for name, n in zip(
+        (x.decode() for x in names.tolist()), count.tolist(), strict=True
+    ):
+        # counts only where case control chooses it
+        if name in NONSTRUCTURAL and not case.nsm:
             kept[name] = n
         elif name in CARDS and name not in SPECIAL and name not in _OF_POINTS_THERE:
             tables[name] = make_table(found, name)
@@ -279,7 +318,9 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
             except UnsupportedCard as e:
                 skipped[name] = (e.why, (str(e.path), e.line or 0))
                 continue
-            tables[made.card] = stacked(tables[made.card], made) if made.card in tables else made
+            tables[made.card] = (
+                stacked(tables[made.card], made) if made.card in tables else made
+            )
             if name in MADE:
                 tables[name] = dimensions(written_out(found, name), found.deck.files)
         elif name not in DEFAULTS and name not in ("PARAM", *_OF_POINTS_THERE):
@@ -300,10 +341,15 @@ def _model(found: Cards) -> tuple[Model, dict[str, tuple[str, tuple[str, int]]]]
     for name in _OF_POINTS_THERE:
         if name.encode() in names:
             tables[name] = make_table(found, name, there)
-    tables = {n: t if n in _SHARED_IDS else _unique(t, found.deck.files) for n, t in tables.items()}
+    tables = {
+        n: t if n in _SHARED_IDS else _unique(t, found.deck.files)
+        for n, t in tables.items()
+    }
     refuse_magnitudes(tables.values(), found.deck.files)
     for group in _ONE_NUMBER:
-        _refuse_shared([tables[card] for card in group if card in tables], found.deck.files)
+        _refuse_shared(
+            [tables[card] for card in group if card in tables], found.deck.files
+        )
     case = case if found.deck.top else only_sets(case, tables)
     return Model(tables, _params(found), case, found.deck.files, kept), skipped
 
@@ -341,7 +387,9 @@ def _unique(table: Table, files: tuple[str, ...]) -> Table:
     if again.size:
         raise _twice(table, int(again[0]), table, int(first[inverse[again[0]]]), files)
     keep = np.sort(first)
-    columns: dict[str, Any_ | Ragged] = {name: table[name][keep] for name in table.columns}
+    columns: dict[str, Any_ | Ragged] = {
+        name: table[name][keep] for name in table.columns
+    }
     return replace(table, columns=columns, file=table.file[keep], line=table.line[keep])
 
 
@@ -351,7 +399,11 @@ def _refuse_shared(tables: Sequence[Table], files: tuple[str, ...]) -> None:
         for other in tables[:i]:
             if (rows := np.flatnonzero(np.isin(table.ids, other.ids))).size:
                 raise _twice(
-                    table, int(rows[0]), other, int(other.find(table.ids[rows[:1]])[0]), files
+                    table,
+                    int(rows[0]),
+                    other,
+                    int(other.find(table.ids[rows[:1]])[0]),
+                    files,
                 )
 
 
@@ -371,7 +423,9 @@ def _refuse_both(tables: Mapping[str, Table], files: tuple[str, ...]) -> None:
             )
 
 
-def _twice(table: Table, row: int, other: Table, before: int, files: tuple[str, ...]) -> DeckError:
+def _twice(
+    table: Table, row: int, other: Table, before: int, files: tuple[str, ...]
+) -> DeckError:
     first = f"{files[other.file[before]]}:{other.line[before]}"
     return DeckError(
         f"{table.ids[row]} is defined twice, first "

@@ -27,7 +27,15 @@ from ringtrue.decks.nastran.beams import (
     pbend,
     section_properties,
 )
-from ringtrue.decks.nastran.lexer import Card, Files, Reader, Row, integers, reals, table_of_rows
+from ringtrue.decks.nastran.lexer import (
+    Card,
+    Files,
+    Reader,
+    Row,
+    integers,
+    reals,
+    table_of_rows,
+)
 from ringtrue.errors import InputError
 from ringtrue.model.cards import CARDS, END_A, END_B, MADE, columns
 from ringtrue.model.edit import ply_field
@@ -38,7 +46,10 @@ BUSH = {  # lines of a PBUSH
     "GE": ["GE", *(f"GE{i}" for i in range(2, 7))],
     "M": ["M"],
 }
-PLY = {"PCOMP": ("MID", "T", "THETA", "SOUT"), "PCOMPG": ("GPLYID", "MID", "T", "THETA", "SOUT")}
+PLY = {
+    "PCOMP": ("MID", "T", "THETA", "SOUT"),
+    "PCOMPG": ("GPLYID", "MID", "T", "THETA", "SOUT"),
+}
 _PLY_PITCH = {"PCOMP": 4, "PCOMPG": 8}  # fields from ply to ply
 _FIRST = 8
 
@@ -48,7 +59,11 @@ def ply_places(name: str, fields: Sequence[str]) -> list[int]:
     is.
     """
     size = len(PLY[name])
-    return [i for i in range(_FIRST, len(fields), _PLY_PITCH[name]) if any(fields[i : i + size])]
+    return [
+        i
+        for i in range(_FIRST, len(fields), _PLY_PITCH[name])
+        if any(fields[i : i + size])
+    ]
 
 
 def laminate(r: Reader) -> Iterator[Row]:
@@ -56,11 +71,15 @@ def laminate(r: Reader) -> Iterator[Row]:
     before.
     """
     name = r.card.name
-    head, plies = ([s for s in columns(name) if s.tail is tail] for tail in (False, True))
+    head, plies = (
+        [s for s in columns(name) if s.tail is tail] for tail in (False, True)
+    )
     row: dict[str, Any] = {"PID": r.whole(0, "PID")}
     for i, spec in enumerate(head[1:], start=1):
         real = spec.kind == "f"
-        row[spec.name] = r.real(i, spec.name, float(spec.default)) if real else r.text(i)
+        row[spec.name] = (
+            r.real(i, spec.name, float(spec.default)) if real else r.text(i)
+        )
     row |= {spec.name: [] for spec in plies}
     for number, at in enumerate(ply_places(name, r.card.fields), 1):
         for i, spec in enumerate(plies, start=at):
@@ -115,7 +134,8 @@ def rspline(r: Reader) -> Iterator[Row]:
     }
 
 
-_BLOCKS = {"": 2, "UD": 2, "K": 1, "Z": 1, "S": 1}  # what opens a line, and where its entries begin
+# what opens a line, and where its entries begin
+_BLOCKS = {"": 2, "UD": 2, "K": 1, "Z": 1, "S": 1}
 
 
 def _genel_blocks(r: Reader) -> dict[str, range]:
@@ -127,7 +147,8 @@ def _genel_blocks(r: Reader) -> dict[str, range]:
         raise r.fail("K", "one block K or Z is needed, and each block once")
     ends = [*(i for i, _ in marks[1:]), len(r.card.fields)]
     blocks = {
-        name: range(i + _BLOCKS[name], end) for (i, name), end in zip(marks, ends, strict=True)
+        name: range(i + _BLOCKS[name], end)
+        for (i, name), end in zip(marks, ends, strict=True)
     }
     return {"": range(2, marks[0][0]), **blocks}
 
@@ -136,7 +157,9 @@ def _genel_reals(r: Reader, name: str, at: range, count: int) -> list[float]:
     """The reals of a block, a blank for 0 among them."""
     given = [r.real(i, name, 0.0) for i in at]
     if any(given[count:]) or len(given) + 7 < count:
-        raise r.fail(name, f"{sum(bool(r.text(i)) for i in at)} numbers, {count} are needed")
+        raise r.fail(
+            name, f"{sum(bool(r.text(i)) for i in at)} numbers, {count} are needed"
+        )
     return (given + [0.0] * 7)[:count]
 
 
@@ -201,7 +224,9 @@ def dmig(cards: Sequence[Card], files: Files) -> Table:
 
 def _numbers(texts: Sequence[tuple[Card, str]], key: str, files: Files) -> NDArray[Any]:
     """The fields `key` (n,) of terms, all at once as there are many; a blank is 0."""
-    cells = np.array([(text or "0").encode("latin-1") for _, text in texts], dtype=np.bytes_)
+    cells = np.array(
+        [(text or "0").encode("latin-1") for _, text in texts], dtype=np.bytes_
+    )
     real = key in ("A", "B")
     values, good = (reals if real else integers)(cells)
     if not good.all():
@@ -323,7 +348,9 @@ def _rbe3(r: Reader) -> Iterator[Row]:
     nodes, components, weights = _rbe3_groups(r)
     um = _rbe3_um(r)
     if len(um) % 2:
-        raise r.fail("CM", "UM lists pairs of a node and its components; one is missing")
+        raise r.fail(
+            "CM", "UM lists pairs of a node and its components; one is missing"
+        )
     yield {
         "EID": eid,
         "REFGRID": reference,
@@ -498,7 +525,9 @@ def inherited(name: str, fields: Sequence[str], field: str) -> tuple[int, str] |
     places = [i + PLY[name].index(key) for i in ply_places(name, fields)]
     if not 1 <= number < len(places) or fields[places[number]]:
         return None
-    return places[number], next((fields[i] for i in reversed(places[:number]) if fields[i]), "")
+    return places[number], next(
+        (fields[i] for i in reversed(places[:number]) if fields[i]), ""
+    )
 
 
 def bush_flag(field: str) -> str:

@@ -48,13 +48,17 @@ _OWN_PROPERTY = {  # a blank PID is the element's own number
     "CBEND",
     "CFAST",
 }
-_SURPLUS = {"PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"}
+_SURPLUS = {
+    "PSHELL": "; give THETA, ZOFFS and the like of Autodesk and OptiStruct on the elements"
+}
 
 
 def fault(cards: Cards, card: int, message: str, field: str = "") -> DeckError:
     """The error of a card, at its place."""
     path, line = cards.place(card)
-    return DeckError(message, path=path, line=line, card=cards.name[card].decode(), field=field)
+    return DeckError(
+        message, path=path, line=line, card=cards.name[card].decode(), field=field
+    )
 
 
 def make_table(cards: Cards, name: str, there: Int | None = None) -> Table:
@@ -84,10 +88,14 @@ def empty(name: str) -> Table:
     kinds = {"i": np.int64, "f": np.float64, "s": np.str_, "c": np.str_}
     specs = [s for s in columns(name) if not s.blank]
     none = np.empty(0, dtype=np.int64)
-    return Table(name, {s.name: np.empty(0, dtype=kinds[s.kind]) for s in specs}, none, none)
+    return Table(
+        name, {s.name: np.empty(0, dtype=kinds[s.kind]) for s in specs}, none, none
+    )
 
 
-def _joined(parts: Sequence[NDArray[Any] | Ragged], order: Int) -> NDArray[Any] | Ragged:
+def _joined(
+    parts: Sequence[NDArray[Any] | Ragged], order: Int
+) -> NDArray[Any] | Ragged:
     plain = [p for p in parts if not isinstance(p, Ragged)]
     if plain:
         sorted_ = len(plain) == 1 and bool((order[1:] > order[:-1]).all())
@@ -113,7 +121,9 @@ def _parse(
         if spec.tail:
             made[spec.name] = _tail(cards, spec, rows, cells[:, j:], there)
             continue
-        cell = cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
+        cell = (
+            cells[:, j] if j < cells.shape[1] else np.full(rows.size, b"", dtype="S1")
+        )
         if spec.other:
             whole = ~is_real(cell) & (cell != b"")
             made[spec.other] = _column(
@@ -130,7 +140,9 @@ def _parse(
     return made
 
 
-def _refuse_surplus(cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells) -> None:
+def _refuse_surplus(
+    cards: Cards, specs: Sequence[FieldSpec], rows: Int, cells: Cells
+) -> None:
     """An element with more fields than it has is a card of another make: never cut it short in
     silence.
     """
@@ -154,11 +166,15 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
         return np.where(cell == b"", str(spec.default), np.char.decode(cell, "latin-1"))
     given = cell != b""
     full = bool(given.all())
-    values, good = (integers if spec.kind == "i" else reals)(cell if full else cell[given])
+    values, good = (integers if spec.kind == "i" else reals)(
+        cell if full else cell[given]
+    )
     if not good.all():
         at = np.flatnonzero(given)[~good][0]
         text = cell[at].decode("latin-1")
-        raise fault(cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name)
+        raise fault(
+            cards, int(rows[at]), f"{text!r} is not {_KINDS[spec.kind]}", spec.name
+        )
     if full:
         return values
     out = np.full(rows.size, spec.default, dtype=values.dtype)
@@ -166,7 +182,9 @@ def _column(cards: Cards, spec: FieldSpec, rows: Int, cell: Cells) -> NDArray[An
     return out
 
 
-def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | None) -> Ragged:
+def _tail(
+    cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | None
+) -> Ragged:
     """Integers to the end of the card; `THRU` and `BY` expanded, a final real (ALPHA of RBE2) left
     out.
     """
@@ -174,11 +192,15 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | N
     words = cells == b"THRU"
     special = (words | is_real(cells.reshape(-1)).reshape(cells.shape)).any(axis=1)
     values, good = integers(cells[given & ~special[:, None]])
-    owner = np.broadcast_to(np.arange(rows.size)[:, None], cells.shape)[given & ~special[:, None]]
+    owner = np.broadcast_to(np.arange(rows.size)[:, None], cells.shape)[
+        given & ~special[:, None]
+    ]
     if not good.all():
         at = int(np.flatnonzero(~good)[0])
         text = cells[given & ~special[:, None]][at].decode("latin-1")
-        raise fault(cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name)
+        raise fault(
+            cards, int(rows[owner[at]]), f"{text!r} is not an integer", spec.name
+        )
     which = np.flatnonzero(special)
     lists = [np.empty(0, dtype=np.int64)]
     for i in which.tolist():
@@ -190,16 +212,21 @@ def _tail(cards: Cards, spec: FieldSpec, rows: Int, cells: Cells, there: Int | N
     values = np.concatenate([values, *lists])
     owner = np.concatenate([owner, np.repeat(which, [x.size for x in lists[1:]])])
     count = np.bincount(owner, minlength=rows.size)
-    return Ragged(values[np.argsort(owner, kind="stable")], np.concatenate([[0], np.cumsum(count)]))
+    return Ragged(
+        values[np.argsort(owner, kind="stable")],
+        np.concatenate([[0], np.cumsum(count)]),
+    )
 
 
 # of any unit: the product of six fields stays below 1.8e308, the largest double; 1/LARGEST the
 # smallest
 LARGEST = 1e50
 _ALLOWED = (
-    f"is beyond what can be computed with; allowed are 0 and {1 / LARGEST:g} to {LARGEST:g} in size"
+    "is beyond what can be computed with; allowed are 0 and "
+    f"{1 / LARGEST:g} to {LARGEST:g} in size"
 )
-_LIMITS = {  # allowable stresses, in which a large number stands for none; no matrix uses them
+# allowable stresses, in which a large number stands for none; no matrix uses them
+_LIMITS = {
     "MAT1": ("ST", "SC", "SS"),
     "MAT2": ("ST", "SC", "SS"),
     "MAT8": ("XT", "XC", "YT", "YC", "S"),
@@ -223,7 +250,9 @@ def refuse_magnitudes(tables: Iterable[Table], files: tuple[str, ...]) -> None:
                 continue
             values, owner = table.entries(spec.name)
             size = np.abs(values)
-            wild = np.flatnonzero((size > LARGEST) | ((size < 1 / LARGEST) & (size > 0)))
+            wild = np.flatnonzero(
+                (size > LARGEST) | ((size < 1 / LARGEST) & (size > 0))
+            )
             if not wild.size:
                 continue
             row = int(owner[wild[0]])
@@ -287,14 +316,20 @@ def fill(default: str, tables: Mapping[str, Table], found: Cards) -> dict[str, T
         return {}
     made = written_out(found, default)
     if len(made) > 1:
-        where = {"path": found.deck.files[made[1].file], "line": made[1].line, "card": default}
+        where = {
+            "path": found.deck.files[made[1].file],
+            "line": made[1].line,
+            "card": default,
+        }
         raise DeckError("there are two of them; one is allowed", **where)  # type: ignore[arg-type]
     table = tables[card]
     if made:
         r = Reader(made[0], found.deck.files)
         for name, at in _PLAIN[card].items():
             if r.text(at):
-                value: int | str = r.text(at) if name in ("PS", "OFFT") else r.whole(at, name)
+                value: int | str = (
+                    r.text(at) if name in ("PS", "OFFT") else r.whole(at, name)
+                )
                 blank = _blank(found, card, at)
                 table = table.with_column(name, np.where(blank, value, table[name]))
         if card != "GRID":
@@ -314,7 +349,9 @@ def _oriented(table: Table, r: Reader, found: Cards) -> Table:
     for name, at in _VECTOR.items():
         if r.text(at):
             mine = blank[name] & (table["G0"] == 0)
-            table = table.with_column(name, np.where(mine, r.real(at, name), table[name]))
+            table = table.with_column(
+                name, np.where(mine, r.real(at, name), table[name])
+            )
     return table
 
 
@@ -418,7 +455,11 @@ def open_bushes(model: Model) -> Iterator[DeckError]:
     row = p.find(table["PID"])
     a = grid.find(table["GA"])
     b = grid.find(table["GB"])
-    bare = (table["G0"] == 0) & (table["CID"] < 0) & ~table.stack("X1", "X2", "X3").any(axis=1)
+    bare = (
+        (table["G0"] == 0)
+        & (table["CID"] < 0)
+        & ~table.stack("X1", "X2", "X3").any(axis=1)
+    )
     at = np.flatnonzero(bare & (row >= 0) & (a >= 0) & (b >= 0))
     at = at[unlike[row[at]]]
     if at.size:

@@ -229,7 +229,9 @@ def _pbush(row: Row) -> list[Value]:
 
 
 def _pbeam(row: Row) -> list[Value]:
-    ends_a, ends_b, tail = ([float(row[n]) for n in names] for names in (END_A, END_B, BEAM_TAIL))
+    ends_a, ends_b, tail = (
+        [float(row[n]) for n in names] for names in (END_A, END_B, BEAM_TAIL)
+    )
     blank: list[Value] = [None] * 8
     fields: list[Value] = [row["PID"], row["MID"], *ends_a, *blank]
     along = [name for name in ("X", *BETWEEN) if name in row]
@@ -259,7 +261,8 @@ def _rbe1(row: Row) -> list[Value]:
     fields: list[Value] = [row["EID"]]
     for flag, names in ((None, ("GN", "CN")), ("UM", ("GM", "CM"))):
         terms = _terms(row, *names)
-        for k in range(0, len(terms), 3):  # three on a line, behind the number, UM or a blank
+        # three on a line, behind the number, UM or a blank
+        for k in range(0, len(terms), 3):
             if flag or k:
                 fields.append(None if k else flag)
             fields += [v for term in terms[k : k + 3] for v in term]
@@ -269,13 +272,22 @@ def _rbe1(row: Row) -> list[Value]:
 
 def _rspline(row: Row) -> list[Value]:
     first, *others = _terms(row, "G", "C")
-    return [row["EID"], row["DL"], first[0], *(v or None for pair in others for v in pair)]
+    return [
+        row["EID"],
+        row["DL"],
+        first[0],
+        *(v or None for pair in others for v in pair),
+    ]
 
 
 def _genel(row: Row) -> list[Value]:
     ui, ud = ([v for pair in _terms(row, f"U{k}", f"C{k}") for v in pair] for k in "ID")
     fields: list[Value] = [row["EID"], None, *ui]
-    blocks = (("UD", [None, *ud] if ud else []), (row["FORM"], row["KZ"]), ("S", row["S"]))
+    blocks = (
+        ("UD", [None, *ud] if ud else []),
+        (row["FORM"], row["KZ"]),
+        ("S", row["S"]),
+    )
     for name, values in blocks:
         if values:
             fields = [*_filled(fields), name, *values]
@@ -283,8 +295,18 @@ def _genel(row: Row) -> list[Value]:
 
 
 def _laminate(row: Row) -> list[Value]:
-    fields: list[Value] = [row["PID"], _real(row["Z0"]), float(row["NSM"]), float(row["SB"])]
-    fields += [row["FT"] or None, float(row["TREF"]), float(row["GE"]), row["LAM"] or None]
+    fields: list[Value] = [
+        row["PID"],
+        _real(row["Z0"]),
+        float(row["NSM"]),
+        float(row["SB"]),
+    ]
+    fields += [
+        row["FT"] or None,
+        float(row["TREF"]),
+        float(row["GE"]),
+        row["LAM"] or None,
+    ]
     numbered = "GPLYID" in row  # PCOMPG: a ply takes a line
     for ply in _terms(row, *PLY["PCOMPG" if numbered else "PCOMP"]):
         fields += ply
@@ -300,7 +322,9 @@ def _dmig(table: Table) -> Iterator[str]:
         yield format_card("DMIG", [name, 0, *kinds, None, row["NCOL"] or None])
         by_column: dict[tuple[int, int], list[Value]] = {}
         for gj, cj, gi, ci, a, b in _terms(row, "GJ", "CJ", "GI", "CI", "A", "B"):
-            by_column.setdefault((gj, cj), []).extend((gi, ci, float(a), float(b) or None))
+            by_column.setdefault((gj, cj), []).extend(
+                (gi, ci, float(a), float(b) or None)
+            )
         for column, terms in sorted(by_column.items()):
             yield large_card("DMIG", [name, *column, None, *terms])
 
@@ -371,18 +395,25 @@ def write_bulk(model: Model, *, without: Collection[str] = NOT_MODEL) -> str:
 
 
 def _cards(table: Table) -> Iterator[str]:
-    if not len(table) or table.card in MADE:  # the PBAR or PBEAM is written in its place
+    # the PBAR or PBEAM is written in its place
+    if not len(table) or table.card in MADE:
         return
     if table.card in _SMALL:
-        yield from (format_card(table.card, _SMALL[table.card](row)) for row in _rows(table))
+        yield from (
+            format_card(table.card, _SMALL[table.card](row)) for row in _rows(table)
+        )
     elif table.card in _LARGE:
-        yield from (large_card(table.card, _LARGE[table.card](row)) for row in _rows(table))
+        yield from (
+            large_card(table.card, _LARGE[table.card](row)) for row in _rows(table)
+        )
     elif table.card == "DMIG":
         yield from _dmig(table)
     elif table.card in CARDS:
         yield from _uniform(table)
     else:
-        raise UnsupportedError(f"{table.card} cards cannot be written for another solver")
+        raise UnsupportedError(
+            f"{table.card} cards cannot be written for another solver"
+        )
 
 
 def _uniform(table: Table) -> Iterator[str]:
@@ -421,7 +452,9 @@ def _column(table: Table, spec: FieldSpec, width: int) -> Text:
     if spec.kind == "f":
         return _reals(values, width)
     text = values.astype(f"U{width}")
-    return np.where(values == spec.default, "", text) if spec.default in (0, -1) else text
+    return (
+        np.where(values == spec.default, "", text) if spec.default in (0, -1) else text
+    )
 
 
 def _reals(values: Float, width: int) -> Text:
@@ -476,7 +509,9 @@ def _lines(card: str, cells: Text, width: int) -> str:
     n = -(-cells.shape[1] // per_line)
     padded = np.full((len(cells), n * per_line), "", dtype=f"U{width}")
     padded[:, : cells.shape[1]] = cells
-    used = np.where(padded != "", np.arange(padded.shape[1]) // per_line + 1, 1).max(axis=1)
+    used = np.where(padded != "", np.arange(padded.shape[1]) // per_line + 1, 1).max(
+        axis=1
+    )
     if width == 16:
         used += used % 2  # large-field lines come in pairs
     bodies = np.strings.rjust(padded, width).view("U64")  # (row, line)
@@ -503,4 +538,6 @@ def _lists(table: Table, specs: Sequence[FieldSpec]) -> Iterator[str]:
         return
     for i, head in enumerate(zip(*heads, strict=True)):
         if tail.row(i).size:
-            yield format_card(table.card, [t or None for t in head] + tail.row(i).tolist())
+            yield format_card(
+                table.card, [t or None for t in head] + tail.row(i).tolist()
+            )

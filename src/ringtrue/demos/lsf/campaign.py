@@ -176,7 +176,8 @@ class Circumstances:
             lower=model.lower * factor,
             upper=model.upper * factor,
             outputs=tuple(
-                replace(read, id=c) for read, c in zip(model.outputs, channels, strict=True)
+                replace(read, id=c)
+                for read, c in zip(model.outputs, channels, strict=True)
             ),
         )
 
@@ -227,12 +228,19 @@ class CampaignPlan:
     snr_db: float = 20.0
 
     def __post_init__(self) -> None:
-        if not self.foundation or not self.frame or not self.setups or not self.references:
+        if (
+            not self.foundation
+            or not self.frame
+            or not self.setups
+            or not self.references
+        ):
             raise InputError(
                 "campaign plan: foundation, frame, setups and references must each name something"
             )
         if not self.spacing or min(self.spacing) < 20 or max(self.spacing) > 80:
-            raise InputError(f"campaign plan: spacing {self.spacing} s, 20 to 80 s are allowed")
+            raise InputError(
+                f"campaign plan: spacing {self.spacing} s, 20 to 80 s are allowed"
+            )
 
     def shortened(self) -> CampaignPlan:
         """The same places with short records."""
@@ -317,7 +325,8 @@ def run_campaign(
     by_test["hammer"] = float(np.median(hammer))
     _paperwork(here, crew.plan, folder)
     log.info(
-        "signal-to-noise ratio at resonance, dB: %s", {k: round(v, 1) for k, v in by_test.items()}
+        "signal-to-noise ratio at resonance, dB: %s",
+        {k: round(v, 1) for k, v in by_test.items()},
     )
     progress(1.0, "campaign written")
     return CampaignSummary(
@@ -330,12 +339,16 @@ def run_campaign(
     )
 
 
-def _at_once(made: Mapping[str, Callable[[], float]], progress: Progress) -> dict[str, float]:
+def _at_once(
+    made: Mapping[str, Callable[[], float]], progress: Progress
+) -> dict[str, float]:
     """What is returned for each record; two are made at a time, for the memory that each takes."""
     out: dict[str, float] = {}
     pool = ThreadPoolExecutor(2)
     try:
-        for name, ratio in zip(made, pool.map(lambda make: make(), made.values()), strict=True):
+        for name, ratio in zip(
+            made, pool.map(lambda make: make(), made.values()), strict=True
+        ):
             out[name] = ratio
             progress(len(out) / len(made), f"record {name}")
     finally:
@@ -373,7 +386,9 @@ class _Crew:
         test = AmbientTest(
             model=model,
             chain=Chain.draw((sensor,) * len(channels), self.rng(f"{name} sensors")),
-            site=Ambient(points=self.pushed(), machine=next(iter(twin.machine_points), None)),
+            site=Ambient(
+                points=self.pushed(), machine=next(iter(twin.machine_points), None)
+            ),
             rate=rate,
             poles=in_band(model.poles, fmin, min(FMAX, 0.4 * rate)),
             joints=twin.joints,
@@ -392,8 +407,12 @@ class _Crew:
         """Write one record; returns its ratio at resonance, dB."""
         rng = self.rng(f"{name}-{kind}")
         plan = self.plan
-        samples = _even(plan.duration_b if name == "frame" else plan.duration_a, test.rate)
-        events = _events(kind, self.here.at(name), plan.spacing, samples / test.rate, rng)
+        samples = _even(
+            plan.duration_b if name == "frame" else plan.duration_a, test.rate
+        )
+        events = _events(
+            kind, self.here.at(name), plan.spacing, samples / test.rate, rng
+        )
         volts, snr = ambient_record(test, events, samples, rng)
         ids = [c.id for c in test.model.outputs]
         date = self.here.day(name).date
@@ -432,11 +451,17 @@ class _Crew:
         poles = in_band(model.poles, GEOPHONE_FMIN, FMAX)
         in_one_block = samples / (hammer.block * rate) * clean_energy(blows)
         power = resonance_power(signal, poles, samples, rate) * in_one_block
-        return float(np.median(ratio_db(power, resonance_power(noise, poles, samples, rate))))
+        return float(
+            np.median(ratio_db(power, resonance_power(noise, poles, samples, rate)))
+        )
 
 
 def _events(
-    kind: str, twin: TwinView, spacing: tuple[float, ...], duration: float, rng: np.random.Generator
+    kind: str,
+    twin: TwinView,
+    spacing: tuple[float, ...],
+    duration: float,
+    rng: np.random.Generator,
 ) -> list[Pulses]:
     """The events of one record; positions in the inputs of the modal model."""
     if kind == "ambient":
@@ -447,7 +472,9 @@ def _events(
         return [jumping(times, [here[p] for p in twin.jump_points], rng)]
     points = twin.drop_points if kind == "drop" else twin.sledge_points
     at = np.resize([here[p] for p in points], times.size)
-    return [dropped_weight(times, at, rng) if kind == "drop" else sledge(times, at, rng)]
+    return [
+        dropped_weight(times, at, rng) if kind == "drop" else sledge(times, at, rng)
+    ]
 
 
 def _even(duration: float, rate: float) -> int:
@@ -464,14 +491,18 @@ def _paperwork(here: Circumstances, plan: CampaignPlan, folder: Path) -> None:
     """Sheets, lines and log."""
     test = here.at("hammer").test
     hammer = list(dict.fromkeys(c for s in plan.setups for c in s))
-    every = list(dict.fromkeys([*plan.foundation, *plan.frame, *plan.references, *hammer]))
+    every = list(
+        dict.fromkeys([*plan.foundation, *plan.frame, *plan.references, *hammer])
+    )
     write_sheet(folder / "sensors.csv", test, every)
     for name, channels, sensor in (
         ("foundation", plan.foundation, ACCELEROMETER),
         ("frame", plan.frame, GEOPHONE),
         ("hammer", hammer, ICP),
     ):
-        write_sheet(folder / f"sensors-{name}.csv", test, channels, [sensor] * len(channels))
+        write_sheet(
+            folder / f"sensors-{name}.csv", test, channels, [sensor] * len(channels)
+        )
     write_lines(folder / "lines.csv", test)
     ambient = [
         _ambient_log(name, kinds, plan, here.day(name))

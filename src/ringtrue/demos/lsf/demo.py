@@ -21,7 +21,12 @@ from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.correlation.assignment import PairingSettings
 from ringtrue.correlation.table import CorrelationTable
 from ringtrue.demos.lsf import facility
-from ringtrue.demos.lsf.campaign import CampaignSummary, ChannelFaults, Circumstances, run_campaign
+from ringtrue.demos.lsf.campaign import (
+    CampaignSummary,
+    ChannelFaults,
+    Circumstances,
+    run_campaign,
+)
 from ringtrue.demos.lsf.examples import campaign_plan, first, named, plant, twins_of
 from ringtrue.demos.lsf.examples import hard as harder
 from ringtrue.demos.lsf.study import write_facility, write_study
@@ -34,7 +39,13 @@ from ringtrue.report.build import deliver
 from ringtrue.shapes import mac
 from ringtrue.study.acceptance import AcceptanceCheck, improvement
 from ringtrue.study.conclusion import findings_json
-from ringtrue.study.results import CompareStage, CorrelateStage, FinalStage, PlanStage, UpdateStage
+from ringtrue.study.results import (
+    CompareStage,
+    CorrelateStage,
+    FinalStage,
+    PlanStage,
+    UpdateStage,
+)
 from ringtrue.study.run import StudyRun, run_study
 from ringtrue.updating.problem import single
 from ringtrue.updating.selection.screening import SIZES
@@ -71,7 +82,8 @@ def best_possible(run: StudyRun, twin: Twin) -> float:
     updated: UpdateStage = run.results["update"]
     truth = twin.real_modes.rows(found.reference.elastic.channels).take(np.unique(true))
     m = len(truth)
-    gates = PairingSettings(mac_gate=0.3)  # they are pairs already: none may count as lost
+    # they are pairs already: none may count as lost
+    gates = PairingSettings(mac_gate=0.3)
     aim = Target(
         frequencies=truth.frequencies,
         shapes=truth.shapes,
@@ -90,7 +102,9 @@ def best_possible(run: StudyRun, twin: Twin) -> float:
         at = [names.index(n) for n in s.parameters]
         starts.append((at, model.parameters.take(at).vector(s.factor)))
     none = np.zeros(len(names))
-    return 100 * min(descend(model.with_parameters(at, none), aim, x, 12)[1] for at, x in starts)
+    return 100 * min(
+        descend(model.with_parameters(at, none), aim, x, 12)[1] for at, x in starts
+    )
 
 
 def _errors(target: Target, now: Linearisation) -> tuple[Float, Float]:
@@ -110,7 +124,9 @@ def _errors(target: Target, now: Linearisation) -> tuple[Float, Float]:
     return error[target.used], slope[target.used]
 
 
-def least_absolute(error: Float, slope: Float, lower: Float, upper: Float) -> tuple[Float, float]:
+def least_absolute(
+    error: Float, slope: Float, lower: Float, upper: Float
+) -> tuple[Float, float]:
     """d (p,) in [lower, upper] with the smallest mean |error + slope d|, and that mean: one linear
     programme.
     """
@@ -120,14 +136,20 @@ def least_absolute(error: Float, slope: Float, lower: Float, upper: Float) -> tu
     cost = np.concatenate([np.zeros(p), np.full(m, 1 / m)])
     box = [*zip(lower, upper, strict=True), *[(0.0, None)] * m]
     found = linprog(
-        cost, A_ub=rows, b_ub=np.concatenate([-error, error]), bounds=box, method="highs"
+        cost,
+        A_ub=rows,
+        b_ub=np.concatenate([-error, error]),
+        bounds=box,
+        method="highs",
     )
     if found.x is None or found.fun is None:
         raise NumericalError(f"no least-absolute step: {found.message}")
     return np.asarray(found.x[:p]), float(found.fun)
 
 
-def descend(model: Candidates, target: Target, start: Float, limit: int) -> tuple[Float, float]:
+def descend(
+    model: Candidates, target: Target, start: Float, limit: int
+) -> tuple[Float, float]:
     """x and the mean |Δf| by at most `limit` linear programmes in a trust region from `start`
     (p,).
     """
@@ -149,7 +171,9 @@ def descend(model: Candidates, target: Target, start: Float, limit: int) -> tupl
     return x, float(np.abs(error).mean())
 
 
-def checks(r: Mapping[str, Any], mac: float = 93.0, rigid: int = 6) -> tuple[AcceptanceCheck, ...]:
+def checks(
+    r: Mapping[str, Any], mac: float = 93.0, rigid: int = 6
+) -> tuple[AcceptanceCheck, ...]:
     """What must hold of a study of the facility with a test and an updated model.
 
     Parameters
@@ -182,7 +206,9 @@ def checks(r: Mapping[str, Any], mac: float = 93.0, rigid: int = 6) -> tuple[Acc
     subspace_mac = t.mean_subspace_mac()
     out += [
         AcceptanceCheck("final: pairs", "≥ 18", str(n), n >= 18),
-        AcceptanceCheck("final: pairs left out of the updating", "≥ 4", str(spared), spared >= 4),
+        AcceptanceCheck(
+            "final: pairs left out of the updating", "≥ 4", str(spared), spared >= 4
+        ),
         _at_most("final: mean |Δf|", t.mean_deviation(), 2.0, "%"),
         _at_most("final: largest |Δf|", t.max_deviation(), 6.0, "%"),
         AcceptanceCheck(
@@ -199,17 +225,27 @@ def checks(r: Mapping[str, Any], mac: float = 93.0, rigid: int = 6) -> tuple[Acc
     found = len(soft)
     out.append(
         AcceptanceCheck(
-            "rigid-body modes paired one to one", wanted, str(found), rigid <= found <= 6
+            "rigid-body modes paired one to one",
+            wanted,
+            str(found),
+            rigid <= found <= 6,
         )
     )
     out.append(
-        _at_most("rigid-body modes: largest |Δf| after tuning", soft.max_deviation(), 3.0, "%")
+        _at_most(
+            "rigid-body modes: largest |Δf| after tuning",
+            soft.max_deviation(),
+            3.0,
+            "%",
+        )
     )
     return tuple(out)
 
 
 def _at_most(name: str, got: float, most: float, unit: str) -> AcceptanceCheck:
-    return AcceptanceCheck(name, f"≤ {most:g} {unit}", f"{got:.2f} {unit}", bool(got <= most))
+    return AcceptanceCheck(
+        name, f"≤ {most:g} {unit}", f"{got:.2f} {unit}", bool(got <= most)
+    )
 
 
 def _unpaired_below(final: FinalStage, confidence: Float) -> AcceptanceCheck:
@@ -269,7 +305,9 @@ def run_demo(
     faults = plant(seed, measured) if hard else ChannelFaults()
     here = Circumstances(twins, example.days, example.repeated, faults)
     shown = part(progress, 0.3, 0.5)
-    campaign = run_campaign(here, measured, folder / "data", seed, fast=fast, progress=shown)
+    campaign = run_campaign(
+        here, measured, folder / "data", seed, fast=fast, progress=shown
+    )
     run = run_study(study, first="identify", progress=part(progress, 0.5, 0.9))
     progress(0.92, "what the best six parameters could reach")
     twin = twins[here.day("hammer").date]
@@ -282,7 +320,10 @@ def run_demo(
         "snr_db": campaign.snr_db,
     }
     floor = AcceptanceCheck(
-        "best mean |Δf| that six parameters could reach", "≥ 0.3 %", f"{best:.2f} %", best >= 0.3
+        "best mean |Δf| that six parameters could reach",
+        "≥ 0.3 %",
+        f"{best:.2f} %",
+        best >= 0.3,
     )
     held = (*checks(run.results, example.contents.mac, example.contents.rigid), floor)
     if hard:
@@ -296,7 +337,9 @@ def run_demo(
     return DemoResult(run, report, _lines(run, twin, campaign, best), held)
 
 
-def _lines(run: StudyRun, twin: Twin, campaign: CampaignSummary, best: float) -> tuple[str, ...]:
+def _lines(
+    run: StudyRun, twin: Twin, campaign: CampaignSummary, best: float
+) -> tuple[str, ...]:
     summary = read_json(run.folder / "summary.json")
     snr = ", ".join(f"{k} {v:.1f} dB" for k, v in campaign.snr_db.items())
     final = run.results["final"].table

@@ -20,7 +20,13 @@ from ringtrue.demos.lsf.campaign import DATE, CampaignPlan, ChannelFaults, Day
 from ringtrue.demos.lsf.facility import ZONE
 from ringtrue.demos.lsf.spec import Cut, Spec, ZonedSpec
 from ringtrue.demos.lsf.study import Region, StudyContents, contents
-from ringtrue.demos.lsf.twin import SofteningRegion, Twin, as_built, built_from, make_twin
+from ringtrue.demos.lsf.twin import (
+    SofteningRegion,
+    Twin,
+    as_built,
+    built_from,
+    make_twin,
+)
 from ringtrue.study.results import PlanStage
 from ringtrue.virtual.measurements import HammerPlan
 
@@ -57,10 +63,14 @@ class WorkedExample:
 
 def first(seed: int) -> WorkedExample:
     """The first example of a seed: one day, linear, all channels as the sheet says."""
-    return WorkedExample(analyst=Spec(), built={DATE: as_built(seed)}, contents=contents())
+    return WorkedExample(
+        analyst=Spec(), built={DATE: as_built(seed)}, contents=contents()
+    )
 
 
-def twins_of(example: WorkedExample, plan: PlanStage, progress: Progress) -> dict[str, Twin]:
+def twins_of(
+    example: WorkedExample, plan: PlanStage, progress: Progress
+) -> dict[str, Twin]:
     """The twin on each date."""
     out = {}
     count = len(example.built)
@@ -112,7 +122,8 @@ MACHINES = ("motor mounts", "gearbox mounts", "bearing mounts")
 # stiffness per kelvin: of concrete, and of the grout and pads of anchors and mounts
 CONCRETE_PER_K = -0.5e-3
 JOINTS_PER_K = -1.5e-3
-GROUTED = 2.5  # stiffness of the anchors that the analyst took, over that of bolts alone
+# stiffness of the anchors that the analyst took, over that of bolts alone
+GROUTED = 2.5
 SLIP = 3.5e-7  # m, of the anchors that soften
 FRAME = ("columns", "girders", "cross beams", "braces", "brackets")
 VESSEL = ("vessel shell", "vessel heads", "vessel rings")
@@ -124,7 +135,10 @@ def hard_analyst() -> ZonedSpec:
     usual = Spec()
     modulus = dict(usual.modulus) | dict.fromkeys(S.CONCRETE, CONCRETE_PA)
     modulus |= dict.fromkeys(S.JOINTED, 2.06e11)
-    bush = {k: tuple(GROUTED * x for x in v) if k in ANCHORS else v for k, v in usual.bush.items()}
+    bush = {
+        k: tuple(GROUTED * x for x in v) if k in ANCHORS else v
+        for k, v in usual.bush.items()
+    }
     cuts = dict.fromkeys(S.CONCRETE, Cut(0, THIRDS))
     cuts |= dict.fromkeys((*FRAME, *ANCHORS), Cut(1, (MIDDLE,)))
     return ZonedSpec(modulus=modulus, bush=bush, cuts=cuts)
@@ -186,7 +200,8 @@ def softening(seed: int) -> tuple[SofteningRegion, ...]:
     rng = np.random.default_rng([seed, 6])
     loose = sorted(rng.choice(3, size=2, replace=False).tolist())
     return tuple(
-        SofteningRegion(ANCHORS[i], share=float(rng.uniform(0.15, 0.25)), slip=SLIP) for i in loose
+        SofteningRegion(ANCHORS[i], share=float(rng.uniform(0.15, 0.25)), slip=SLIP)
+        for i in loose
     )
 
 
@@ -209,7 +224,9 @@ def plant(seed: int, plan: CampaignPlan) -> ChannelFaults:
     )
 
 
-def named(findings: Sequence[Mapping[str, Any]], faults: ChannelFaults) -> dict[str, bool]:
+def named(
+    findings: Sequence[Mapping[str, Any]], faults: ChannelFaults
+) -> dict[str, bool]:
     """Whether each planted fault is among the `findings` of summary.json, and what else is named.
 
     Returns
@@ -222,7 +239,9 @@ def named(findings: Sequence[Mapping[str, Any]], faults: ChannelFaults) -> dict[
         same = [f for f in findings if f["what"] == what]
         return [f for f in same if not subject or f["subject"] == subject]
 
-    partners = {f["subject"]: f["values"].get("partner") for f in found("channel swapped")}
+    partners = {
+        f["subject"]: f["values"].get("partner") for f in found("channel swapped")
+    }
     a, b = faults.swapped
     gains = found("channel gain", faults.scaled)
     drift = found("temperature drift")
@@ -248,7 +267,10 @@ def hard_contents() -> StudyContents:
     number = S.CONCRETE | S.STEEL | S.BUSHES
     cuts = hard_analyst().cuts
     regions = {
-        region: [pid + ZONE * z for z in range(1 + len(cuts[region].at) if region in cuts else 1)]
+        region: [
+            pid + ZONE * z
+            for z in range(1 + len(cuts[region].at) if region in cuts else 1)
+        ]
         for region, pid in number.items()
     }
 
@@ -264,16 +286,21 @@ def hard_contents() -> StudyContents:
         candidates.append((f"foundation, {third}", moduli(here, zone)))
     for zone, side in enumerate(("south", "north")):
         candidates.append((f"frame, {side}", moduli(FRAME, zone)))
-        candidates.append((f"anchors, {side}", springs(ANCHORS, zone, "K1,K2,K3,K4,K5,K6")))
+        candidates.append(
+            (f"anchors, {side}", springs(ANCHORS, zone, "K1,K2,K3,K4,K5,K6"))
+        )
     candidates += [
         ("vessel", moduli(VESSEL, 0)),
         ("drive deck", moduli(DECK, 0)),
         ("vessel mounts", springs(MOUNTS, 0, "K1,K2,K3")),
         ("drive mounts", springs(MACHINES, 0, "K1,K2,K3")),
     ]
-    regions["end walls"].remove(S.CONCRETE["end walls"] + ZONE)  # there is none in the middle
+    # there is none in the middle
+    regions["end walls"].remove(S.CONCRETE["end walls"] + ZONE)
     # channels at fault stay in the test: three of those that see the rigid-body modes
-    return StudyContents(tuple(candidates), regions, remodelled=False, mac=80.0, rigid=5)
+    return StudyContents(
+        tuple(candidates), regions, remodelled=False, mac=80.0, rigid=5
+    )
 
 
 def hard(seed: int) -> WorkedExample:
@@ -288,6 +315,11 @@ def hard(seed: int) -> WorkedExample:
         built=built,
         contents=hard_contents(),
         softening=softening(seed),
-        days={"foundation": first, "frame": first, "hammer": second, "foundation-again": third},
+        days={
+            "foundation": first,
+            "frame": first,
+            "hammer": second,
+            "foundation-again": third,
+        },
         repeated=("ambient", "jumping"),
     )

@@ -86,7 +86,9 @@ class Builder:
     def nearest(self, part: str, point: Sequence[float], k: int = 1) -> list[int]:
         """The k nodes of a part that are nearest to a point."""
         at = [i for i, p in enumerate(self.part_of_node) if p == part]
-        d = np.linalg.norm(np.array([self.xyz[i] for i in at]) - np.array(point), axis=1)
+        d = np.linalg.norm(
+            np.array([self.xyz[i] for i in at]) - np.array(point), axis=1
+        )
         return [self.ids[at[j]] for j in np.argsort(d, kind="stable")[:k].tolist()]
 
     def element(self, card: str, *fields: Value) -> None:
@@ -127,7 +129,9 @@ class Builder:
         pid = S.BUSHES[region] + ZONE * self._zone(region, [a])
         factor = 1.0
         if self.spec.bush_scatter:
-            pid = S.BUSHES[region] * 100 + 1 + sum(r == region for r, _, _ in self.bushes)
+            pid = (
+                S.BUSHES[region] * 100 + 1 + sum(r == region for r, _, _ in self.bushes)
+            )
             factor = float(np.exp(self.spec.bush_scatter * self.rng.standard_normal()))
         self.bushes.append((region, pid, factor))
         self.connect(pid, (a, b), cid)
@@ -194,7 +198,9 @@ def _foundation(b: Builder) -> None:
     x = np.linspace(0, at.length, n.nx + 1)
     for inner in (at.end_wall, at.length - at.end_wall):
         x[np.argmin(np.abs(x - inner))] = inner
-    y = _ticks((0.0, at.wall, at.width - at.wall, at.width), (n.ny_wall, n.ny, n.ny_wall))
+    y = _ticks(
+        (0.0, at.wall, at.width - at.wall, at.width), (n.ny_wall, n.ny, n.ny_wall)
+    )
     z = _ticks((0.0, at.slab, at.wall_top), (n.nz_slab, n.nz_wall))
     cx, cy, cz = (0.5 * (t[:-1] + t[1:]) for t in (x, y, z))
     cx = cx[:, None, None]
@@ -216,7 +222,9 @@ def _foundation(b: Builder) -> None:
     number = np.zeros(used.shape, dtype=np.int64)
     number[used] = b.nodes(_points(x[:, None, None], y[:, None], z)[used])
     round_a_face = ((0, 0), (1, 0), (1, 1), (0, 1))
-    corner = [number[i + di, j + dj, k + dk] for dk in (0, 1) for di, dj in round_a_face]
+    corner = [
+        number[i + di, j + dj, k + dk] for dk in (0, 1) for di, dj in round_a_face
+    ]
     nodes = np.stack(corner, axis=1)
     what = region[i, j, k]
     for name in ("slab", "long walls", "end walls"):
@@ -312,7 +320,8 @@ def _vessel(b: Builder) -> None:
     high = closed[1:]
     quads = np.stack([low[:, :-1], low[:, 1:], high[:, 1:], high[:, :-1]], axis=-1)
     b.elements("CQUAD4", "vessel shell", quads)
-    outward = (0.43, 0.0, 0.0)  # in the cylindrical frame of the nodes: outside the shell
+    # in the cylindrical frame of the nodes: outside the shell
+    outward = (0.43, 0.0, 0.0)
     for stop in VESSEL.rings:
         loop = closed[np.argmin(np.abs(x - stop))]
         b.beams("CBAR", "vessel rings", loop, X, (None, None, None, *outward, *outward))
@@ -325,11 +334,15 @@ def _vessel(b: Builder) -> None:
             z = FRAME.mid + r * round_z
             inner = b.nodes(_points(x[end] + outwards * bulge, y, z))
             quads = np.stack([rim, np.roll(rim, -1), np.roll(inner, -1), inner], axis=1)
-            b.elements("CQUAD4", "vessel heads", quads if outwards < 0 else quads[:, ::-1])
+            b.elements(
+                "CQUAD4", "vessel heads", quads if outwards < 0 else quads[:, ::-1]
+            )
             rim = inner
         pole = b.node(float(x[end]) + outwards * VESSEL.dish, VESSEL.y, FRAME.mid)
         triangles = np.stack([rim, np.roll(rim, -1), np.full_like(rim, pole)], axis=1)
-        b.elements("CTRIA3", "vessel heads", triangles if outwards < 0 else triangles[:, ::-1])
+        b.elements(
+            "CTRIA3", "vessel heads", triangles if outwards < 0 else triangles[:, ::-1]
+        )
     _vessel_mounts(b, 9 if n.around <= 48 else 21)
 
 
@@ -357,7 +370,9 @@ def _drive(b: Builder) -> None:
     quarter = n.deck_y // 4
     under = (0.0, 0.0, -0.33)
     for j in (0, quarter, n.deck_y // 2, n.deck_y - quarter, n.deck_y):
-        b.beams("CBEAM", "deck beams", deck[:, j], Z, (None, None, None, *under, *under))
+        b.beams(
+            "CBEAM", "deck beams", deck[:, j], Z, (None, None, None, *under, *under)
+        )
     motor = b.node(DRIVE.motor, DRIVE.y, DRIVE.z)
     b.mass(motor, 20_000.0, (9000.0, 26000.0, 28000.0))
     _mount(b, motor, "motor mounts", half=0.8)

@@ -246,7 +246,9 @@ class Spec:
         )
     )
     density: Mapping[str, float] = field(
-        default_factory=lambda: dict.fromkeys(CONCRETE, 2475.0) | dict.fromkeys(STEEL, 7850.0)
+        default_factory=lambda: (
+            dict.fromkeys(CONCRETE, 2475.0) | dict.fromkeys(STEEL, 7850.0)
+        )
     )
     bush: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
@@ -263,7 +265,8 @@ class Spec:
     )
     # region -> factor on its beam section
     section: Mapping[str, float] = field(default_factory=dict)
-    loss: Mapping[str, float] = field(default_factory=dict)  # region -> structural loss factor
+    # region -> structural loss factor
+    loss: Mapping[str, float] = field(default_factory=dict)
     dashpot: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N s/m at each air spring
     scatter: float = 0.0  # log standard deviation of stiffness within a region
     bush_scatter: float = 0.0  # from one bush to the next

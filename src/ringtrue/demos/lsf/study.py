@@ -44,9 +44,12 @@ def write_facility(b: Builder, folder: Path, title: str) -> Path:
 
 def _main(title: str, parts: list[str]) -> str:
     frames = format_card(
-        "CORD2C", [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, VESSEL.y + 1.0, FRAME.mid]
+        "CORD2C",
+        [CYLINDER, 0, 0.0, *_CENTRE, 1.0, *_CENTRE, 0.0, VESSEL.y + 1.0, FRAME.mid],
     )
-    tilted = format_card("CORD2R", [10, 0, 0.0, 0.0, 0.0, 0.0, -0.5, 0.8660254, 1.0, 0.0, 0.0])
+    tilted = format_card(
+        "CORD2R", [10, 0, 0.0, 0.0, 0.0, 0.0, -0.5, 0.8660254, 1.0, 0.0, 0.0]
+    )
     control = "".join(
         [
             format_card("EIGRL", [1, None, None, 40]),
@@ -123,7 +126,9 @@ def properties(b: Builder) -> Iterable[str]:
             density = b.spec.density[region]
             nu = 0.2 if region in S.CONCRETE else 0.3
             loss = b.spec.loss.get(region) or None
-            yield format_card("MAT1", [pid, modulus, None, nu, density, None, None, loss])
+            yield format_card(
+                "MAT1", [pid, modulus, None, nu, density, None, None, loss]
+            )
     done = set()
     for region, pid, factor in b.bushes:
         if pid in done:
@@ -200,7 +205,9 @@ _SPRINGS = {
 
 def candidates() -> list[tuple[str, list[str]]]:
     """Name and targets of each candidate region."""
-    single = [r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *MEMBERS)]
+    single = [
+        r for r in S.CONCRETE | S.STEEL if r not in ("haunches", "shaft", *MEMBERS)
+    ]
     modulus = [(r, [f"MAT1 {(S.CONCRETE | S.STEEL)[r]} E"]) for r in single]
     modulus.append(("frame members", [f"MAT1 {S.STEEL[r]} E" for r in MEMBERS]))
     bush = [
@@ -252,10 +259,14 @@ def braces(b: Builder) -> str:
     lines = []
     for y in FRAME.sides:
         for i in FRAME.bays_left_out:
-            ends = [at[(FRAME.portals[i], y, FRAME.mid)], at[(FRAME.portals[i + 1], y, FRAME.top)]]
+            ends = [
+                at[(FRAME.portals[i], y, FRAME.mid)],
+                at[(FRAME.portals[i + 1], y, FRAME.top)],
+            ]
             lines.append(
                 format_card(
-                    "CBAR", [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"]
+                    "CBAR",
+                    [eid, S.STEEL["braces"], *ends, 0.0, 1.0, 0.0, None, "56", "56"],
                 )
             )
             eid += 1
@@ -353,7 +364,11 @@ def write_study(b: Builder, folder: Path, seed: int, contents: StudyContents) ->
         "# Regions whose stiffness is uncertain: each a candidate, none chosen here",
     ]
     for name, targets in contents.candidates:
-        lines += ["[[candidate]]", f'name = "{name}"', f"targets = {json.dumps(targets)}"]
+        lines += [
+            "[[candidate]]",
+            f'name = "{name}"',
+            f"targets = {json.dumps(targets)}",
+        ]
     for name, field in (
         ("air springs, vertical", "K3"),
         ("air springs, along", "K1"),

@@ -120,7 +120,9 @@ def built_from(deck: AnySpec, r: Mapping[str, float], seed: int) -> AnySpec:
         deck,
         mesh=FINE,
         modulus={k: v * r[k] for k, v in deck.modulus.items()},
-        density={k: v * (0.970 if k in S.CONCRETE else 1.0) for k, v in deck.density.items()},
+        density={
+            k: v * (0.970 if k in S.CONCRETE else 1.0) for k, v in deck.density.items()
+        },
         bush={k: tuple(x * r[k] for x in v) for k, v in deck.bush.items()},
         section=thicker(seed),
         loss=loss_factors(seed),
@@ -277,11 +279,15 @@ def _ground(model: Model, dofs: DofSet) -> tuple[Int, Float, Float]:
     grounded = bush["GB"] == 0
     row = prop.find(bush["PID"][grounded])
     node = bush["GA"][grounded]
-    at = np.stack([dofs.find(node, np.full(node.shape, i + 1)) for i in range(3)], axis=1)
+    at = np.stack(
+        [dofs.find(node, np.full(node.shape, i + 1)) for i in range(3)], axis=1
+    )
     return at, prop.stack("K1", "K2", "K3")[row], prop.stack("B1", "B2", "B3")[row]
 
 
-def _participation(shapes: Any_, model: Model, dofs: DofSet) -> tuple[Complex, tuple[str, ...]]:
+def _participation(
+    shapes: Any_, model: Model, dofs: DofSet
+) -> tuple[Complex, tuple[str, ...]]:
     """Modal forces (m, 6) of a unit ground displacement and velocity in X, Y, Z."""
     at, k, c = _ground(model, dofs)
     moved = shapes[at]  # (spring, axis, mode)
@@ -299,7 +305,9 @@ def _damped(system: System, real: ModeSet) -> damped.ComplexModes:
     """
     phi = np.asarray(system.local @ real.shapes)
     viscous, structural = damped.project(phi, system.viscous, system.structural)
-    return damped.complex_modes((2 * np.pi * real.frequencies) ** 2, viscous, structural)
+    return damped.complex_modes(
+        (2 * np.pi * real.frequencies) ** 2, viscous, structural
+    )
 
 
 def _joint_rows(
@@ -394,7 +402,9 @@ def make_twin(
     """
     progress(0.0, "as-built model")
     with tempfile.TemporaryDirectory() as folder:
-        model = read_deck(write_facility(facility.build(built), Path(folder), "LSF as built"))
+        model = read_deck(
+            write_facility(facility.build(built), Path(folder), "LSF as built")
+        )
     # it was made with these shells, and stays as it is
     model = replace(model, params={**model.params, "RESBEND": "NO"})
     extra, kinds = _extra_points()
@@ -408,17 +418,25 @@ def make_twin(
         push = observe(extra, *at, analysis.dofs, tolerance=0.6)
         hits = [test.channels.index(r) for r in references]
         stretch, loss, slip, names = _joint_rows(model, analysis.dofs, softening)
-        load = np.concatenate([see.matrix[hits].toarray(), push.matrix.toarray(), stretch])
+        load = np.concatenate(
+            [see.matrix[hits].toarray(), push.matrix.toarray(), stretch]
+        )
         static = analysis.static(load.T)
-        ground, grounds = _participation(real.shapes @ lossy.shapes, model, analysis.dofs)
+        ground, grounds = _participation(
+            real.shapes @ lossy.shapes, model, analysis.dofs
+        )
         dof = analysis.system.stiffness.shape[0]
         mass = mass_properties(analysis.system).mass
     inputs = (*references, *extra.channels, *names, *grounds)
-    solved = _Solved(real=real, lossy=lossy, load=load, static=static, ground=ground, inputs=inputs)
+    solved = _Solved(
+        real=real, lossy=lossy, load=load, static=static, ground=ground, inputs=inputs
+    )
     joints = None
     if names:
         forces = np.array([inputs.index(n) for n in names])
-        joints = SofteningJoints(solved.seen(lambda x: stretch @ x, names), forces, loss, slip)
+        joints = SofteningJoints(
+            solved.seen(lambda x: stretch @ x, names), forces, loss, slip
+        )
     return Twin(
         modal=solved.seen(see, test.channels),
         test=test,

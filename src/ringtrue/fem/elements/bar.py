@@ -39,7 +39,9 @@ _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])  # the slope of w is -θy
 # Points on (-½, ½) of each part between two stations. Sixteen: I 10:1 to nine digits. Four: cubic
 # shapes and a linear mass exactly.
-_FLEXIBILITY, _MASS = (np.stack(np.polynomial.legendre.leggauss(n), axis=1) / 2 for n in (16, 4))
+_FLEXIBILITY, _MASS = (
+    np.stack(np.polynomial.legendre.leggauss(n), axis=1) / 2 for n in (16, 4)
+)
 OFFSETS = (
     "GGG",
     "BGG",
@@ -106,7 +108,9 @@ def uniform(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
     o = np.zeros_like(L)
     b0 = np.stack([o, -1 / L, o, 1 / L], axis=1)
     b1 = np.stack([6 / L**2, 3 / L, -6 / L**2, 3 / L], axis=1)
-    constant, linear = (np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1)))
+    constant, linear = (
+        np.einsum("e,ei,ej->eij", c, b, b) for c, b in ((L, b0), (L / 3, b1))
+    )
     soft = [1 / (1 + _shear(iso, A, I, k=k, L=L)) for I, k in ((I1, s.k1), (I2, s.k2))]
     EI1 = scaled(iso.E * I1, constant) + scaled(iso.E * I1 * soft[0], linear)
     EI2 = scaled(iso.E * I2, constant) + scaled(iso.E * I2 * soft[1], linear)
@@ -129,7 +133,9 @@ def uniform(L: Float, iso: Isotropic, s: BeamSection) -> Any_:
 def _shear(iso: Isotropic, A: Any_, I: Any_, k: Any_, L: Float) -> Any_:
     """Φ = 12 EI/(kGA L²), 0 where the beam is rigid in shear."""
     rigid = (k == 0) | (A == 0) | (iso.G == 0)
-    return np.where(rigid, 0.0, 12 * iso.E * I / np.where(rigid, 1.0, k * iso.G * A * L**2))
+    return np.where(
+        rigid, 0.0, 12 * iso.E * I / np.where(rigid, 1.0, k * iso.G * A * L**2)
+    )
 
 
 def flexible(L: Float, E: Any_, G: Any_, s: BeamSection) -> Any_:
@@ -164,7 +170,8 @@ def flexible(L: Float, E: Any_, G: Any_, s: BeamSection) -> Any_:
             F[:, 2 * plane, 2 * plane] += np.where(
                 rigid, 0.0, w * L / np.where(rigid, 1.0, k * G * A)
             )
-    bending = np.linalg.solve(F, np.broadcast_to(np.eye(4), F.shape))  # scaled by the length
+    # scaled by the length
+    bending = np.linalg.solve(F, np.broadcast_to(np.eye(4), F.shape))
     for plane, absent in enumerate(none[2:]):
         at = slice(2 * plane, 2 * plane + 2)
         bending[absent, at, :] = 0.0
@@ -177,11 +184,15 @@ def flexible(L: Float, E: Any_, G: Any_, s: BeamSection) -> Any_:
     K[:, rows[:, None], rows] = bending * scale[:, :, None] * scale[:, None, :]
     o = np.zeros_like(L)
     from_a = arm(np.stack([L, o, o], axis=1))
-    relative = np.concatenate([-from_a, np.broadcast_to(np.eye(6), from_a.shape)], axis=2)
+    relative = np.concatenate(
+        [-from_a, np.broadcast_to(np.eye(6), from_a.shape)], axis=2
+    )
     return congruent(relative, K)
 
 
-def _along(x: Float, rule: Float) -> Iterator[tuple[Float, Float, Callable[[Any_], Any_]]]:
+def _along(
+    x: Float, rule: Float
+) -> Iterator[tuple[Float, Float, Callable[[Any_], Any_]]]:
     """Points of integration over the length: place (e,), weight (e,) and what gives values (e, s)
     there.
     """
@@ -206,11 +217,17 @@ def consistent(L: Float, per_length: Any_, polar: Any_, x: Float) -> Any_:
     plane = _moments(L, per_length, x, _hermite)
     linear = _moments(L, per_length, x, _linear)
     axial = (linear + linear.sum(axis=2)[:, :, None] * np.eye(2)) / 2
-    blocks = [([0, 6], axial), (PLANE1, plane), (PLANE2, plane * _SIGN[:, None] * _SIGN)]
+    blocks = [
+        ([0, 6], axial),
+        (PLANE1, plane),
+        (PLANE2, plane * _SIGN[:, None] * _SIGN),
+    ]
     return scatter(len(L), 12, *blocks, ([3, 9], _moments(L, polar, x, _linear)))
 
 
-def _moments(L: Float, v: Any_, x: Float, shapes: Callable[[Float, Float], Float]) -> Any_:
+def _moments(
+    L: Float, v: Any_, x: Float, shapes: Callable[[Float, Float], Float]
+) -> Any_:
     """∫ v NᵀN dx of v (e, s) at the stations and of shapes (e, n) at a place."""
     total = []
     for place, w, at in _along(x, _MASS):
@@ -278,12 +295,15 @@ def section(t: CardRows) -> tuple[Isotropic, BeamSection]:
     polar = np.zeros(x.shape)
     neutral = nsm_at = np.zeros((len(t), 2, 2))
     if beam:
-        warping = t.stack("SA", "SB").any(axis=1) & (p.stack("CWA", "CWB") != 0).any(axis=1)
+        warping = t.stack("SA", "SB").any(axis=1) & (p.stack("CWA", "CWB") != 0).any(
+            axis=1
+        )
         why = "has warping points SA, SB and a section that resists warping; leave SA and SB out"
         t.refuse_unsupported(warping, why)
         polar = _between(p["NSIA"], p["NSIB"], x)
         neutral, nsm_at = (
-            p.stack(f"{c}1A", f"{c}2A", f"{c}1B", f"{c}2B").reshape(-1, 2, 2) for c in "NM"
+            p.stack(f"{c}1A", f"{c}2A", f"{c}1B", f"{c}2B").reshape(-1, 2, 2)
+            for c in "NM"
         )
     else:
         k1, k2 = (np.where(I12[:, 0].real == 0, k, 0.0) for k in (k1, k2))

@@ -64,8 +64,12 @@ class Arc:
     def place(self, share: float, radius: Any_, height: Any_) -> Any_:
         """Points (e, 3) on the concentric arc of that radius, at `height` along Z."""
         frame = self.axes(share)
-        centre = self.middle - (self.radius * np.cos(self.angle / 2))[:, None] * self.out
-        return np.asarray(centre + radius[:, None] * frame[:, 0] + height[:, None] * frame[:, 2])
+        centre = (
+            self.middle - (self.radius * np.cos(self.angle / 2))[:, None] * self.out
+        )
+        return np.asarray(
+            centre + radius[:, None] * frame[:, 0] + height[:, None] * frame[:, 2]
+        )
 
 
 def _arc(t: CardRows, nodes: Int, p: CardRows) -> Arc:
@@ -97,7 +101,9 @@ def _arc(t: CardRows, nodes: Int, p: CardRows) -> Arc:
     small = (geom == 3) & (np.real(radius) < chord / 2 * (1 - 1e-9))
     t.refuse(small, "RB is less than half the chord")
     ratio = chord / 2 / np.where(geom == 3, radius, chord)
-    half = np.where(geom == 3, np.arcsin(np.where(np.real(ratio) > 1, 1.0, ratio)), half)
+    half = np.where(
+        geom == 3, np.arcsin(np.where(np.real(ratio) > 1, 1.0, ratio)), half
+    )
     half = np.where(geom == 4, p["THETAB"] * (np.pi / 360), half)
     wide = (np.real(half) <= 0) | (np.real(half) >= np.pi)
     t.refuse(wide, "the angle of the arc must be in 0 to 360 degrees")
@@ -131,7 +137,9 @@ def _section(p: CardRows, radius: Any_) -> dict[str, Any_]:
     tight = tube & (np.real(p["RM"] + p["T"] / 2) >= np.real(radius))
     p.refuse(tight, "RM + T/2 must be less than the radius of the arc")
     area, second, e = pipe(
-        np.where(tube, p["RM"], 0.1), np.where(tube, p["T"], 0.0), np.where(tube, radius, 1.0)
+        np.where(tube, p["RM"], 0.1),
+        np.where(tube, p["T"], 0.0),
+        np.where(tube, radius, 1.0),
     )
     out = {}
     for name, value in (("A", area), ("I1", second), ("I2", second), ("J", 2 * second)):
@@ -150,13 +158,17 @@ def _compliance(s: dict[str, Any_], E: Any_, G: Any_, shear: tuple[Any_, Any_]) 
     c = np.zeros((len(s["A"]), 6, 6), dtype=np.result_type(*terms, *shear, s["e"]))
     for axis, k in zip((0, 2), shear, strict=True):
         stiff = k * s["A"] * G
-        c[:, axis, axis] = np.where(stiff == 0, 0.0, 1 / np.where(stiff == 0, 1.0, stiff))
+        c[:, axis, axis] = np.where(
+            stiff == 0, 0.0, 1 / np.where(stiff == 0, 1.0, stiff)
+        )
     c[:, 1, 1], c[:, 5, 5], c[:, 3, 3], c[:, 4, 4] = (1 / x for x in terms)
     c[:, 1, 5] = c[:, 5, 1] = s["e"] / terms[1]
     return c
 
 
-def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: float = 1.0) -> Any_:
+def flexibility(
+    arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: float = 1.0
+) -> Any_:
     """Motion at `to` (1 is end B) of the line of centroids against end A by the forces on B, (e, 6,
     6) in basic.
     """
@@ -170,7 +182,8 @@ def flexibility(arc: Arc, radius: Any_, height: Any_, compliance: Any_, to: floa
         turn = rotation(R, 1)
         force, moved = (turn @ arm(x - place).swapaxes(1, 2) for x in (end, here))
         F = F + scaled(
-            w / 2 * reach * arc.angle * radius, moved.swapaxes(1, 2) @ compliance @ force
+            w / 2 * reach * arc.angle * radius,
+            moved.swapaxes(1, 2) @ compliance @ force,
         )
     return F
 
@@ -188,7 +201,8 @@ def _coupled(
     for to, w in zip(*(v.tolist() for v in _LINE), strict=True):
         N = flexibility(arc, radius, height, compliance=compliance, to=to) @ forces
         N = N + np.concatenate(
-            [arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)], axis=2
+            [arm(arc.place(to, radius, height) - start) @ first, np.zeros_like(first)],
+            axis=2,
         )
         M = M + scaled(w / 2 * arc.angle * radius, N[:, :3].swapaxes(1, 2) @ N[:, :3])
     return M
@@ -219,10 +233,15 @@ def build(t: CardRows) -> ElementMatrices:
     K = D.swapaxes(1, 2) @ forces
     line = iso.rho * s["A"] + p["NSM"]
     if t.mesh.coupled_mass:
-        M = scaled(line, _coupled(arc, radius, height, compliance=c, first=arms[0], forces=forces))
+        M = scaled(
+            line,
+            _coupled(arc, radius, height, compliance=c, first=arms[0], forces=forces),
+        )
     else:
         half = line * radius * arc.angle / 2
-        body = scaled(half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (len(t), 6, 6)))
+        body = scaled(
+            half, np.broadcast_to(np.diag([1.0, 1, 1, 0, 0, 0]), (len(t), 6, 6))
+        )
         M = nodal(np.stack([congruent(A, body) for A in arms], axis=1))
     return ElementMatrices(
         dofs=node_dofs(nodes),

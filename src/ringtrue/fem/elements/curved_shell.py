@@ -80,7 +80,9 @@ def node_normals(m: Mesh, nodes: Int, own: Any_) -> Any_:
     total[used] = unit(total[used])
     sharp = np.zeros(len(m.xyz), dtype=bool)
     for corners, n in around:
-        folded = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(np.radians(limit))
+        folded = np.einsum("eka,ea->ek", total[corners], n).real < np.cos(
+            np.radians(limit)
+        )
         sharp[corners[folded]] = True
     mean = total[nodes]
     keep: Any_ = sharp[nodes]
@@ -115,7 +117,10 @@ def _corners(model: Model, card: str) -> Int:
 
 
 def flat_and_curved(
-    normals: Any_, axes: Any_, plane: Callable[[Bool | slice], Any_], curved: Callable[[Int], Any_]
+    normals: Any_,
+    axes: Any_,
+    plane: Callable[[Bool | slice], Any_],
+    curved: Callable[[Int], Any_],
 ) -> Any_:
     """Stiffness (e, d, d) of flat elements with axes (e, 3, 3) and normals (e, k, 3) at the nodes:
     by `plane` where these are their own, else by `curved`; each gets which elements.
@@ -132,7 +137,9 @@ def flat_and_curved(
     return K
 
 
-def joined_to_plane(x: Any_, normals: Any_, axes: Any_, lift: Any_) -> tuple[Any_, Any_, Any_]:
+def joined_to_plane(
+    x: Any_, normals: Any_, axes: Any_, lift: Any_
+) -> tuple[Any_, Any_, Any_]:
     """Rigid arms (e, k, 3) along the normals at the nodes x (e, k, 3) to a plane that is `lift` (e,
     k) above them; where they end, and that in the element's plane, (e, k, 2).
     """
@@ -147,7 +154,9 @@ def with_neighbours(model: Model, rows: Rows) -> Rows:
     flat = [card for card in FLAT_SHELLS if card in rows]
     if model.param("SNORM", SNORM) <= 0 or not flat:
         return rows
-    touched = np.concatenate([_corners(model, card)[rows[card]].ravel() for card in flat])
+    touched = np.concatenate(
+        [_corners(model, card)[rows[card]].ravel() for card in flat]
+    )
     found = [rows]
     for card in FLAT_SHELLS:
         if card in model:
@@ -174,7 +183,8 @@ def law(s: ShellSection, w: Any_, corner: Any_) -> Any_:
     """
     w1, w2, w3 = (s.weights(w, corner, p)[..., None, None] for p in (1, 2, 3))
     C = np.zeros(
-        (*w.shape, 8, 8), dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1)
+        (*w.shape, 8, 8),
+        dtype=np.result_type(s.membrane, s.coupling, s.bending, s.shear, w1),
     )
     C[..., :3, :3] = s.membrane[:, None] * w1
     C[..., 3:6, 3:6] = s.bending[:, None] * w3
@@ -202,7 +212,9 @@ def plane_strains(rule: ShellRule, x: Any_, n: Any_, back: Any_) -> Any_:
         (q1**2, q2**2, q1 * q2),
         (2 * p1 * q1, 2 * p2 * q2, p1 * q2 + p2 * q1),
     )
-    return np.concatenate([T @ _carried(plane, rows) for rows in (membrane, curvature)], axis=2)
+    return np.concatenate(
+        [T @ _carried(plane, rows) for rows in (membrane, curvature)], axis=2
+    )
 
 
 def tied_shear(rule: ShellRule, x: Any_, n: Any_) -> Any_:
@@ -220,7 +232,9 @@ def _carried(s: Samples, rows: Any_) -> Any_:
     return (s.carry.reshape(p * c, k) @ rows).reshape(len(rows), p, c, -1)
 
 
-def _along(rule: ShellRule, s: Samples, x: Any_, n: Any_) -> tuple[Any_, Any_, Any_, Any_]:
+def _along(
+    rule: ShellRule, s: Samples, x: Any_, n: Any_
+) -> tuple[Any_, Any_, Any_, Any_]:
     """N (k, n), N,d (k, n), x,d (e, k, 3) and the normals' arms n_i x x,d (e, k, n, 3)."""
     N, d = rule.shapes(s.points)
     d = np.einsum("knr,kr->kn", d, s.direction)
@@ -251,10 +265,14 @@ def missing_mean(rows: Any_, gradients: Any_, frame: Any_, n: Any_, w: Any_) -> 
         _rows(u, v) for u, v in zip(bent, turn, strict=True)
     ]
     missing = np.stack(exact, axis=2) - rows[:, :, :6]
-    return np.asarray(np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None])
+    return np.asarray(
+        np.einsum("ep,epcd->ecd", w / w.sum(axis=1, keepdims=True), missing)[:, None]
+    )
 
 
-def drilling(rule: ShellRule, x: Any_, s: ShellSection, points: Float, weights: Float) -> Any_:
+def drilling(
+    rule: ShellRule, x: Any_, s: ShellSection, points: Float, weights: Float
+) -> Any_:
     """G t K6ROT 1e-6 ∫ (θ·n - (∂u2/∂x1 - ∂u1/∂x2)/2)² by points (p, 2) and weights (p,): (e, 6k,
     6k).
     """
@@ -264,7 +282,8 @@ def drilling(rule: ShellRule, x: Any_, s: ShellSection, points: Float, weights: 
     normal = up / size[..., None]
     # ∂u1/∂x2 - ∂u2/∂x1 is (g_r · u,s - g_s · u,r) over the area, in any axes of the plane
     u = (
-        d[None, :, :, 1, None] * g[:, :, None, 0] - d[None, :, :, 0, None] * g[:, :, None, 1]
+        d[None, :, :, 1, None] * g[:, :, None, 0]
+        - d[None, :, :, 0, None] * g[:, :, None, 1]
     ) / size[..., None, None]
     rows = _rows(u / 2, N[..., None] * normal[:, :, None])
     w = s.weights(size * weights, rule.corner_shapes(points), 1) * s.drill[:, None]
@@ -334,13 +353,18 @@ def kernel(t: CardRows, x: Any_, s: ShellSection) -> Any_:
     w = length(up) * rule.weights
     points = SurfacePoints(np.einsum("pn,ena->epa", N, x), unit(g[:, :, 0]), unit(up))
     frame = _frames(t, points, directed(s))
-    back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))  # ∂ξ_r/∂x_i, (e, p, i, r)
+    # ∂ξ_r/∂x_i, (e, p, i, r)
+    back = np.linalg.inv(np.einsum("epra,epia->epri", g, frame))
     rows = strains(rule, x, n, back)
     if rule.corners == 4:
-        rows[:, :, :6] += missing_mean(rows, np.einsum("epir,pnr->epni", back, d), frame, n=n, w=w)
+        rows[:, :, :6] += missing_mean(
+            rows, np.einsum("epir,pnr->epni", back, d), frame, n=n, w=w
+        )
     else:
         rows = np.concatenate([rows, _bubbles(rule, x, frame, back)], axis=3)
-    loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(e, -1, rows.shape[-1])
+    loaded = (law(s, w, rule.corner_shapes(rule.points)) @ rows).reshape(
+        e, -1, rows.shape[-1]
+    )
     K = rows.reshape(e, -1, rows.shape[-1]).swapaxes(1, 2) @ loaded
     K = condensed(K, rows.shape[-1] - 6 * x.shape[1])
     K = K + drilling(rule, x, s, points=rule.points, weights=rule.weights)
@@ -374,7 +398,9 @@ def _frames(t: CardRows, points: SurfacePoints, turned: Bool) -> Any_:
     e, p = points.x.shape[:2]
     each = np.repeat(np.arange(e), p)
     flat = (v.reshape(-1, 3) for v in (points.x, points.tangent, points.normal))
-    one = material_axis(t.take(each), SurfacePoints(*flat), turned[each]).reshape(e, p, 3)
+    one = material_axis(t.take(each), SurfacePoints(*flat), turned[each]).reshape(
+        e, p, 3
+    )
     return np.stack([one, np.cross(points.normal, one)], axis=2)
 
 
@@ -383,7 +409,9 @@ def _mass(coupled: bool, rule: ShellRule, x: Any_, s: ShellSection) -> Any_:
     consistent.
     """
     N, d = rule.shapes(rule.points)
-    w = s.masses(length(tangents(d, x)[1]) * rule.weights, rule.corner_shapes(rule.points))
+    w = s.masses(
+        length(tangents(d, x)[1]) * rule.weights, rule.corner_shapes(rule.points)
+    )
     full = np.einsum("eg,gi,gj->eij", w, N, N, optimize=True)
     total = w.sum(axis=1)[:, None]
     share = np.einsum("eii->ei", full)

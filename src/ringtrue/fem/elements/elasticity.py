@@ -30,7 +30,9 @@ def elastic(A: Float, c11: Any_, c12: Any_, G: Any_) -> Any_:
     K = c12 * A + G * A.transpose(0, 1, 4, 3, 2)
     trace = np.einsum("eiaja->eij", A)
     for a in range(d):
-        K[:, :, a, :, a] += G[..., 0, 0] * trace + (c11 - c12 - 2 * G)[..., 0, 0] * A[:, :, a, :, a]
+        K[:, :, a, :, a] += (
+            G[..., 0, 0] * trace + (c11 - c12 - 2 * G)[..., 0, 0] * A[:, :, a, :, a]
+        )
     return K.reshape(e, n * d, n * d)
 
 
@@ -65,12 +67,17 @@ def jacobian(derivatives: Float, x: Float) -> tuple[Float, Float, Float]:
     J = np.einsum("gnr,ena->egra", derivatives, x)
     det = np.linalg.det(J)
     gradients = np.linalg.solve(
-        J, np.broadcast_to(derivatives.swapaxes(1, 2), (*J.shape[:2], *derivatives.shape[:0:-1]))
+        J,
+        np.broadcast_to(
+            derivatives.swapaxes(1, 2), (*J.shape[:2], *derivatives.shape[:0:-1])
+        ),
     )
     return J, det, gradients.swapaxes(2, 3)
 
 
-def incompatible(derivatives: Float, J0: Float, det0: Float, det: Float, weights: Float) -> Float:
+def incompatible(
+    derivatives: Float, J0: Float, det0: Float, det: Float, weights: Float
+) -> Float:
     """Gradients of bubble modes with zero mean: the patch test holds on any distortion.
 
     Taken at the centre's Jacobian and scaled by det0/det (Taylor, Beresford and Wilson 1976); what
@@ -83,7 +90,8 @@ def incompatible(derivatives: Float, J0: Float, det0: Float, det: Float, weights
     return np.asarray(g - mean[:, None])
 
 
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))  # x y z xy yz zx, the order of MAT9
+# x y z xy yz zx, the order of MAT9
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +126,10 @@ def in_cartesian(gradients: Any_) -> Any_:
     i, j = np.array(PAIRS).T
     first = gradients[..., i, :]
     second = gradients[..., j, :]
-    rows = [first[..., a] * second[..., b] + first[..., b] * second[..., a] for a, b in PAIRS]
+    rows = [
+        first[..., a] * second[..., b] + first[..., b] * second[..., a]
+        for a, b in PAIRS
+    ]
     rows[:3] = [0.5 * row for row in rows[:3]]
     return np.stack(rows, axis=-2)
 
@@ -143,7 +154,9 @@ def tensor(C: Any_) -> Any_:
 
 def turned(C: Any_, R: Any_) -> Any_:
     """A tensor (e, 3, 3, 3, 3) given in axes R (e, 3, 3), unit vectors as rows, in basic."""
-    return np.asarray(np.einsum("epqrs,epa,eqb,erc,esd->eabcd", C, R, R, R, R, optimize=True))
+    return np.asarray(
+        np.einsum("epqrs,epa,eqb,erc,esd->eabcd", C, R, R, R, R, optimize=True)
+    )
 
 
 def anisotropic(p: CardRows, x: Any_, element_axes: Any_) -> Anisotropic:

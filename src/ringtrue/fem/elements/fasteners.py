@@ -113,15 +113,21 @@ def _foot(x: Float, point: Float, triangle: Bool) -> tuple[Float, Float, Float, 
         metric = tangent @ tangent.swapaxes(1, 2)
         # a collapsed shell near by
         metric += 1e-14 * np.trace(metric, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-        step = np.linalg.solve(metric, np.einsum("ekj,ej->ek", tangent, off)[..., None])[..., 0]
-        r, s = (np.clip(x_ + step[:, i], -FOOT.far, FOOT.far) for i, x_ in enumerate((r, s)))
+        step = np.linalg.solve(
+            metric, np.einsum("ekj,ej->ek", tangent, off)[..., None]
+        )[..., 0]
+        r, s = (
+            np.clip(x_ + step[:, i], -FOOT.far, FOOT.far) for i, x_ in enumerate((r, s))
+        )
     return r, s, *_shapes(r, s, triangle)
 
 
 def _margin(r: Float, s: Float, triangle: Bool) -> Float:
     """How far inside of its patch a place is, (e,), in natural coordinates; negative outside."""
     return np.where(
-        triangle, np.minimum(np.minimum(r, s), 1 - r - s), 1 - np.maximum(np.abs(r), np.abs(s))
+        triangle,
+        np.minimum(np.minimum(r, s), 1 - r - s),
+        1 - np.maximum(np.abs(r), np.abs(s)),
     )
 
 
@@ -193,7 +199,9 @@ class Skin:
                 ids.append(t["EID"])
                 pids.append(t["PID"])
                 corners.append(rows)
-        return cls(m, np.concatenate(ids), np.concatenate(pids), np.concatenate(corners))
+        return cls(
+            m, np.concatenate(ids), np.concatenate(pids), np.concatenate(corners)
+        )
 
     def find(self, t: CardRows, ids: Int) -> Int:
         """Rows (e,) of the shells `ids` (e,) that `t` names."""
@@ -225,7 +233,9 @@ class Skin:
         there = self.corners >= 0
         row = np.nonzero(there)[0]
         node = self.corners[there]
-        on = sp.csr_array((np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1))
+        on = sp.csr_array(
+            (np.ones(row.size), (row, node)), shape=(self.ids.size, node.max() + 1)
+        )
         touching = sp.coo_array(on[shell] @ on.T)
         pairs = np.unique(np.stack(touching.coords, axis=1), axis=0)
         i, j = pairs[pairs[:, 1] != shell[pairs[:, 0]]].T
@@ -305,7 +315,9 @@ def _on_square(t: CardRows, on: _Surface, point: Float, diameter: Float) -> End:
     centre = on_patch(t, skin.corners[shell], point)
     axes = any_triad(centre.normal)[:, 1:]
     side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (side @ axes)
+    corner = centre.place[:, None] + (np.sqrt(np.pi) / 4 * diameter)[:, None, None] * (
+        side @ axes
+    )
     flat = corner.reshape(-1, 3)
     under = on.about(shell, 4).foot(flat)
     lost = (under < 0).reshape(-1, 4).any(axis=1)
@@ -316,9 +328,14 @@ def _on_square(t: CardRows, on: _Surface, point: Float, diameter: Float) -> End:
     S[..., 3:] = -skew(feet.place.reshape(-1, 4, 3) - centre.place[:, None])
     size = np.repeat([np.ones(len(t)), diameter], 3, axis=0).T
     scaled = S.reshape(-1, 12, 6) / size[:, None]  # turns in units of a diameter
-    mean = np.linalg.solve(scaled.swapaxes(1, 2) @ scaled, scaled.swapaxes(1, 2)) / size[:, :, None]
+    mean = (
+        np.linalg.solve(scaled.swapaxes(1, 2) @ scaled, scaled.swapaxes(1, 2))
+        / size[:, :, None]
+    )
     shift = feet.follow[:, :3].reshape(-1, 4, 3, 24)
-    follow = np.einsum("eijk,ejkl->eijl", mean.reshape(-1, 6, 4, 3), shift).reshape(-1, 6, 96)
+    follow = np.einsum("eijk,ejkl->eijl", mean.reshape(-1, 6, 4, 3), shift).reshape(
+        -1, 6, 96
+    )
     return End(feet.nodes.reshape(-1, 16), centre.place, centre.normal, follow)
 
 
@@ -378,7 +395,9 @@ def _weld_end(t: CardRows, side: str, wide: Bool) -> End:
         fields = (f"PID{side}", f"SHID{side}")
         by_shell = some["TYPE"] == "ELPAT"
         diameter = some.named("PWELD")["D"].real
-        square = on_square(some, side, fields=fields, by_shell=by_shell, diameter=diameter)
+        square = on_square(
+            some, side, fields=fields, by_shell=by_shell, diameter=diameter
+        )
         parts.append((np.flatnonzero(wide), square))
     narrow = np.flatnonzero(~wide)
     some = t.take(narrow)
@@ -425,7 +444,8 @@ def springs(L: Float, length: Any_, D: Any_, E: Any_, G: Any_) -> Any_:
     across = 1 / (length / (SHEAR * G * area) + L**2 * length / (12 * E * second))
     bending = E * second / length
     return np.stack(
-        [E * area / length, across, across, 2 * G * second / length, bending, bending], axis=1
+        [E * area / length, across, across, 2 * G * second / length, bending, bending],
+        axis=1,
     )
 
 
@@ -436,14 +456,18 @@ def between(a: End, b: End) -> tuple[Float, Float]:
     return L, np.where((L > 0)[:, None], d / np.where(L > 0, L, 1.0)[:, None], a.normal)
 
 
-def joined(a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_) -> ElementMatrices:
+def joined(
+    a: End, b: End, axes: Float, springs: Any_, half: Any_, loss: Any_
+) -> ElementMatrices:
     """Matrices by springs (e, 6) half way between the ends, along and about `axes` (e, 3, 3); half
     the mass at each.
     """
     middle = (a.place + b.place) / 2
     local = rotation(axes, 1)
     move = [local @ arm(middle - end.place) @ end.follow for end in (a, b)]
-    K = congruent(np.concatenate([-move[0], move[1]], axis=2), springs[:, :, None] * np.eye(6))
+    K = congruent(
+        np.concatenate([-move[0], move[1]], axis=2), springs[:, :, None] * np.eye(6)
+    )
     d = K.shape[1]
     M = np.zeros((len(K), d, d), dtype=half.dtype)
     first = 0
@@ -504,10 +528,14 @@ def _axes(axis: Float) -> Float:
 def fastener_ends(t: CardRows) -> tuple[End, End]:
     """Both ends of rows of CFAST."""
     kind = t["TYPE"]
-    t.refuse(~np.isin(kind, ("PROP", "ELEM")), "type {!r}: allowed are PROP, ELEM", kind)
+    t.refuse(
+        ~np.isin(kind, ("PROP", "ELEM")), "type {!r}: allowed are PROP, ELEM", kind
+    )
     D = t.named("PFAST")["D"].real
     a, b = (
-        on_square(t, side, fields=(f"ID{side}",) * 2, by_shell=kind == "ELEM", diameter=D)
+        on_square(
+            t, side, fields=(f"ID{side}",) * 2, by_shell=kind == "ELEM", diameter=D
+        )
         for side in "AB"
     )
     return a, b

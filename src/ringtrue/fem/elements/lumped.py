@@ -230,7 +230,9 @@ def _spring_point(t: CardRows, x: Float) -> Float:
     """
     s = t["S"][:, None]
     ocid = t["OCID"]
-    own = np.einsum("ei,eij->ej", t.stack("S1", "S2", "S3"), frame(t.mesh, ocid, x[:, 0]))
+    own = np.einsum(
+        "ei,eij->ej", t.stack("S1", "S2", "S3"), frame(t.mesh, ocid, x[:, 0])
+    )
     return np.where(ocid[:, None] >= 0, x[:, 0] + own, (1 - s) * x[:, 0] + s * x[:, 1])
 
 
@@ -255,7 +257,9 @@ def _axis(t: CardRows, nodes: Int) -> Float:
     x = t.mesh.xyz[nodes]
     own = t["CID"] < 0
     lost = own & (x[:, 0] == x[:, 1]).all(axis=1)
-    t.refuse(lost, "its ends are at one place, or GB is blank; give CID, whose T1 it takes")
+    t.refuse(
+        lost, "its ends are at one place, or GB is blank; give CID, whose T1 it takes"
+    )
     axis = frame(t.mesh, t["CID"], x[:, 0])[:, 0].copy()
     axis[own] = segment(x[own])[1]
     return axis
@@ -364,13 +368,16 @@ def _motion(t: CardRows, n: int, d: int) -> Any_:
     why = f"UD has {d} components and S is missing; give S, or six that hold a body"
     rest.refuse(np.full(len(rest), d != 6), why)
     ids, components = (
-        np.concatenate([_listed(rest, f"{c}I"), _listed(rest, f"{c}D")], axis=1) for c in "UC"
+        np.concatenate([_listed(rest, f"{c}I"), _listed(rest, f"{c}D")], axis=1)
+        for c in "UC"
     )
     phi = rigid_motion(t.mesh, rest.nodes_of(ids), components - 1)
     values = np.linalg.svd(phi[:, n:], compute_uv=False)
     loose = values[:, -1] < 1e-9 * values[:, 0]
     rest.refuse(loose, "UD leaves a rigid motion free; give S, or other components")
-    S[~given] = np.linalg.solve(phi[:, n:].swapaxes(1, 2), phi[:, :n].swapaxes(1, 2)).swapaxes(1, 2)
+    S[~given] = np.linalg.solve(
+        phi[:, n:].swapaxes(1, 2), phi[:, :n].swapaxes(1, 2)
+    ).swapaxes(1, 2)
     return S
 
 
@@ -444,7 +451,11 @@ def named_matrix(m: Mesh, name: str) -> sparse.csr_array:
     """The DMIG matrix of this name over the full DOFs, (n, n) csr in the displacement frames, both
     triangles.
     """
-    have = m.model["DMIG"]["NAME"].astype(str) if "DMIG" in m.model else np.empty(0, dtype=str)
+    have = (
+        m.model["DMIG"]["NAME"].astype(str)
+        if "DMIG" in m.model
+        else np.empty(0, dtype=str)
+    )
     found = np.flatnonzero(np.char.upper(have) == name.upper())
     if not found.size:
         raise DeckError(
@@ -461,7 +472,9 @@ def named_matrix(m: Mesh, name: str) -> sparse.csr_array:
     value = t.ragged("A").values
     each = m.rows("DMIG", np.repeat(found[0], value.size))
     row, column = (
-        each.dof(t.ragged(f"G{end}").values, t.ragged(f"C{end}").values.astype(np.int64))
+        each.dof(
+            t.ragged(f"G{end}").values, t.ragged(f"C{end}").values.astype(np.int64)
+        )
         for end in "IJ"
     )
     if form == SYMMETRIC:  # one triangle is given, or both equal: each pair counts once
@@ -473,5 +486,7 @@ def named_matrix(m: Mesh, name: str) -> sparse.csr_array:
     A = sparse.coo_array((value, (row, column)), shape=(m.size, m.size)).tocsr()
     if form == SYMMETRIC:
         return sparse.csr_array(A + sparse.tril(A, -1).T)
-    t.refuse(np.array([abs(A - A.T).max() > 1e-9 * abs(A).max()]), f"{name} is not symmetric")
+    t.refuse(
+        np.array([abs(A - A.T).max() > 1e-9 * abs(A).max()]), f"{name} is not symmetric"
+    )
     return A

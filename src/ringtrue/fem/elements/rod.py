@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.fem.mesh import CardRows, ElementMatrices, isotropic, node_dofs, scaled, segment
+from ringtrue.fem.mesh import (
+    CardRows,
+    ElementMatrices,
+    isotropic,
+    node_dofs,
+    scaled,
+    segment,
+)
 
 _PAIR = np.array([[1.0, -1.0], [-1.0, 1.0]])
 

@@ -95,8 +95,12 @@ def _quad_plane(p: Float) -> Samples:
     two = np.array([-_A, _A])
     three = np.array([-_B, 0.0, _B])
     r, s = p.T
-    points = np.vstack([_grid(two, three), _grid(three, two), _grid(two, two), _grid(two, two)])
-    direction = np.repeat([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]], [6, 6, 4, 4], axis=0)
+    points = np.vstack(
+        [_grid(two, three), _grid(three, two), _grid(two, two), _grid(two, two)]
+    )
+    direction = np.repeat(
+        [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]], [6, 6, 4, 4], axis=0
+    )
     carry = np.zeros((len(p), 3, 20))
     carry[:, 0, :6] = _outer(_lagrange(two, r), _lagrange(three, s))
     carry[:, 1, 6:12] = _outer(_lagrange(three, r), _lagrange(two, s))
@@ -128,7 +132,9 @@ def _quad_shear(p: Float) -> Samples:
 def _linear(points: Float, p: Float) -> Float:
     """The linear function of three values, (p, 3)."""
     one = np.ones((len(p), 1))
-    return np.linalg.solve(np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T).T
+    return np.linalg.solve(
+        np.hstack([np.ones((3, 1)), points]).T, np.hstack([one, p]).T
+    ).T
 
 
 def _triangle_plane(p: Float) -> Samples:
@@ -156,7 +162,8 @@ def _triangle_shear(p: Float) -> Samples:
         zero = np.zeros(len(x))
         first = np.stack([one, r, s, zero, zero, zero, r * s, s * s], axis=1)
         return np.stack(
-            [first, np.stack([zero, zero, zero, one, r, s, -r * r, -r * s], axis=1)], axis=1
+            [first, np.stack([zero, zero, zero, one, r, s, -r * r, -r * s], axis=1)],
+            axis=1,
         )
 
     near = (1 - _A) / 2
@@ -190,7 +197,9 @@ def _flat_triangle_rule() -> ShellRule:
     strains = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, -1.0, 1.0]])
     plane = Samples(middle, direction, np.tile(strains, (3, 1, 1)))
     shear = Samples(middle, direction, np.zeros((3, 2, 3)))
-    return ShellRule(TRIANGLE, 1, points=p, weights=np.full(3, 1 / 6), plane=plane, shear=shear)
+    return ShellRule(
+        TRIANGLE, 1, points=p, weights=np.full(3, 1 / 6), plane=plane, shear=shear
+    )
 
 
 def _flat_rule() -> ShellRule:
@@ -213,7 +222,9 @@ def _flat_rule() -> ShellRule:
     side = np.stack([zero, zero, (1 - r) / 2, (1 + r) / 2], axis=1)
     middle = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
     shear = Samples(
-        middle, np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0), np.stack([low, side], axis=1)
+        middle,
+        np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0),
+        np.stack([low, side], axis=1),
     )
     return ShellRule(QUADRILATERAL, 1, points=p, weights=w, plane=plane, shear=shear)
 
@@ -224,7 +235,9 @@ def _quad_rule() -> ShellRule:
     weights = np.outer(w, w).ravel()
     plane = _quad_plane(p)
     shear = _quad_shear(p)
-    return ShellRule(QUADRILATERAL, 2, points=p, weights=weights, plane=plane, shear=shear)
+    return ShellRule(
+        QUADRILATERAL, 2, points=p, weights=weights, plane=plane, shear=shear
+    )
 
 
 def _triangle_rule() -> ShellRule:
@@ -282,7 +295,9 @@ def kept(rule: SolidRule, ends: Sequence[tuple[int, int]], present: Bool) -> Sol
     """
     fold = folded(ends, present)
     return SolidRule(
-        rule.values @ fold, np.einsum("gnr,nk->gkr", rule.derivatives, fold), rule.weights
+        rule.values @ fold,
+        np.einsum("gnr,nk->gkr", rule.derivatives, fold),
+        rule.weights,
     )
 
 

@@ -49,9 +49,9 @@ def is_convex(x: Float) -> Any_:
     """
     xy, area = flat(x)
     side = np.roll(xy, -1, axis=1) - xy
-    return (_turned(side, np.roll(side, -1, axis=1)) > 1e-9 * area[:, None]).all(axis=1) & (
-        area > 0
-    )
+    return (_turned(side, np.roll(side, -1, axis=1)) > 1e-9 * area[:, None]).all(
+        axis=1
+    ) & (area > 0)
 
 
 def _from(P: Float, at: Float) -> Float:
@@ -138,7 +138,9 @@ def stringers(x: Float, E: Any_, F1: Any_, F2: Any_, thickness: Any_) -> Any_:
         opposite = length[:, i] + length[:, (i + 2) % 4]
         shared = F * thickness * area / opposite
         EA = E * np.where(np.real(F) <= FULL, shared, 0.5 * F * thickness**2)
-        one = rod.kernel(x[:, edge], EA, np.zeros_like(EA)).reshape(-1, 2, 6, 2, 6)[:, :, :3, :, :3]
+        one = rod.kernel(x[:, edge], EA, np.zeros_like(EA)).reshape(-1, 2, 6, 2, 6)[
+            :, :, :3, :, :3
+        ]
         K[:, edge[:, None], :, edge[None, :], :] += one.transpose(1, 3, 0, 2, 4)
     return K.reshape(-1, 12, 12)
 
@@ -149,7 +151,10 @@ def corner_areas(x: Float) -> Float:
     """
     t = x[:, _CORNERS]
     triangle = (
-        np.linalg.norm(np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]), axis=2) / 2
+        np.linalg.norm(
+            np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]), axis=2
+        )
+        / 2
     )
     out = np.zeros((len(x), 4))
     for k, corners in enumerate(_CORNERS):
@@ -184,7 +189,9 @@ def build(t: CardRows) -> ElementMatrices:
     iso = isotropic(p.named("MAT1", "MID"))
     T = p["T"]
     p.refuse(T == 0, "T is 0 or blank; a shear panel has a thickness")
-    K = kernel(x, iso.G, iso.nu, T) + stringers(x, iso.E, p["F1"], F2=p["F2"], thickness=T)
+    K = kernel(x, iso.G, iso.nu, T) + stringers(
+        x, iso.E, p["F1"], F2=p["F2"], thickness=T
+    )
     lumped = (iso.rho * T + p["NSM"] + t.listed_mass)[:, None] * corner_areas(x)
     return ElementMatrices(
         dofs=node_dofs(nodes, 3),

@@ -59,7 +59,11 @@ def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
     area = np.sqrt((n * n).sum(axis=1)) / 2
     n = n / np.where(area == 0, 1.0, 2 * area)[:, None]
     axes = np.stack([e1, np.cross(n, e1), n], axis=1)
-    return axes, np.einsum("eij,ekj->eki", axes, x - x.mean(axis=1, keepdims=True))[..., :2], area
+    return (
+        axes,
+        np.einsum("eij,ekj->eki", axes, x - x.mean(axis=1, keepdims=True))[..., :2],
+        area,
+    )
 
 
 def _sides(xy: Any_) -> tuple[Any_, Any_]:
@@ -130,7 +134,9 @@ def _of_sides(t: Any_, s: ShellSection, w: Any_) -> Any_:
     for k, pair in enumerate(([2, 0], [0, 1], [1, 2])):
         corner[:, k][:, :, pair] = np.linalg.inv(t[:, pair])
     rows = np.einsum("gk,ekis->egis", _L, corner)
-    return np.asarray(np.einsum("egis,eij,egjr,eg->esr", rows, s.shear, rows, w, optimize=True))
+    return np.asarray(
+        np.einsum("egis,eij,egjr,eg->esr", rows, s.shear, rows, w, optimize=True)
+    )
 
 
 def _bending_flexibility(t: Any_, length: Any_, area: Any_, s: ShellSection) -> Any_:
@@ -174,7 +180,9 @@ def kernel(xy: Any_, area: Any_, s: ShellSection, residual: bool) -> Any_:
     bend = H.swapaxes(1, 2) @ contract(gram(g2, w3), s.bending) @ H
     bend = bend + R.swapaxes(1, 2) @ across @ R
     stretch = contract(gram(g1, w1), s.membrane)
-    K = np.zeros((e, 3, 6, 3, 6), dtype=np.result_type(stretch, s.coupling, bend, s.drill))
+    K = np.zeros(
+        (e, 3, 6, 3, 6), dtype=np.result_type(stretch, s.coupling, bend, s.drill)
+    )
     place(K, [0, 1], stretch)
     place(K, [2, 3, 4], bend)
     if np.any(s.coupling):

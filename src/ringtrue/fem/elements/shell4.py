@@ -54,7 +54,8 @@ from ringtrue.model.cards import QUADRILATERAL
 
 _SIGNS = QUADRILATERAL.nodes(1)
 _POINTS = _SIGNS / np.sqrt(3)
-_WHOLE = np.full(4, 4.0)  # weights of the drilling at the corners: each counts as the whole element
+# weights of the drilling at the corners: each counts as the whole element
+_WHOLE = np.full(4, 4.0)
 
 
 _N, _DN = QUADRILATERAL.functions(1, _POINTS)
@@ -62,12 +63,15 @@ _BUBBLES = -2 * _POINTS[:, :, None] * np.eye(2)
 _SLOPES = QUADRILATERAL.functions(1, _SIGNS)[1]
 _CENTRE = QUADRILATERAL.functions(1, np.zeros((1, 2)))[1]
 # of the sides η = ∓1, ξ = ∓1
-_MID = QUADRILATERAL.functions(1, np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]))
+_MID = QUADRILATERAL.functions(
+    1, np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
+)
 # where γx, γx, γy, γy are taken
 _STATIONS = np.array([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]]) / np.sqrt(3)
 _FIRST = np.array([True, True, False, False])
 _NS, _DNS = QUADRILATERAL.functions(1, _STATIONS)
-_PART = 0.025  # of the residual flexibility of a square, against a γx that is linear in y
+# of the residual flexibility of a square, against a γx that is linear in y
+_PART = 0.025
 
 
 def flatten(x: Any_) -> tuple[Any_, Any_, Any_]:
@@ -131,13 +135,20 @@ def _residual(xy: Any_, s: ShellSection) -> Any_:
     # γx and γy of the strains along two directions
     turn = np.where(_FIRST[:, None], along[:, :, ::-1, 1], along[:, :, ::-1, 0])
     turn = turn * np.where(_FIRST, 1, -1)[:, None] * [1, -1]
-    across = along[:, :, 0, 0] * along[:, :, 1, 1] - along[:, :, 0, 1] * along[:, :, 1, 0]
+    across = (
+        along[:, :, 0, 0] * along[:, :, 1, 1] - along[:, :, 0, 1] * along[:, :, 1, 0]
+    )
     rows = np.einsum("epr,prs->eps", turn / across[..., None], mix) / length[:, None]
     det = determinants(_DNS, xy)
     root = np.sqrt(s.weights(2 * det, _NS, 1))
     direction = np.where(_FIRST, 0, 1)
     share = np.where(_FIRST[:, None] == _FIRST, np.eye(4), 0.5)
-    G = s.shear[:, direction[:, None], direction] * share * root[:, :, None] * root[:, None]
+    G = (
+        s.shear[:, direction[:, None], direction]
+        * share
+        * root[:, :, None]
+        * root[:, None]
+    )
     soft = _bending_flexibility(xy, 2 * det[:, :2].sum(axis=1), s)
     return np.asarray(rows.swapaxes(1, 2) @ in_series(G, soft) @ rows)
 
@@ -159,7 +170,9 @@ def _bending_flexibility(xy: Any_, area: Any_, s: ShellSection) -> Any_:
     for i in range(2):
         pair = slice(2 * i, 2 * i + 2)
         out[:, pair, pair] = scaled(mean[:, i], np.ones((2, 2)))
-        out[:, pair, pair] += scaled(mean[:, i] * part[:, i], np.array([[1, -1], [-1, 1]]))
+        out[:, pair, pair] += scaled(
+            mean[:, i] * part[:, i], np.array([[1, -1], [-1, 1]])
+        )
     return out
 
 
@@ -173,7 +186,10 @@ def kernel(xy: Any_, s: ShellSection, residual: bool) -> Any_:
     stretch, mixed, bend = _plane(np.concatenate([g, soft], axis=2), det, s, residual)
     tied = _tied_shear(xy)
     across = tied.swapaxes(1, 2) @ (_residual if residual else _mitc)(xy, s) @ tied
-    K = np.zeros((len(xy), 4, 6, 4, 6), dtype=np.result_type(stretch, mixed, bend, across, s.drill))
+    K = np.zeros(
+        (len(xy), 4, 6, 4, 6),
+        dtype=np.result_type(stretch, mixed, bend, across, s.drill),
+    )
     place(K, [0, 1], stretch)
     place(K, [2, 3, 4], across)
     place(K, [3, 4], of_rotations(of_rotations(bend).swapaxes(1, 2)).swapaxes(1, 2))
@@ -200,7 +216,9 @@ def curved_kernel(
     arms, x, xy = joined_to_plane(x, normals, axes, s.offset[:, None] - heights)
     J, det, _ = jacobian(_DN, xy)
     J0, det0, _ = jacobian(_CENTRE, xy)
-    soft = incompatible(_BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=s.weights(det, _N, 1))
+    soft = incompatible(
+        _BUBBLES, J0[:, 0], det0[:, 0], det=det, weights=s.weights(det, _N, 1)
+    )
     modes = 8 if residual else 4
     rows = np.zeros((e, 4, 6, 24 + modes), dtype=np.result_type(x, normals, soft))
     rows[..., :24] = plane_strains(QUAD4, x, normals, np.linalg.inv(J))
@@ -226,7 +244,9 @@ def _without_modes(K: Any_, modes: int) -> Any_:
     return K
 
 
-def _plane(g: Any_, det: Any_, s: ShellSection, residual: bool) -> tuple[Any_, Any_, Any_]:
+def _plane(
+    g: Any_, det: Any_, s: ShellSection, residual: bool
+) -> tuple[Any_, Any_, Any_]:
     """Membrane, membrane-bending (empty if there is none) and bending stiffness, (e, 8, 8), the
     incompatible modes condensed; bending has them if `residual`.
     """
@@ -281,7 +301,12 @@ def build(t: CardRows) -> ElementMatrices:
 
     def curved(at: Int) -> Any_:
         return curved_kernel(
-            x[at], heights[at], normals[at], axes=axes[at], s=taken(s, at), residual=residual
+            x[at],
+            heights[at],
+            normals[at],
+            axes=axes[at],
+            s=taken(s, at),
+            residual=residual,
         )
 
     def plane(at: Bool | slice) -> Any_:

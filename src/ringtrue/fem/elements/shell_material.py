@@ -18,7 +18,15 @@ import numpy as np
 from ringtrue.core.arrays import Any_, Bool, Int
 from ringtrue.errors import UnsupportedCard
 from ringtrue.fem.elements.elasticity import plane_stress, solid
-from ringtrue.fem.mesh import CardRows, check_ratio, congruent, isotropic, matrix, merged, scaled
+from ringtrue.fem.mesh import (
+    CardRows,
+    check_ratio,
+    congruent,
+    isotropic,
+    matrix,
+    merged,
+    scaled,
+)
 from ringtrue.fem.negative_stiffness import elasticity
 
 # no transverse shear modulus given: G12 times this, which bends as if rigid in shear
@@ -40,7 +48,9 @@ class Layer:
     loss: Any_
 
 
-def layers(t: CardRows, mid: Int, *, core: bool = False, confined: Bool | None = None) -> Layer:
+def layers(
+    t: CardRows, mid: Int, *, core: bool = False, confined: Bool | None = None
+) -> Layer:
     """The materials `mid` (n,) that the rows (n,) refer to; 0 is none.
 
     Parameters
@@ -71,7 +81,9 @@ def layers(t: CardRows, mid: Int, *, core: bool = False, confined: Bool | None =
     if (confined & (mid > 0) & ~rest).any():
         raise UnsupportedCard("PSHELL", why="plane strain (MID2 -1) is for MAT1")
     if rest.any():
-        parts.append((rest, _mat1(t.take(rest).find("MAT1", mid[rest]), core, confined[rest])))
+        parts.append(
+            (rest, _mat1(t.take(rest).find("MAT1", mid[rest]), core, confined[rest]))
+        )
     return merged(n, parts)
 
 
@@ -82,7 +94,9 @@ def _mat1(mat: CardRows, core: bool, confined: Bool) -> Layer:
     c11, c12 = plane_stress(iso.E, iso.nu)
     if confined.any():
         body = solid(iso.E, iso.nu)
-        c11, c12 = (np.where(confined, s, p) for s, p in zip(body, (c11, c12), strict=True))
+        c11, c12 = (
+            np.where(confined, s, p) for s, p in zip(body, (c11, c12), strict=True)
+        )
     o = 0 * iso.G
     return Layer(
         plane=matrix((c11, c12, o), (c12, c11, o), (o, o, iso.shear)),
@@ -125,7 +139,9 @@ def turned(plane: Any_, through: Any_, c: Any_, s: Any_) -> tuple[Any_, Any_]:
     axes (Jones 1999, eq. 2.84).
     """
     R = matrix(
-        (c * c, s * s, c * s), (s * s, c * c, -c * s), (-2 * c * s, 2 * c * s, c * c - s * s)
+        (c * c, s * s, c * s),
+        (s * s, c * c, -c * s),
+        (-2 * c * s, 2 * c * s, c * c - s * s),
     )
     return congruent(R, plane), congruent(matrix((c, s), (-s, c)), through)
 
@@ -135,7 +151,9 @@ def contract(A: Any_, C: Any_) -> Any_:
     2, m, 2).
     """
     e, n, _, m, _ = A.shape
-    law = C[:, _VOIGT[:, :, None, None], _VOIGT].transpose(0, 1, 3, 2, 4).reshape(e, 4, 4)
+    law = (
+        C[:, _VOIGT[:, :, None, None], _VOIGT].transpose(0, 1, 3, 2, 4).reshape(e, 4, 4)
+    )
     K = law @ A.transpose(0, 2, 4, 1, 3).reshape(e, 4, n * m)
     return K.reshape(e, 2, 2, n, m).transpose(0, 3, 1, 4, 2).reshape(e, 2 * n, 2 * m)
 
@@ -201,7 +219,8 @@ def laminates(t: CardRows) -> Laminate:
     )
     t.refuse(soft, why, np.broadcast_to(1 + np.arange(soft.shape[1]), soft.shape))
     why = (
-        "its plies have no stiffness in a direction of their plane; check E2 and G12, or G11 to G33"
+        "its plies have no stiffness in a direction of their plane; check E2 "
+        "and G12, or G11 to G33"
     )
     t.refuse(_singular(A), why)
     S = transverse_shear(plies, A, B, D)
@@ -245,7 +264,9 @@ def _plies(t: CardRows, option: Any_) -> Plies:
     half = np.isin(option, tuple(MIRRORED))
     if half.any():
         at = np.concatenate([at, at[:, ::-1]], axis=1)
-        height = np.concatenate([height, np.where(half[:, None], height[:, ::-1], 0.0)], axis=1)
+        height = np.concatenate(
+            [height, np.where(half[:, None], height[:, ::-1], 0.0)], axis=1
+        )
     each = t.take(np.repeat(np.arange(len(t)), at.shape[1]))
     used = layers(each, mid.values[at].ravel())
     angle = np.radians(1.0) * theta.values[at].ravel()
@@ -325,4 +346,9 @@ def _smeared(
     D = np.where(core, faces * ((tf + tc) ** 3 - tc**3) / (12 * safe), D)
     S = np.where(core, tc * p.through[i, last], S)
     A = np.where(core, faces, A)
-    return np.where(flat, 0.0, A), B, np.where(membrane, 0.0, D), np.where(membrane, 0.0, S)
+    return (
+        np.where(flat, 0.0, A),
+        B,
+        np.where(membrane, 0.0, D),
+        np.where(membrane, 0.0, S),
+    )

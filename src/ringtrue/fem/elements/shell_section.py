@@ -75,7 +75,9 @@ class ShellSection:
 
     def masses(self, w: Any_, N: Float) -> Any_:
         """Mass (e, gp) at the integration points."""
-        return np.asarray(self.density[:, None] * self.weights(w, N, 1) + self.nsm[:, None] * w)
+        return np.asarray(
+            self.density[:, None] * self.weights(w, N, 1) + self.nsm[:, None] * w
+        )
 
 
 def section(t: CardRows, corners: int) -> ShellSection:
@@ -107,7 +109,9 @@ def in_axes(s: ShellSection, turn: Any_) -> ShellSection:
     if not some.any():
         return s
     turn = turn[some]
-    new = {name: getattr(s, name) for name in ("membrane", "coupling", "bending", "shear")}
+    new = {
+        name: getattr(s, name) for name in ("membrane", "coupling", "bending", "shear")
+    }
     for name in ("membrane", "coupling", "bending"):
         plane, through = turned(new[name][some], s.shear[some], turn[:, 0], turn[:, 1])
         new[name] = new[name].astype(np.result_type(new[name], plane))
@@ -122,7 +126,9 @@ def directed(s: ShellSection) -> Bool:
     some = (s.shear[:, 0, 1] != 0) | (s.shear[:, 0, 0] != s.shear[:, 1, 1])
     for C in (s.membrane, s.coupling, s.bending):
         some |= (C[:, :2, 2] != 0).any(axis=1) | (C[:, 0, 0] != C[:, 1, 1])
-        some |= np.abs(C[:, 0, 0] - C[:, 0, 1] - 2 * C[:, 2, 2]) > 1e-12 * np.abs(C[:, 0, 0])
+        some |= np.abs(C[:, 0, 0] - C[:, 0, 1] - 2 * C[:, 2, 2]) > 1e-12 * np.abs(
+            C[:, 0, 0]
+        )
     return np.asarray(some)
 
 
@@ -255,7 +261,9 @@ def in_spans(e: int, kernel: Callable[[slice], Any_]) -> Any_:
     """What `kernel` gives for spans of e elements, one after the other: bounds the memory of the
     strain rows.
     """
-    return np.concatenate([kernel(slice(i, i + SPAN)) for i in range(0, max(e, 1), SPAN)])
+    return np.concatenate(
+        [kernel(slice(i, i + SPAN)) for i in range(0, max(e, 1), SPAN)]
+    )
 
 
 def condensed(K: Any_, inner: int) -> Any_:
@@ -281,7 +289,9 @@ def in_series(stiffness: Any_, soft: Any_) -> Any_:
     return (K + K.swapaxes(1, 2)) / 2
 
 
-def place(K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None) -> None:
+def place(
+    K: Any_, rows: list[int], block: Any_, columns: list[int] | None = None
+) -> None:
     """Add a block (e, k r, k c) of DOFs `rows` (r) and `columns` (c, or as the rows) a node into K
     (e, k, 6, k, 6).
     """

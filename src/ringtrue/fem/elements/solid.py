@@ -44,7 +44,14 @@ from ringtrue.fem.elements.elasticity import (
     nearest,
     solid,
 )
-from ringtrue.fem.elements.shape_functions import SolidRule, cube, folded, kept, line, triangle
+from ringtrue.fem.elements.shape_functions import (
+    SolidRule,
+    cube,
+    folded,
+    kept,
+    line,
+    triangle,
+)
 from ringtrue.fem.mesh import (
     CardRows,
     ElementMatrices,
@@ -59,7 +66,8 @@ from ringtrue.model.model import Model, Table
 
 # numbers in the matrices of a slice: with its temporaries it stays in the cache of one core
 _CACHED = 2**16
-_ENTRY = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # of a tensor in the order of PAIRS
+# of a tensor in the order of PAIRS
+_ENTRY = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
 FLAT = 1e-12  # of the cube on the longest extent: less volume is none
 
 
@@ -186,7 +194,9 @@ class SolidShape:
         t.refuse(self._flat(x.real), "it has no volume; check its nodes")
         p = t.named("PSOLID")
         fluid = np.char.startswith(p["FCTN"].astype(str), "PFLUID")
-        p.refuse_unsupported(fluid, "is a fluid (FCTN PFLUID); allowed is SMECH or blank")
+        p.refuse_unsupported(
+            fluid, "is a fluid (FCTN PFLUID); allowed is SMECH or blank"
+        )
         material: Isotropic | Anisotropic
         if is_anisotropic(m.model, t["PID"][:1])[0]:
             material = anisotropic(p, x, self.axes(x))
@@ -261,7 +271,9 @@ class SolidShape:
             elif pressure is not None:
                 parts.append(projected(x[at], some, rule, pressure))
             else:
-                parts.append(kernel(x[at], some, rule, bubbles=lin.bubbles, centre=lin.centre))
+                parts.append(
+                    kernel(x[at], some, rule, bubbles=lin.bubbles, centre=lin.centre)
+                )
         return np.concatenate(parts), of_mass
 
 
@@ -302,12 +314,18 @@ def enhanced(
     e, points, n, _ = g.shape
     m = strains.pair.size
     J0 = jacobian(centre, x)[0][:, 0]
-    natural = np.linalg.inv(J0).swapaxes(1, 2)  # rows: gradients of the natural coordinates
+    # rows: gradients of the natural coordinates
+    natural = np.linalg.inv(J0).swapaxes(1, 2)
     length = np.sqrt((natural * natural).sum(axis=2, keepdims=True))
     natural = natural / length  # else those of thin cells differ by decades
     shape = strains.values / det[:, :, None]
-    soft = in_cartesian(natural)[:, None, :, strains.pair] * shape[:, :, None]  # (e, gp, 6, m)
-    stress = elasticity_matrix(material)[:, None] @ soft * (det * rule.weights)[:, :, None, None]
+    # (e, gp, 6, m)
+    soft = in_cartesian(natural)[:, None, :, strains.pair] * shape[:, :, None]
+    stress = (
+        elasticity_matrix(material)[:, None]
+        @ soft
+        * (det * rule.weights)[:, :, None, None]
+    )
     full = stress[:, :, _ENTRY].transpose(0, 1, 3, 2, 4).reshape(e, points * 3, 3 * m)
     coupling = g.transpose(0, 2, 1, 3).reshape(e, n, points * 3) @ full
     rows = (e, points * 6, m)
@@ -319,7 +337,9 @@ def enhanced(
     return condense(K, slice(3 * n), slice(3 * n, None))
 
 
-def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float) -> Any_:
+def projected(
+    x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, pressure: Float
+) -> Any_:
     """As `kernel`, with the dilatation of an isotropic body projected on `pressure` (gp, k),
     against locking.
 
@@ -332,7 +352,9 @@ def projected(x: Any_, material: Isotropic | Anisotropic, rule: SolidRule, press
     w = det * rule.weights
     kappa, c11, c12 = bulk(material)
     K = elastic(gram(g, w), c11, c12, material.shear)
-    moment = np.einsum("eg,gk,egna->ekna", w, pressure, g).reshape(len(g), pressure.shape[1], -1)
+    moment = np.einsum("eg,gk,egna->ekna", w, pressure, g).reshape(
+        len(g), pressure.shape[1], -1
+    )
     H = np.einsum("eg,gk,gl->ekl", w, pressure, pressure)
     return K + scaled(kappa, moment.swapaxes(1, 2) @ np.linalg.solve(H, moment))
 
@@ -347,7 +369,9 @@ def general(A: Any_, C: Any_) -> Any_:
     return K.reshape(e, n, n, 3, 3).transpose(0, 1, 3, 2, 4).reshape(e, 3 * n, 3 * n)
 
 
-def mass(x: Any_, rho: Any_, rule: SolidRule, coupled: bool, shares: Any_ | None = None) -> Any_:
+def mass(
+    x: Any_, rho: Any_, rule: SolidRule, coupled: bool, shares: Any_ | None = None
+) -> Any_:
     """Consistent (e, 3n, 3n); or lumped (e, 3n) by `shares` (e, n), without them by the scaled
     diagonal (Hinton, Rock and Zienkiewicz 1976).
     """
@@ -392,7 +416,9 @@ def _hexa_strains(p: Float) -> EnhancedStrains:
         (z, x, z * y, x * y),
     )
     pair = np.repeat(np.arange(6), [len(values) for values in by_pair])
-    return EnhancedStrains(np.column_stack([v for values in by_pair for v in values]), pair)
+    return EnhancedStrains(
+        np.column_stack([v for values in by_pair for v in values]), pair
+    )
 
 
 _HEXA_POINTS = HEXAHEDRON.nodes(1) / np.sqrt(3)
@@ -440,7 +466,9 @@ PENTA = SolidShape(
         as_nastran=wedge.kernel,
     ),
     quadratic=Quadratic(
-        _PENTA_FULL, _PENTA_FULL, np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE])
+        _PENTA_FULL,
+        _PENTA_FULL,
+        np.column_stack([np.ones(len(_PENTA_FINE)), _PENTA_FINE]),
     ),
     edges=WEDGE.edges,
     axes=_penta_axes,
@@ -459,10 +487,14 @@ def _pyramid_faces(p: Float, signs: Float) -> tuple[Float, Float]:
     q = p[:, None, :2]
     f = np.where(signs == 0, 1 - q**2, 1 + q * signs)
     df = np.where(signs == 0, -2 * q, np.broadcast_to(signs, f.shape))
-    return f.prod(axis=2), np.stack([df[..., 0] * f[..., 1], df[..., 1] * f[..., 0]], axis=2)
+    return f.prod(axis=2), np.stack(
+        [df[..., 0] * f[..., 1], df[..., 1] * f[..., 0]], axis=2
+    )
 
 
-def _pyramid_times(base: tuple[Float, Float], h: Float, dh: Float) -> tuple[Float, Float]:
+def _pyramid_times(
+    base: tuple[Float, Float], h: Float, dh: Float
+) -> tuple[Float, Float]:
     """Functions of (a, b) times h(ζ) (gp,): values (gp, 4), derivatives (gp, 4, 3) by (a, b, ζ)."""
     f, df = base
     return f * h[:, None], np.concatenate(
@@ -477,14 +509,20 @@ def _pyramid_linear(p: Float) -> tuple[Float, Float]:
         _pyramid_faces(p, _PYRAMID_SIGNS), (1 - z) / 4, np.full(len(p), -0.25)
     )
     apex = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(p), 1, 3))
-    return np.concatenate([value, z[:, None]], axis=1), np.concatenate([d, apex], axis=1)
+    return np.concatenate([value, z[:, None]], axis=1), np.concatenate(
+        [d, apex], axis=1
+    )
 
 
 def pyramid_quadratic(p: Float) -> tuple[Float, Float]:
     """Values (gp, 13) and derivatives (gp, 13, 3) by (a, b, ζ) at points (a, b, ζ)."""
     z = p[:, 2]
-    base, d_base = _pyramid_times(_pyramid_faces(p, _PYRAMID_MIDDLES), (1 - z) ** 2 / 2, z - 1)
-    rise, d_rise = _pyramid_times(_pyramid_faces(p, _PYRAMID_SIGNS), z * (1 - z), 1 - 2 * z)
+    base, d_base = _pyramid_times(
+        _pyramid_faces(p, _PYRAMID_MIDDLES), (1 - z) ** 2 / 2, z - 1
+    )
+    rise, d_rise = _pyramid_times(
+        _pyramid_faces(p, _PYRAMID_SIGNS), z * (1 - z), 1 - 2 * z
+    )
     middle = np.concatenate([base, rise], axis=1)
     d_middle = np.concatenate([d_base, d_rise], axis=1)
     half = np.zeros((len(PYRAMID_EDGES), 5))
@@ -492,7 +530,9 @@ def pyramid_quadratic(p: Float) -> tuple[Float, Float]:
     corner, d_corner = _pyramid_linear(p)  # made zero at the midside nodes
     corner = corner - middle @ half
     d_corner = d_corner - np.einsum("gmr,mn->gnr", d_middle, half)
-    return np.concatenate([corner, middle], axis=1), np.concatenate([d_corner, d_middle], axis=1)
+    return np.concatenate([corner, middle], axis=1), np.concatenate(
+        [d_corner, d_middle], axis=1
+    )
 
 
 def _pyramid_conical(n: int) -> tuple[Float, Float]:
@@ -547,7 +587,10 @@ def _tetra_conical(n: int) -> tuple[Float, Float]:
     x, wx = roots_jacobi(n, 2, 0)
     y, wy = roots_jacobi(n, 1, 0)
     z, wz = roots_jacobi(n, 0, 0)
-    a, b, c = (g.ravel() for g in np.meshgrid((x + 1) / 2, (y + 1) / 2, (z + 1) / 2, indexing="ij"))
+    a, b, c = (
+        g.ravel()
+        for g in np.meshgrid((x + 1) / 2, (y + 1) / 2, (z + 1) / 2, indexing="ij")
+    )
     w = np.einsum("i,j,k->ijk", wx / 8, wy / 4, wz / 2).ravel()
     return np.stack([a, b * (1 - a), c * (1 - a) * (1 - b)], axis=1), w
 
@@ -575,7 +618,8 @@ def _tetra_shares(x: Any_) -> Any_:
     rest by the distance from the midside node of the opposite edge to the power -3/2, found from
     recorded frequencies. Opposite edges have equal shares, so that the centre of gravity is right.
     """
-    across = x[:, 4:] - x[:, [9, 7, 8, 5, 6, 4]]  # midside nodes less those of the opposite edges
+    # midside nodes less those of the opposite edges
+    across = x[:, 4:] - x[:, [9, 7, 8, 5, 6, 4]]
     near = (across * across).sum(axis=2) ** -0.75
     out = np.zeros(x.shape[:2], dtype=near.dtype)
     out[:, 4:] = 0.1 + 0.4 * near / near.sum(axis=1, keepdims=True)

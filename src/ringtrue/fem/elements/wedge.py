@@ -27,7 +27,9 @@ _SIDES = np.array([[0, 1], [1, 2], [2, 0]])
 _SHEAR = (PAIRS.index((2, 0)), PAIRS.index((1, 2)))  # of ζ with r and s
 
 
-def product(flat: tuple[Float, Float], along: tuple[Float, Float]) -> tuple[Float, Float]:
+def product(
+    flat: tuple[Float, Float], along: tuple[Float, Float]
+) -> tuple[Float, Float]:
     """Points (gp, 3) and weights of a triangle's times a line's."""
     (p, w), (z, v) = flat, along
     points = np.concatenate([np.column_stack([p, np.full(len(p), zi)]) for zi in z])
@@ -36,7 +38,9 @@ def product(flat: tuple[Float, Float], along: tuple[Float, Float]) -> tuple[Floa
 
 POINTS, _WEIGHTS = product(triangle(2), line(2))
 RULE = SolidRule(*WEDGE.functions(1, POINTS), _WEIGHTS)
-_MIDDLE_OF_SIDES = WEDGE.functions(1, np.array([[0.5, 0, 0], [0.5, 0.5, 0], [0, 0.5, 0]]))[1]
+_MIDDLE_OF_SIDES = WEDGE.functions(
+    1, np.array([[0.5, 0, 0], [0.5, 0.5, 0], [0, 0.5, 0]])
+)[1]
 CENTRE = WEDGE.functions(1, np.array([[1 / 3, 1 / 3, 0.0]]))[1]
 _BUBBLE = TRIANGLE.functions(2, POINTS[:, :2])[1][:, 3:].sum(axis=1) / 4
 
@@ -59,7 +63,9 @@ def _touching(x: Any_) -> Any_:
     middle = (x[:, :3] + x[:, 3:]) / 2
     sides = middle[:, _SIDES[:, 1]] - middle[:, _SIDES[:, 0]]
     length = np.sqrt((sides * sides).sum(axis=2))
-    share = (1 + (np.roll(length, 1, axis=1) - np.roll(length, -1, axis=1)) / length) / 2
+    share = (
+        1 + (np.roll(length, 1, axis=1) - np.roll(length, -1, axis=1)) / length
+    ) / 2
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     first, second = corners[_SIDES.T]
     return np.asarray(first + share[:, :, None] * (second - first))
@@ -68,7 +74,9 @@ def _touching(x: Any_) -> Any_:
 def _tied_shear(x: Any_) -> tuple[Any_, Any_]:
     """Covariant shear of ζ with r and with s, (e, gp, 18) each, from its values along the sides."""
     J = np.einsum("gnr,ena->egra", _MIDDLE_OF_SIDES, x)
-    shear = natural_strains(_MIDDLE_OF_SIDES, J)[:, :, list(_SHEAR)].reshape(len(x), 3, 2, 18)
+    shear = natural_strains(_MIDDLE_OF_SIDES, J)[:, :, list(_SHEAR)].reshape(
+        len(x), 3, 2, 18
+    )
     along_r = shear[:, 0, 0]
     along_s = shear[:, 2, 1]
     across = shear[:, 1, 1] - shear[:, 1, 0]
@@ -95,7 +103,11 @@ def kernel(x: Any_, material: Isotropic | Anisotropic) -> Any_:
         soft[:, k, 1 + k] = _BUBBLE[:, k]
         soft[:, PAIRS.index((0, 1)), 1 + k] = _BUBBLE[:, 1 - k]
     J0, det0, _ = jacobian(CENTRE, x)
-    within = in_cartesian(np.linalg.inv(J0).swapaxes(2, 3)) @ soft * (det0 / det)[:, :, None, None]
+    within = (
+        in_cartesian(np.linalg.inv(J0).swapaxes(2, 3))
+        @ soft
+        * (det0 / det)[:, :, None, None]
+    )
     mean = np.einsum("eg,egpm->epm", w, within) / w.sum(axis=1)[:, None, None]
     B = np.concatenate([of_nodes, within - mean[:, None]], axis=3)
     stress = elasticity_matrix(material)[:, None] @ B * w[:, :, None, None]

@@ -24,7 +24,8 @@ from ringtrue.model.frames import positions
 from ringtrue.model.model import Model, Ragged, Table, stacked
 from ringtrue.model.references import REFERENCES
 
-FOLLOWERS = ("CFAST", "CWELD")  # they stand on the corners of shells that they do not name
+# they stand on the corners of shells that they do not name
+FOLLOWERS = ("CFAST", "CWELD")
 _PLY = re.compile(r"([A-Z](?:[A-Z0-9]*[A-Z])?)(\d+)")
 Factor = float | complex
 
@@ -62,7 +63,9 @@ def scaled(model: Model, parameter: Parameter, factor: Factor) -> Model:
     return model
 
 
-def changed(model: Model, name: str, targets: Sequence[CardField], factor: Factor | Any_) -> Model:
+def changed(
+    model: Model, name: str, targets: Sequence[CardField], factor: Factor | Any_
+) -> Model:
     """A copy with the fields of `targets` at `factor`, whatever elements they are meant for.
 
     Several factors are those of equal shares of the rows, the first of the first rows.
@@ -99,7 +102,9 @@ def _there(tables: dict[str, Table], card: str, wanted: int) -> str:
     return f"; {ids.size} {card}, next to it {', '.join(map(str, near.tolist()))}"
 
 
-def _rows_with(tables: dict[str, Table], name: str, card: str, field: str, ids: Int) -> Int:
+def _rows_with(
+    tables: dict[str, Table], name: str, card: str, field: str, ids: Int
+) -> Int:
     """Rows of a card with these ids; an error names the first that is absent."""
     there = tables[card].ids if card in tables else ids[:0]
     rows = np.flatnonzero(there == ids[0] if ids.size == 1 else np.isin(there, ids))
@@ -140,24 +145,36 @@ class _Scaling:
             )
         factors = self.factors[rows]
         out = values.astype(np.result_type(values, factors))
-        out[at] = out[at] + self.step * (factors - 1) if self.step else out[at] * factors
+        out[at] = (
+            out[at] + self.step * (factors - 1) if self.step else out[at] * factors
+        )
         return out
 
 
 def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table:
     """The table with a field of some rows changed; a uniform PBEAM stays uniform."""
     ply = _PLY.fullmatch(field)
-    if field not in table.columns and ply and isinstance(table.columns.get(ply[1]), Ragged):
+    if (
+        field not in table.columns
+        and ply
+        and isinstance(table.columns.get(ply[1]), Ragged)
+    ):
         return _with_ply(table, rows, ply[1], int(ply[2]), change)
     if field not in table.columns:
-        raise InputError(f"{change.where}: no such field{did_you_mean(field, table.columns)}")
+        raise InputError(
+            f"{change.where}: no such field{did_you_mean(field, table.columns)}"
+        )
     if is_matrix(table.card, field):
         given = table.ragged(field)
         inside = np.flatnonzero(np.isin(given.owner, rows))
-        return with_entries(table, field, change.of(given.values, inside, given.owner[inside]))
+        return with_entries(
+            table, field, change.of(given.values, inside, given.owner[inside])
+        )
     column = table.columns[field]
     if isinstance(column, Ragged):
-        raise InputError(f"{change.where} is a list; number its entries: {field}1, {field}2 ...")
+        raise InputError(
+            f"{change.where} is a list; number its entries: {field}1, {field}2 ..."
+        )
     out = table.with_column(field, change.of(column, rows, rows))
     other_end = BOTH_ENDS.get(field) if table.card == "PBEAM" else None
     if other_end is None:
@@ -171,7 +188,9 @@ def _with_fields(table: Table, rows: Int, field: str, change: _Scaling) -> Table
         of = entries.owner
         equal = np.flatnonzero(np.isin(of, rows) & (entries.values == column[of]))
         if equal.size:
-            out = with_entries(out, stations, change.of(entries.values, equal, of[equal]))
+            out = with_entries(
+                out, stations, change.of(entries.values, equal, of[equal])
+            )
     return out
 
 
@@ -198,7 +217,9 @@ def _filled(ragged: Ragged, rows: Int) -> NDArray[Any]:
     if values.dtype.kind not in "fc" or not np.isnan(values).any():
         return values
     of = ragged.owner
-    given = np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(values.size)))
+    given = np.maximum.accumulate(
+        np.where(np.isnan(values), -1, np.arange(values.size))
+    )
     use = np.isin(of, rows) & (given >= ragged.offsets[of])
     values[use] = values[given[use]]
     return values
@@ -216,7 +237,9 @@ def moved(model: Model, shape: Shape, amount: float) -> Model:
     grid = model["GRID"]
     at = grid.find(np.array(shape.nodes, dtype=np.int64))
     if (at < 0).any():
-        raise InputError(f"shape: GRID {np.array(shape.nodes)[at < 0][0]} is not in the model")
+        raise InputError(
+            f"shape: GRID {np.array(shape.nodes)[at < 0][0]} is not in the model"
+        )
     x = positions(model)[at] + amount * np.array(shape.vectors)
     for i in range(3):
         column = grid[f"X{i + 1}"].copy()
@@ -224,7 +247,9 @@ def moved(model: Model, shape: Shape, amount: float) -> Model:
         grid = grid.with_column(f"X{i + 1}", column)
     frame = grid["CP"].copy()
     frame[at] = 0
-    return replace(model, tables={**model.tables, "GRID": grid.with_column("CP", frame)})
+    return replace(
+        model, tables={**model.tables, "GRID": grid.with_column("CP", frame)}
+    )
 
 
 def rows_of(model: Model, target: CardField) -> Rows:
@@ -262,7 +287,9 @@ def _users(model: Model, card: str, ids: Int) -> Rows:
         followed[card] = np.union1d(followed.get(card, []), ids)
         if card in elements:
             found.append({card: np.flatnonzero(np.isin(model[card].ids, ids))})
-        for r in [r for r in REFERENCES if card in r.of and r.card in model and ids.size]:
+        for r in [
+            r for r in REFERENCES if card in r.of and r.card in model and ids.size
+        ]:
             rows = _naming(model[r.card], r.field, ids)
             if r.card in elements:
                 found.append({r.card: rows})
@@ -283,7 +310,9 @@ def within(model: Model, rows: Rows, elements: Sequence[int]) -> Rows:
     """Those of the rows whose element id is listed; all if the list is empty."""
     if not elements:
         return rows
-    picked = {card: at[np.isin(model[card].ids[at], elements)] for card, at in rows.items()}
+    picked = {
+        card: at[np.isin(model[card].ids[at], elements)] for card, at in rows.items()
+    }
     return {card: at for card, at in picked.items() if at.size}
 
 
@@ -295,7 +324,9 @@ def rows_of_elements(model: Model, name: str, elements: Sequence[int]) -> Rows:
     InputError
         If one is not in the model.
     """
-    rows = within(model, {c: np.arange(len(model[c])) for c in affected_cards(model)}, elements)
+    rows = within(
+        model, {c: np.arange(len(model[c])) for c in affected_cards(model)}, elements
+    )
     if sum(at.size for at in rows.values()) < len(set(elements)):
         raise InputError(
             f"parameter {name}: not all of its {len(set(elements))} elements are in the model"
@@ -310,7 +341,9 @@ def users_of_nodes(model: Model, nodes: Int) -> Rows:
     mass (NSML).
     """
     found = {}
-    frame = any(f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS")
+    frame = any(
+        f"CORD1{k}" in model and _on(model[f"CORD1{k}"], nodes).any() for k in "RCS"
+    )
     for card in affected_cards(model):
         at = np.flatnonzero(_on(model[card], nodes) | frame | (card in FOLLOWERS))
         if at.size:
@@ -338,7 +371,9 @@ def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
     rows = within(model, rows_of(model, target), target.elements)
     where = f"parameter {name}: {target.card} {target.id}"
     if not rows:
-        raise InputError(f"{where}: none of its elements {list(target.elements[:5])} uses it")
+        raise InputError(
+            f"{where}: none of its elements {list(target.elements[:5])} uses it"
+        )
     if target.card in model and target.card in affected_cards(model):
         return model, replace(target, elements=())
     named = MADE.get(target.card, target.card)
@@ -346,7 +381,11 @@ def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
     direct = [r for r in links if r.card in rows]
     if direct:
         fresh, model = _copied(model, named, target.id, _family(direct[0].of))
-        model = model if named == target.card else _row_added(model, target.card, target.id, fresh)
+        model = (
+            model
+            if named == target.card
+            else _row_added(model, target.card, target.id, fresh)
+        )
         for r in direct:
             model = _redirected(
                 model, r.card, r.field, rows=rows[r.card], old=target.id, fresh=fresh
@@ -354,8 +393,11 @@ def _own(model: Model, name: str, target: CardField) -> tuple[Model, CardField]:
         rows = {c: at for c, at in rows.items() if c not in {r.card for r in direct}}
     elif links:
         fresh, model = _copied(model, target.card, target.id, _family(links[0].of))
-    for r in links if rows else []:  # through the properties of the elements that are left
-        model = _by_property(model, r.card, r.field, rows=rows, old=target.id, fresh=fresh)
+    # through the properties of the elements that are left
+    for r in links if rows else []:
+        model = _by_property(
+            model, r.card, r.field, rows=rows, old=target.id, fresh=fresh
+        )
     return model, replace(target, id=fresh, elements=())
 
 
@@ -388,7 +430,9 @@ def _row_added(model: Model, card: str, row_id: int, fresh: int) -> Model:
     return replace(model, tables={**model.tables, card: stacked(table, made)})
 
 
-def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh: int) -> Model:
+def _redirected(
+    model: Model, card: str, field: str, rows: Int, old: int, fresh: int
+) -> Model:
     """The model in which these rows of a card name `fresh` in place of `old`."""
     values, owner = model[card].entries(field)
     mine = np.isin(owner, rows) & (values == old)
@@ -396,7 +440,9 @@ def _redirected(model: Model, card: str, field: str, rows: Int, old: int, fresh:
     return replace(model, tables={**model.tables, card: table})
 
 
-def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fresh: int) -> Model:
+def _by_property(
+    model: Model, card: str, field: str, rows: Rows, old: int, fresh: int
+) -> Model:
     """Copies of the properties `card` that name material `old`, naming `fresh`, for the element
     rows.
     """
@@ -407,5 +453,7 @@ def _by_property(model: Model, card: str, field: str, rows: Rows, old: int, fres
             new, model = _copied(model, card, pid, "P")
             copy = model[card].find(np.array([new]))
             model = _redirected(model, card, field, rows=copy, old=old, fresh=fresh)
-            model = _redirected(model, r.card, r.field, rows=rows[r.card], old=pid, fresh=new)
+            model = _redirected(
+                model, r.card, r.field, rows=rows[r.card], old=pid, fresh=new
+            )
     return model

@@ -19,7 +19,15 @@ from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.eigen.derivatives import MatrixDerivatives
 from ringtrue.errors import UnsupportedError
-from ringtrue.fem.assembly import WHOLE, Share, Sum, System, full_matrices, reduced, turn
+from ringtrue.fem.assembly import (
+    WHOLE,
+    Share,
+    Sum,
+    System,
+    full_matrices,
+    reduced,
+    turn,
+)
 from ringtrue.fem.constraints import eliminate
 from ringtrue.fem.element_cards import mesh, pieces
 from ringtrue.fem.elements import lumped
@@ -85,7 +93,9 @@ def share_terms(
         of the share move: the matrices are over these.
     """
     m = mesh(model)
-    groups = [g for i, p in enumerate(parameters.parameters) for g in groups_of(model, i, p)]
+    groups = [
+        g for i, p in enumerate(parameters.parameters) for g in groups_of(model, i, p)
+    ]
     say = part(progress, 0.0, 0.5)
     powers = {}
     for k, g in enumerate(groups):
@@ -127,7 +137,9 @@ def _matrix_terms(
             yield AffineTerm(power(i), *sums)
 
 
-def matrices_kept(model: Model, *parameters: Parameter, most: int = SEARCH.most) -> int | None:
+def matrices_kept(
+    model: Model, *parameters: Parameter, most: int = SEARCH.most
+) -> int | None:
     """How many matrices the interpolation of parameters together keeps of an element, seen on a
     sample of elements.
 
@@ -142,7 +154,11 @@ def matrices_kept(model: Model, *parameters: Parameter, most: int = SEARCH.most)
     m = mesh(model)
     groups = [g for i, p in enumerate(parameters) for g in groups_of(model, i, p)]
     powers = [own_powers(m, g) for g in groups]
-    curved = [few(g.rows, SAMPLE) for g, own in zip(groups, powers, strict=True) if own is None]
+    curved = [
+        few(g.rows, SAMPLE)
+        for g, own in zip(groups, powers, strict=True)
+        if own is None
+    ]
     try:
         found = [n for rows in curved for n in learn(m, regions(groups, rows), most)]
     except UnsupportedError:
@@ -192,7 +208,9 @@ def by_owner(part: ElementDerivatives) -> Iterator[tuple[int, Int]]:
     yield from zip(present.tolist(), np.split(order, first[1:]), strict=True)
 
 
-def _transform_derivative(model: Model, p: Parameter, system: System) -> sparse.csr_array | None:
+def _transform_derivative(
+    model: Model, p: Parameter, system: System
+) -> sparse.csr_array | None:
     """∂T/∂a of `system.transform` at a = 1, (full, f) csr; None if it is zero.
 
     It is not zero where the arm of a rigid element changes, or a node goes round a cylindrical
@@ -231,11 +249,15 @@ def _transform(model: Model, system: System) -> sparse.csr_array:
 def _in_frames(model: Model, system: System) -> sparse.csr_array:
     """The same in the displacement frames, (full, f)."""
     local, free = eliminate(mesh(model))
-    at = np.searchsorted(free, system.dofs.find(system.free.node, system.free.direction))
+    at = np.searchsorted(
+        free, system.dofs.find(system.free.node, system.free.direction)
+    )
     return sparse.csr_array(local[:, at])
 
 
-def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_array) -> Pair:
+def _with_transform(
+    model: Model, p: Parameter, system: System, dT: sparse.csr_array
+) -> Pair:
     """dTᵀ A T + Tᵀ A dT of the full K and M; DMIG turn with the displacement frames."""
     m = mesh(model)
     K, M = full_matrices(m, (part for _, _, part in pieces(m)))
@@ -249,7 +271,9 @@ def _with_transform(model: Model, p: Parameter, system: System, dT: sparse.csr_a
     return stiffness, mass
 
 
-def _both(dT: sparse.csr_array, A: sparse.csr_array, T: sparse.csr_array) -> sparse.csr_array:
+def _both(
+    dT: sparse.csr_array, A: sparse.csr_array, T: sparse.csr_array
+) -> sparse.csr_array:
     half = sparse.csr_array(dT.T.tocsr() @ A @ T)
     return sparse.csr_array(half + half.T)
 
@@ -293,7 +317,9 @@ def congruent(
 
 def _padded(system: System, x: Float) -> Float:
     """Motions (full + 1, m) of all nodes; the last row, that of DOF -1, is zero."""
-    return np.concatenate([system.transform @ np.ascontiguousarray(x), np.zeros((1, x.shape[1]))])
+    return np.concatenate(
+        [system.transform @ np.ascontiguousarray(x), np.zeros((1, x.shape[1]))]
+    )
 
 
 def quadratic_forms(
@@ -321,7 +347,9 @@ def quadratic_forms(
             x = full[dofs]
         for total, A in ((K, piece.stiffness), (M, piece.mass)):
             if np.any(A):
-                np.add.at(total, piece.owner, np.einsum("edm,edm->em", x, applied(A, x)))
+                np.add.at(
+                    total, piece.owner, np.einsum("edm,edm->em", x, applied(A, x))
+                )
     for i, p in enumerate(parameters):
         dT = _transform_derivative(model, p, system)
         if dT is not None:

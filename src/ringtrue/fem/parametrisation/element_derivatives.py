@@ -17,10 +17,22 @@ import numpy as np
 from scipy import sparse
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.parameters import CardField, Parameter, Shape, Substructure, is_matrix
+from ringtrue.core.parameters import (
+    CardField,
+    Parameter,
+    Shape,
+    Substructure,
+    is_matrix,
+)
 from ringtrue.errors import InputError
 from ringtrue.fem.assembly import WHOLE, Share, turn
-from ringtrue.fem.element_cards import MATERIAL, PROPERTY, mesh, pieces, with_listed_mass
+from ringtrue.fem.element_cards import (
+    MATERIAL,
+    PROPERTY,
+    mesh,
+    pieces,
+    with_listed_mass,
+)
 from ringtrue.fem.elements.lumped import named_matrix
 from ringtrue.fem.mesh import ElementMatrices, Mesh, Rows, union
 from ringtrue.fem.parametrisation.changed_model import (
@@ -40,7 +52,8 @@ SPAN = 512  # elements of a chunk, whose matrices stay in the cache
 _PLACES = frozenset(["X1", "X2", "X3", "W1A", "W2A", "W3A", "W1B", "W2B", "W3B"])
 # of the square that finds the shells which carry an end; of the beam that a spline is
 _SIZES = frozenset([("PFAST", "D"), ("PWELD", "D"), ("RSPLINE", "DL")])
-_SECTION_PLACES = frozenset(["CONM2", "CONM1"])  # X1-X3 there are an arm, generic in dtype
+# X1-X3 there are an arm, generic in dtype
+_SECTION_PLACES = frozenset(["CONM2", "CONM1"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,12 +89,16 @@ class _Sweep:
     def take(self, model: Model, rows: Rows) -> None:
         """These rows feel its steps, too."""
         for card, at in rows.items():
-            self.taken.setdefault(card, np.zeros(len(model[card]), dtype=bool))[at] = True
+            self.taken.setdefault(card, np.zeros(len(model[card]), dtype=bool))[at] = (
+                True
+            )
 
 
 def is_place(target: CardField) -> bool:
     """Whether a field is the place of a node or of a beam's end, or a direction."""
-    return moves_nodes(target) or (target.field in _PLACES and target.card not in _SECTION_PLACES)
+    return moves_nodes(target) or (
+        target.field in _PLACES and target.card not in _SECTION_PLACES
+    )
 
 
 def moves_nodes(target: CardField) -> bool:
@@ -232,7 +249,9 @@ class _Reach:
             order[card] = ids[by_id], at[by_id]
         mids = _moduli(model, targets)
         return cls(
-            rows, order, {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {}
+            rows,
+            order,
+            {c: np.isin(sole_material(model, c), mids) for c in rows} if mids else {},
         )
 
     def within(self, elements: tuple[int, ...]) -> Rows:
@@ -250,7 +269,9 @@ class _Reach:
 
     def proportional(self, rows: Rows) -> bool:
         """Whether the stiffness of these rows is proportional to what the targets are."""
-        return bool(self.moduli) and all(self.moduli[c][at].all() for c, at in rows.items())
+        return bool(self.moduli) and all(
+            self.moduli[c][at].all() for c, at in rows.items()
+        )
 
 
 def _moduli(model: Model, targets: Sequence[CardField]) -> tuple[int, ...]:
@@ -279,7 +300,11 @@ def _owners(s: _Sweep) -> dict[str, Int]:
 
 
 def _join(
-    model: Model, bundle: list[_Sweep], targets: tuple[CardField, ...], i: int, rows: Rows
+    model: Model,
+    bundle: list[_Sweep],
+    targets: tuple[CardField, ...],
+    i: int,
+    rows: Rows,
 ) -> None:
     for s in bundle:
         if not any(s.taken[c][at].any() for c, at in rows.items() if c in s.taken):
@@ -296,7 +321,9 @@ def _merged(model: Model, sweeps: list[_Sweep]) -> list[_Sweep]:
     out: list[_Sweep] = []
     for s in sweeps:
         for t in out:
-            if not any((t.taken[c] & used).any() for c, used in s.taken.items() if c in t.taken):
+            if not any(
+                (t.taken[c] & used).any() for c, used in s.taken.items() if c in t.taken
+            ):
                 t.targets = t.targets + s.targets
                 t.rows = t.rows + s.rows
                 for c, used in s.taken.items():
@@ -338,7 +365,9 @@ def _common(own: Rows | None, rows: Rows) -> Rows:
     """Rows that are among one's own."""
     if own is None:
         return rows
-    both = {card: np.intersect1d(at, own[card]) for card, at in rows.items() if card in own}
+    both = {
+        card: np.intersect1d(at, own[card]) for card, at in rows.items() if card in own
+    }
     return {card: at for card, at in both.items() if at.size}
 
 
@@ -380,7 +409,9 @@ def _proportional(
 
 
 def _imaginary(a: Any_) -> Float:
-    return np.asarray(a.imag / COMPLEX_STEP) if np.iscomplexobj(a) else np.zeros(a.shape)
+    return (
+        np.asarray(a.imag / COMPLEX_STEP) if np.iscomplexobj(a) else np.zeros(a.shape)
+    )
 
 
 def _derivatives(
@@ -390,7 +421,9 @@ def _derivatives(
     return ElementDerivatives(owner, p.dofs, take(p.stiffness), mass)
 
 
-def _by_differences(m: Mesh, i: int, move: Move, own: Rows | None) -> Iterator[ElementDerivatives]:
+def _by_differences(
+    m: Mesh, i: int, move: Move, own: Rows | None
+) -> Iterator[ElementDerivatives]:
     """Central differences of the elements that a place changes."""
     rows = _common(own, move.rows(m.model))
     size = move.size(m.model)
@@ -438,7 +471,9 @@ def _common_factor(
             yield replace(whole, stiffness=np.zeros_like(whole.stiffness))
 
 
-def given_matrix_derivatives(m: Mesh, i: int, p: Parameter) -> Iterator[ElementDerivatives]:
+def given_matrix_derivatives(
+    m: Mesh, i: int, p: Parameter
+) -> Iterator[ElementDerivatives]:
     """The matrices of DMIG that a parameter scales, each as one element over its DOFs in basic.
 
     Raises

@@ -182,7 +182,9 @@ class _Learner:
         # others are seen
         self.factors = np.vstack([self.factors, *(a for a, _ in some)])
         self.changes = np.vstack([self.changes, changes])
-        size = np.abs(self.changes + self.weights * self.start).max(axis=1, initial=1e-300)
+        size = np.abs(self.changes + self.weights * self.start).max(
+            axis=1, initial=1e-300
+        )
         nodes, self.places = _pivots(self.changes / size[:, None], self.most + 1)
         self.factors = self.factors[nodes]
         self.changes = self.changes[nodes]
@@ -222,7 +224,9 @@ def _pivots(rest: Float, most: int) -> tuple[list[int], list[int]]:
     return rows, columns
 
 
-def learn(m: Mesh, some: Sequence[Region], most: int = SEARCH.most) -> list[InterpolationNodes]:
+def learn(
+    m: Mesh, some: Sequence[Region], most: int = SEARCH.most
+) -> list[InterpolationNodes]:
     """What determines the functions of each region.
 
     The points lie first on the axes, where only one parameter is not at nominal, then anywhere
@@ -239,7 +243,11 @@ def learn(m: Mesh, some: Sequence[Region], most: int = SEARCH.most) -> list[Inte
     one = np.ones_like(low)
     rng = np.random.default_rng(0)
     given = zip(
-        some, entries(m, some, one), entries(m, some, one, roots), _at(m, some, axes), strict=True
+        some,
+        entries(m, some, one),
+        entries(m, some, one, roots),
+        _at(m, some, axes),
+        strict=True,
     )
     learners = list[_Learner]()
     out = dict[int, InterpolationNodes]()
@@ -257,7 +265,9 @@ def learn(m: Mesh, some: Sequence[Region], most: int = SEARCH.most) -> list[Inte
         # denser towards the bounds
         shares = (1 - np.cos(np.pi * rng.random((count, one.size)))) / 2
         points = list(low * (high / low) ** shares)
-        for k, found in zip(waiting, _at(m, [some[k] for k in waiting], points), strict=True):
+        for k, found in zip(
+            waiting, _at(m, [some[k] for k in waiting], points), strict=True
+        ):
             check = learners[k].learn(points, found)
             if len(learners[k].places) > most:
                 raise UnsupportedError(rough(some[k].groups))
@@ -287,15 +297,22 @@ def _box(some: Sequence[Region]) -> tuple[list[Float], Float, Float]:
         low[i], high[i] = on_axis(p)[:2]
     each = np.arange(low.size)
     return (
-        [np.where(each == i, x, 1.0) for i in sorted(parameters) for x in on_axis(parameters[i])],
+        [
+            np.where(each == i, x, 1.0)
+            for i in sorted(parameters)
+            for x in on_axis(parameters[i])
+        ],
         low,
         high,
     )
 
 
-def _at(m: Mesh, some: Sequence[Region], points: Sequence[Float]) -> list[list[Float | None]]:
+def _at(
+    m: Mesh, some: Sequence[Region], points: Sequence[Float]
+) -> list[list[Float | None]]:
     """Entries of each region at each of the points; None where a section does not allow these."""
-    with np.errstate(all="ignore"):  # a pole between the bounds is found by what does not hold
+    # a pole between the bounds is found by what does not hold
+    with np.errstate(all="ignore"):
         if found := _tried(Together.of(m, some), points):
             return found
         # it may be one region, and one point, that does not allow the factors
@@ -364,7 +381,9 @@ class Series:
         return float(2 * np.log(a / self.lower) / np.log(self.upper / self.lower) - 1)
 
 
-def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series | None]:
+def fitted(
+    bounds: Float, values: Callable[[Float], list[Float]]
+) -> list[Series | None]:
     """Series of several functions (r,), each of a factor of its own; None where it does not
     converge.
 
@@ -381,14 +400,22 @@ def fitted(bounds: Float, values: Callable[[Float], list[Float]]) -> list[Series
     before: list[Float] = []
     for n in (4, 8, 16, 32, 64, 128):  # each takes the points of the one before
         shares = (1 - np.round(np.cos(np.pi * np.arange(n + 1) / n), 15)) / 2
-        known |= {s: values(low * (high / low) ** s) for s in shares.tolist() if s not in known}
+        known |= {
+            s: values(low * (high / low) ** s)
+            for s in shares.tolist()
+            if s not in known
+        }
         basis = chebvander(2 * shares - 1, n)
         every = [np.array([known[s][k] for s in shares]) for k in range(len(low))]
         for k, c in enumerate(every):
             if before and found[k] is None:
-                miss = np.abs(basis[:, : len(before[k])] @ before[k] - c).max(initial=0.0)
+                miss = np.abs(basis[:, : len(before[k])] @ before[k] - c).max(
+                    initial=0.0
+                )
                 if miss <= SERIES_HOLDS * np.abs(c).max(initial=0.0):
-                    found[k] = Series(float(low[k]), float(high[k]), np.linalg.solve(basis, c))
+                    found[k] = Series(
+                        float(low[k]), float(high[k]), np.linalg.solve(basis, c)
+                    )
         if all(found):
             break
         before = [np.linalg.solve(basis, c) for c in every]
@@ -459,10 +486,14 @@ class Interpolation:
 
     def derivatives(self, a: Float, i: int) -> dict[int, Float]:
         """∂c/∂a_i (r,) of the regions that depend on a_i, and some of others."""
-        return _kept(self._slopes, a.tobytes(), lambda: self._slopes_at(a))[self.colours[i]]
+        return _kept(self._slopes, a.tobytes(), lambda: self._slopes_at(a))[
+            self.colours[i]
+        ]
 
     def _values_at(self, a: Float) -> dict[int, Float]:
-        changed = [k for k, r in enumerate(self.regions) if (a[list(r.which)] != 1).any()]
+        changed = [
+            k for k, r in enumerate(self.regions) if (a[list(r.which)] != 1).any()
+        ]
         out = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
         some = [k for k in changed if k not in out]
         found = self._entries(a, some, [a])
@@ -476,9 +507,13 @@ class Interpolation:
             out[self.colours[self.regions[k].which[0]]][k] = slope
         some = [k for k in range(len(self.regions)) if k not in by_series]
         wanted = sorted({self.colours[i] for k in some for i in self.regions[k].which})
-        steps = [np.array([self.colours.get(i) == c for i in range(a.size)]) for c in wanted]
+        steps = [
+            np.array([self.colours.get(i) == c for i in range(a.size)]) for c in wanted
+        ]
         values = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
-        for k, f in self._entries(a, some, [a + 1j * COMPLEX_STEP * on for on in steps]).items():
+        for k, f in self._entries(
+            a, some, [a + 1j * COMPLEX_STEP * on for on in steps]
+        ).items():
             for c, slope in zip(wanted, f.imag / COMPLEX_STEP, strict=True):
                 out[c][k] = self.nodes[k].derivatives(slope)
             if (a[list(self.regions[k].which)] != 1).any():
@@ -493,13 +528,17 @@ class Interpolation:
             if series.holds(x):
                 yield k, series, x
 
-    def _entries(self, a: Float, some: Sequence[int], points: Sequence[Any_]) -> dict[int, Any_]:
+    def _entries(
+        self, a: Float, some: Sequence[int], points: Sequence[Any_]
+    ) -> dict[int, Any_]:
         """Of the regions with these numbers at points near a, (points, entries) each."""
         if not some:
             return {}
         key = tuple(some)
         together = _kept(
-            self._some, key, lambda: Together.of(self.mesh, [self.regions[k] for k in key])
+            self._some,
+            key,
+            lambda: Together.of(self.mesh, [self.regions[k] for k in key]),
         )
         try:
             return dict(zip(some, together.entries(points), strict=True))
@@ -534,7 +573,11 @@ class Coefficient:
 
     def derivative(self, a: Float, i: int) -> float:
         """See `ParameterFunction`."""
-        return float(self.of.derivatives(a, i)[self.region][self.j]) if i in self.which else 0.0
+        return (
+            float(self.of.derivatives(a, i)[self.region][self.j])
+            if i in self.which
+            else 0.0
+        )
 
 
 def interpolated(
@@ -575,10 +618,14 @@ def _terms(
     sampled = {k: few(r.rows, SAMPLES.elements) for k, r in enumerate(batch)}
     found: dict[int, tuple[InterpolationNodes, list[Pair]]] = {}
     for _ in range(SAMPLES.rounds):
-        progress(len(found) / len(batch), "derivatives: parameters on the same elements")
+        progress(
+            len(found) / len(batch), "derivatives: parameters on the same elements"
+        )
         waiting = [k for k in sampled if k not in found]
         for k, nodes in zip(
-            waiting, learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]), strict=True
+            waiting,
+            learn(m, [replace(batch[k], rows=sampled[k]) for k in waiting]),
+            strict=True,
         ):
             own = replace(batch[k], rows=share.own(m.model, batch[k].rows))
             parts, worst = _whole(m, own, nodes, transform, share)
@@ -593,7 +640,9 @@ def _terms(
                 for k in sampled
                 for j, pair in enumerate(found[k][1])
             ]
-    raise UnsupportedError(rough(batch[next(k for k in sampled if k not in found)].groups))
+    raise UnsupportedError(
+        rough(batch[next(k for k in sampled if k not in found)].groups)
+    )
 
 
 def _interpolation(
@@ -605,7 +654,11 @@ def _interpolation(
         colours[i] = next(c for c in range(len(colours) + 1) if c not in taken)
     used = tuple(replace(r, rows=n.rows) for r, n in zip(batch, nodes, strict=True))
     return Interpolation(
-        mesh=m, regions=used, nodes=tuple(nodes), colours=colours, series=_series(m, used, nodes)
+        mesh=m,
+        regions=used,
+        nodes=tuple(nodes),
+        colours=colours,
+        series=_series(m, used, nodes),
     )
 
 
@@ -638,7 +691,11 @@ def _series(
 
 
 def _whole(
-    m: Mesh, region: Region, nodes: InterpolationNodes, transform: sparse.csr_array, share: Share
+    m: Mesh,
+    region: Region,
+    nodes: InterpolationNodes,
+    transform: sparse.csr_array,
+    share: Share,
 ) -> tuple[list[Pair], Rows]:
     """K and M at the nodes, less those at nominal, of all elements; some of these whose sum does
     not hold, if any.

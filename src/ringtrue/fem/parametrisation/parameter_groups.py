@@ -70,11 +70,15 @@ class Copies:
         if count == 1:
             whole = {card: np.arange(len(model[card])) for card in rows}
             none = {card: np.zeros_like(at) for card, at in whole.items()}
-            return cls(m, rows, originals=whole, number=none, named={}, stride=0, count=1)
+            return cls(
+                m, rows, originals=whole, number=none, named={}, stride=0, count=1
+            )
         named = _named(model, rows)
         ids = {card: model[card].ids[at] for card, at in named.items()}
         numbered = (c for c in model.tables if c.startswith(CARDS) and c != "PARAM")
-        stride = 1 + max((int(model[c].ids.max(initial=0)) for c in numbered), default=0)
+        stride = 1 + max(
+            (int(model[c].ids.max(initial=0)) for c in numbered), default=0
+        )
         tables = dict(model.tables)
         where, originals, number = Rows(), Rows(), Rows()
         for card, at in (*rows.items(), *named.items()):
@@ -84,8 +88,12 @@ class Copies:
             )
             if card in rows:
                 first = len(model[card])
-                where[card] = np.concatenate([at, first + np.arange((count - 1) * at.size)])
-                originals[card] = np.concatenate([np.arange(first), np.tile(at, count - 1)])
+                where[card] = np.concatenate(
+                    [at, first + np.arange((count - 1) * at.size)]
+                )
+                originals[card] = np.concatenate(
+                    [np.arange(first), np.tile(at, count - 1)]
+                )
                 copy = np.repeat(np.arange(1, count), at.size)
                 number[card] = np.concatenate([np.zeros(first, dtype=np.int64), copy])
         return cls(
@@ -108,8 +116,13 @@ class Copies:
         out = []
         for t in some:
             if t.card in self.named and t.id in self.named[t.card]:
-                out += [replace(t, id=t.id + k * self.stride) for k in range(self.count)]
-            elif t.card in self.rows and t.id in self.mesh.model[t.card].ids[self.rows[t.card]]:
+                out += [
+                    replace(t, id=t.id + k * self.stride) for k in range(self.count)
+                ]
+            elif (
+                t.card in self.rows
+                and t.id in self.mesh.model[t.card].ids[self.rows[t.card]]
+            ):
                 out.append(t)  # elements keep their ids
         return out
 
@@ -119,7 +132,9 @@ def copyable(m: Mesh, rows: Rows, targets: Iterable[CardField]) -> bool:
     or shares a mass with them; and all fields are those of elements, properties and materials.
     """
     alone = not m.model.case.nsm and not any(card in rows for card in FOLLOWERS)
-    return alone and all(t.card in ELEMENTS or t.card.startswith(CARDS) for t in targets)
+    return alone and all(
+        t.card in ELEMENTS or t.card.startswith(CARDS) for t in targets
+    )
 
 
 def _named(model: Model, rows: Rows) -> Rows:
@@ -128,17 +143,23 @@ def _named(model: Model, rows: Rows) -> Rows:
     waiting = list(rows.items())
     while waiting:
         card, at = waiting.pop()
-        for r in (r for r in REFERENCES if r.card == card and r.field in model[card].columns):
+        for r in (
+            r for r in REFERENCES if r.card == card and r.field in model[card].columns
+        ):
             values, owner = model[card].entries(r.field)
             for target in (c for c in r.of if c.startswith(CARDS) and c in model):
-                there = np.flatnonzero(np.isin(model[target].ids, values[np.isin(owner, at)]))
+                there = np.flatnonzero(
+                    np.isin(model[target].ids, values[np.isin(owner, at)])
+                )
                 old = out.get(target, there[:0])
                 if np.setdiff1d(there, old).size:
                     out[target] = np.union1d(old, there)
                     waiting.append((target, there))
     for card, made in MADE.items():
         if made in out and card in model:
-            out[card] = np.flatnonzero(np.isin(model[card].ids, model[made].ids[out[made]]))
+            out[card] = np.flatnonzero(
+                np.isin(model[card].ids, model[made].ids[out[made]])
+            )
     return {card: at for card, at in out.items() if at.size}
 
 
@@ -160,7 +181,8 @@ def _shifted(part: Table, by: int, named: Mapping[str, Int]) -> Table:
 
 MOST_COPIES = 16  # of elements in one call of their kernels
 _Places = tuple[tuple[int, Int], ...]
-INVALID = (DeckError, np.linalg.LinAlgError, ValueError)  # of factors that a section does not allow
+# of factors that a section does not allow
+INVALID = (DeckError, np.linalg.LinAlgError, ValueError)
 Pair = tuple[sparse.csr_array, sparse.csr_array]
 
 
@@ -197,7 +219,9 @@ class ParameterGroup:
             or f"{self.matrix} of elements"
         )
 
-    def scaled(self, part: ElementMatrices, card: str, at: Int, a: Any_) -> ElementMatrices:
+    def scaled(
+        self, part: ElementMatrices, card: str, at: Int, a: Any_
+    ) -> ElementMatrices:
         """The matrices of rows `at` (e,) of a card with its factors (e,), if it is one on them."""
         if not self.matrix:
             return part
@@ -246,7 +270,9 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterG
     for s in parameter.substructures:
         rows = rows_of_elements(model, parameter.name, s.elements)
         found.append(
-            ParameterGroup(which=which, parameter=parameter, rows=rows, reach=rows, matrix=s.matrix)
+            ParameterGroup(
+                which=which, parameter=parameter, rows=rows, reach=rows, matrix=s.matrix
+            )
         )
     fields = [g for g in found if g.targets]
     if any(common(a.rows, b.rows) for i, a in enumerate(fields) for b in fields[:i]):
@@ -257,7 +283,10 @@ def groups_of(model: Model, which: int, parameter: Parameter) -> list[ParameterG
 
 
 def built(
-    m: Mesh, groups: Sequence[ParameterGroup], rows: Rows, factors: Sequence[float | complex]
+    m: Mesh,
+    groups: Sequence[ParameterGroup],
+    rows: Rows,
+    factors: Sequence[float | complex],
 ) -> list[ElementMatrices]:
     """Element matrices of the rows with the groups at their factors; none feels the fields of one
     it is not in.
@@ -311,7 +340,10 @@ def regions(groups: Sequence[ParameterGroup], rows: Rows) -> list[Region]:
         for k, row in enumerate(first.tolist()):
             kind = tuple(np.flatnonzero(acts[row]).tolist())
             found.setdefault(kind, {})[card] = at[of.ravel() == k]
-    return [Region(tuple(groups[i] for i in some), there) for some, there in sorted(found.items())]
+    return [
+        Region(tuple(groups[i] for i in some), there)
+        for some, there in sorted(found.items())
+    ]
 
 
 def independent_batches(every: Sequence[Region]) -> list[list[Region]]:
@@ -396,7 +428,8 @@ class Together:
         targets = (t for g in self.groups for t in g.targets)
         most = MOST_COPIES if copyable(self.mesh, self.rows, targets) else 1
         parts = [
-            self._some(np.array(points[k : k + most]), of) for k in range(0, len(points), most)
+            self._some(np.array(points[k : k + most]), of)
+            for k in range(0, len(points), most)
         ]
         return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
@@ -405,13 +438,17 @@ class Together:
         if count not in self._copies:
             self._copies[count] = self._copied(count)
         copies, targets, places = self._copies[count]
-        made = _built(copies, self.groups, targets, points[:, [g.which for g in self.groups]].T)
+        made = _built(
+            copies, self.groups, targets, points[:, [g.which for g in self.groups]].T
+        )
         return [
             ends([(made[i].stiffness[k], made[i].mass[k]) for i, k in on], of, count)
             for on in places
         ]
 
-    def _copied(self, count: int) -> tuple[Copies, list[list[CardField]], list[_Places]]:
+    def _copied(
+        self, count: int
+    ) -> tuple[Copies, list[list[CardField]], list[_Places]]:
         """Copies of the elements, the targets of each group there, and in which batches the
         elements of each region are, and where.
         """
@@ -433,7 +470,9 @@ def entries(
 
 
 def ends(
-    parts: Sequence[tuple[Any_, Any_]], of: Callable[[Any_], Any_] | None = None, count: int = 1
+    parts: Sequence[tuple[Any_, Any_]],
+    of: Callable[[Any_], Any_] | None = None,
+    count: int = 1,
 ) -> Any_:
     """Lower triangles of stiffnesses (e, d, d), then of masses, (e, d) or (e, d, d), end to end:
     (count, entries) of as many copies, one after the other.

@@ -65,11 +65,16 @@ class Product:
 
     def value(self, a: Float) -> float:
         """See `ParameterFunction`."""
-        return prod(float(a[i]) ** p - 1.0 for i, p in zip(self.which, self.exponents, strict=True))
+        return prod(
+            float(a[i]) ** p - 1.0
+            for i, p in zip(self.which, self.exponents, strict=True)
+        )
 
     def derivative(self, a: Float, i: int) -> float:
         """See `ParameterFunction`."""
-        own = {j: (float(a[j]), p) for j, p in zip(self.which, self.exponents, strict=True)}
+        own = {
+            j: (float(a[j]), p) for j, p in zip(self.which, self.exponents, strict=True)
+        }
         if i not in own:
             return 0.0
         x, p = own.pop(i)
@@ -94,7 +99,8 @@ SAMPLE = 40  # elements of a kind whose matrices show the powers
 MOST_PRODUCTS = 1024  # of a region; one of more is interpolated
 NODES = np.array([1.0, 2.0, 0.5, 3.0])  # factors at which powers are distinguished
 CUBIC = (1, 2, 3)
-Exponents = tuple[int, ...]  # of the factor of each group, 0 where it does not take part
+# of the factor of each group, 0 where it does not take part
+Exponents = tuple[int, ...]
 
 
 def own_powers(m: Mesh, g: ParameterGroup) -> tuple[int, ...] | None:
@@ -108,7 +114,8 @@ def own_powers(m: Mesh, g: ParameterGroup) -> tuple[int, ...] | None:
     check = 1.37
     rows = few(g.rows, SAMPLE)
     try:
-        with np.errstate(all="ignore"):  # a rational dependence may have its pole at a point
+        # a rational dependence may have its pole at a point
+        with np.errstate(all="ignore"):
             at = {a: _entries(m, (g,), rows, (a,)) for a in (1, -1, 1j, check)}
     except INVALID:  # a section that has a limit, such as the thickness of a laminate
         return None
@@ -117,7 +124,14 @@ def own_powers(m: Mesh, g: ParameterGroup) -> tuple[int, ...] | None:
         one, other, turned, there = (at[a][k] for a in (1, -1, 1j, check))
         even = (one + other) / 2
         odd = (one - other) / 2
-        c = np.stack([even + turned.real, odd + turned.imag, even - turned.real, odd - turned.imag])
+        c = np.stack(
+            [
+                even + turned.real,
+                odd + turned.imag,
+                even - turned.real,
+                odd - turned.imag,
+            ]
+        )
         c = c / 2
         if not largest(check ** np.arange(4) @ c - there) <= 1e-10 * largest(there):
             return None
@@ -131,7 +145,10 @@ def largest(a: Any_) -> float:
 
 
 def _entries(
-    m: Mesh, groups: Sequence[ParameterGroup], rows: Rows, factors: Sequence[float | complex]
+    m: Mesh,
+    groups: Sequence[ParameterGroup],
+    rows: Rows,
+    factors: Sequence[float | complex],
 ) -> tuple[Any_, Any_]:
     """All entries of the elements' K, and of their M, end to end."""
     made = built(m, groups, rows, factors)
@@ -153,7 +170,10 @@ class PolynomialTerms:
     """
 
     def __init__(
-        self, m: Mesh, powers: Mapping[ParameterGroup, tuple[int, ...]], share: Share = WHOLE
+        self,
+        m: Mesh,
+        powers: Mapping[ParameterGroup, tuple[int, ...]],
+        share: Share = WHOLE,
     ) -> None:
         self._mesh = m
         self._powers = powers
@@ -177,7 +197,9 @@ class PolynomialTerms:
                     left[card] = np.union1d(left.get(card, at[:0]), at)
         return self._share.joined(left, region.rows)
 
-    def _products(self, region: Region, powers: Sequence[tuple[int, ...]]) -> list[Exponents]:
+    def _products(
+        self, region: Region, powers: Sequence[tuple[int, ...]]
+    ) -> list[Exponents]:
         """The products that the matrices of a sample hold, and all that these are multiples of."""
         every = list(itertools.product(*((0, *p) for p in powers)))
         if len(powers) == 1:
@@ -186,7 +208,10 @@ class PolynomialTerms:
         points = NODES[np.array(every)]
         try:
             with np.errstate(all="ignore"):
-                values = [_entries(self._mesh, region.groups, rows, a) for a in points.tolist()]
+                values = [
+                    _entries(self._mesh, region.groups, rows, a)
+                    for a in points.tolist()
+                ]
         except INVALID:
             return every
         shares = np.linalg.inv(_basis(every, points))
@@ -197,7 +222,9 @@ class PolynomialTerms:
             held |= np.abs(shares @ matrices).max(axis=1, initial=0.0) > noise
         exponents = np.array(every)
         divides = np.all(exponents[:, None] <= exponents[held], axis=2)
-        return [p for p, multiples in zip(every, divides, strict=True) if multiples.any()]
+        return [
+            p for p, multiples in zip(every, divides, strict=True) if multiples.any()
+        ]
 
     def _added(self, region: Region, rows: Rows, products: Sequence[Exponents]) -> bool:
         """Add elements of one kind; False where they are no polynomials."""
@@ -208,7 +235,9 @@ class PolynomialTerms:
         every = list(itertools.product(*((0, *p) for p in whole)))
         return len(every) <= MOST_PRODUCTS and self._fitted(region, rows, every)
 
-    def _fitted(self, region: Region, rows: Rows, products: Sequence[Exponents]) -> bool:
+    def _fitted(
+        self, region: Region, rows: Rows, products: Sequence[Exponents]
+    ) -> bool:
         check = np.array([1.78 + 0.07 * i for i in range(len(region.groups))])
         points = NODES[np.array(products)]
         factors = [*points.tolist(), check.tolist()]
@@ -223,7 +252,9 @@ class PolynomialTerms:
         for matrices in ([p.stiffness for p in made], [p.mass for p in made]):
             values = np.stack(matrices[:-1])
             c = np.linalg.solve(basis, values.reshape(len(points), -1))
-            if not largest(there @ c - matrices[-1].ravel()) <= 1e-9 * largest(matrices[-1]):
+            if not largest(there @ c - matrices[-1].ravel()) <= 1e-9 * largest(
+                matrices[-1]
+            ):
                 return False
             c[np.abs(c).max(axis=1, initial=0.0) <= 1e-12 * largest(values[0])] = 0.0
             coefficients.append(c.reshape(values.shape))
@@ -246,7 +277,9 @@ class PolynomialTerms:
         every = {*self._sums, *self._of_all_shares()}
         size = self._mesh.size
         out = []
-        for product in sorted(every, key=lambda p: (len(p.which), p.which, p.exponents)):
+        for product in sorted(
+            every, key=lambda p: (len(p.which), p.which, p.exponents)
+        ):
             K, M = self._sums.get(product) or (Sum(size), Sum(size))
             mass = sparse.csr_array(M.total() * wtmass)
             stiffness = reduced(transform, K.total())
@@ -256,7 +289,9 @@ class PolynomialTerms:
     def _of_all_shares(self) -> Iterator[Product]:
         """The products that any share has sums of."""
         own = [np.array([len(p.which), *p.which, *p.exponents]) for p in self._sums]
-        every = self._share.gathered(np.concatenate([np.empty(0, dtype=np.int64), *own])).tolist()
+        every = self._share.gathered(
+            np.concatenate([np.empty(0, dtype=np.int64), *own])
+        ).tolist()
         while every:
             n = every[0]
             yield Product(tuple(every[1 : 1 + n]), tuple(every[1 + n : 1 + 2 * n]))

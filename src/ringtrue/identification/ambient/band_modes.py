@@ -31,7 +31,11 @@ from ringtrue.identification.ambient.spectral_bins import (
     singular_values,
     steady,
 )
-from ringtrue.identification.ambient.ssi_cov import BandPoles, block_power, identify_band
+from ringtrue.identification.ambient.ssi_cov import (
+    BandPoles,
+    block_power,
+    identify_band,
+)
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.manual_selection import with_picks
 from ringtrue.identification.common.stabilisation import StableDiagram, unit
@@ -78,7 +82,9 @@ class _BandCandidates:
     pairs: list[tuple[int, int]]
 
 
-def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> BandModes:
+def modes_of_band(
+    sums: BandSums, confidence_min: float, facts: RecordFacts
+) -> BandModes:
     """Modes of one band; those of less confidence are not refined."""
     power = block_power(sums.r, sums.references)
     loudness = event_weights(power) if facts.driven else block_weights(power)
@@ -115,7 +121,11 @@ def modes_of_band(sums: BandSums, confidence_min: float, facts: RecordFacts) -> 
 
 
 def _search(
-    sums: BandSums, weights: Float, least: float, facts: RecordFacts, seen: RecordSpectrum
+    sums: BandSums,
+    weights: Float,
+    least: float,
+    facts: RecordFacts,
+    seen: RecordSpectrum,
 ) -> _BandCandidates:
     """Candidates of the lower orders; of all orders where modes still appear late or are in doubt,
     and of more where they crowd the band.
@@ -126,8 +136,12 @@ def _search(
     largest = sums.ssi.order_max
     for share in (0.6, 1.0, 1.5):
         some = replace(sums.ssi, order_max=max(2 * int(share * largest / 2), 2))
-        poles = identify_band(r, weights, some, rate=band.rate, band=limits, turn=facts.turn)
-        table, picked = with_picks(candidates(poles, driven=facts.driven), poles, facts.choice)
+        poles = identify_band(
+            r, weights, some, rate=band.rate, band=limits, turn=facts.turn
+        )
+        table, picked = with_picks(
+            candidates(poles, driven=facts.driven), poles, facts.choice
+        )
         table = seen.with_gain(table)
         pairs: list[tuple[int, int]] = []
         if table.pole.size:
@@ -141,7 +155,9 @@ def _search(
     return _BandCandidates(poles, table, picked, pairs)
 
 
-def _in_units(sums: BandSums, table: CandidateModes, facts: RecordFacts) -> tuple[Complex, Float]:
+def _in_units(
+    sums: BandSums, table: CandidateModes, facts: RecordFacts
+) -> tuple[Complex, Float]:
     """Shapes and their standard deviations in the channels' units, or in that of one motion."""
     scale = sums.scale[:, None]
     if facts.motion:
@@ -162,7 +178,9 @@ def event_weights(power: Float) -> Float:
     return np.asarray(w / w.sum())
 
 
-def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimits) -> Float:
+def frequency_wander(
+    c: CandidateModes, at: Int, blocks: int, limits: WanderLimits
+) -> Float:
     """(m,) standard deviation of the frequency along the record over the frequency; 0 where it may
     be scatter.
 
@@ -179,7 +197,9 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimi
     out = np.zeros(c.pole.size)
     if blocks < 2 or not at.size:
         return out
-    d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(c.pole[at, None]) ** 2
+    d = (c.deviation[at, :blocks] * c.pole[at, None].conj()).real / np.abs(
+        c.pole[at, None]
+    ) ** 2
     d *= np.sqrt(blocks * (blocks - 1.0))  # of a block, not of the mean
     own = (d**2).mean(axis=1)
     # the mean over the blocks is taken off
@@ -190,7 +210,9 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int, limits: WanderLimi
     return np.where(out > limits.matters * c.damping, out, 0.0)
 
 
-def with_wander_doubt(c: CandidateModes, wander: Float, limits: WanderLimits) -> CandidateModes:
+def with_wander_doubt(
+    c: CandidateModes, wander: Float, limits: WanderLimits
+) -> CandidateModes:
     """The candidates with what a wandering frequency may add to the damping, a column each."""
     rows = np.flatnonzero(wander)
     if not rows.size:

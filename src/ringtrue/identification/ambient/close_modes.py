@@ -122,7 +122,11 @@ class Mixing:
 
 
 def unmix(
-    bins: SpectralBins, modes: EstimatedModes, slope: float, *, start: Complex | None = None
+    bins: SpectralBins,
+    modes: EstimatedModes,
+    slope: float,
+    *,
+    start: Complex | None = None,
 ) -> Mixing:
     """The mixing of the shapes of close modes, to first order around a start.
 
@@ -161,7 +165,11 @@ def unmix(
 
 
 def _pair_mixing(
-    b: SpectralBins, modes: EstimatedModes, pair: list[int], slope: float, known: Complex
+    b: SpectralBins,
+    modes: EstimatedModes,
+    pair: list[int],
+    slope: float,
+    known: Complex,
 ) -> tuple[Complex, Float] | None:
     """ε_ij and ε_ji, (2,) `known` so far, and their variances; None where the spectra do not show
     them.
@@ -175,7 +183,9 @@ def _pair_mixing(
     freqs = b.freqs[at]
     nu = freqs[:, None] / f
     inside = (np.abs(nu - 1) < z).sum(0)
-    similar = mac(modes.shape[:, pair[:1]], modes.shape[:, pair[1:]])[0, 0] > MIXING.like
+    similar = (
+        mac(modes.shape[:, pair[:1]], modes.shape[:, pair[1:]])[0, 0] > MIXING.like
+    )
     if inside.min() < MIXING.bins or similar:
         return None
     h: Complex = (2 * z * nu ** (slope / 2) / (1 - nu**2 + 2j * z * nu)).astype(complex)
@@ -188,8 +198,11 @@ def _pair_mixing(
     peaks = power * np.abs(h) ** 2
     # a thousandth of the other mode is left in each coordinate
     expected = peaks + rest + 1e-3 * peaks[:, ::-1]
-    smooth = np.stack([np.convolve(x, np.full(7, 1 / 7), "same") for x in own.T], axis=1)
-    expected = np.where(smooth > 2.5 * expected, smooth, expected)  # something else is there
+    smooth = np.stack(
+        [np.convolve(x, np.full(7, 1 / 7), "same") for x in own.T], axis=1
+    )
+    # something else is there
+    expected = np.where(smooth > 2.5 * expected, smooth, expected)
     cell = np.floor((freqs - freqs.min()) / (f * z).min()).astype(np.int64)
     p = peaks
     force = np.sqrt(power.prod()) * h[:, 0] * h[:, 1].conj()
@@ -198,7 +211,9 @@ def _pair_mixing(
     return _solve_mixing(q[:, 1], b.count[at] / expected.prod(1), x, known, cell)
 
 
-def _filters(b: SpectralBins, at: Int, modes: EstimatedModes, pair: list[int]) -> Complex:
+def _filters(
+    b: SpectralBins, at: Int, modes: EstimatedModes, pair: list[int]
+) -> Complex:
     """(2, ch) of gain 1 for one shape of the pair and 0 for the other, that pass least of noise and
     other modes.
     """
@@ -209,7 +224,9 @@ def _filters(b: SpectralBins, at: Int, modes: EstimatedModes, pair: list[int]) -
     auto = np.diagonal(b.cross, axis1=1, axis2=2).real
     here = auto[at]
     noise = np.percentile(here, 10, axis=0) + 1e-6 * here.mean(0)
-    peak = auto[np.abs(b.freqs[:, None] - f).argmin(0)].sum(1) / (np.abs(psi) ** 2).sum(0)
+    peak = auto[np.abs(b.freqs[:, None] - f).argmin(0)].sum(1) / (np.abs(psi) ** 2).sum(
+        0
+    )
     nu = b.freqs[at][:, None] / f
     level = oscillator_spectrum(nu, z).mean(0)
     r = np.diag(noise) + (psi * (10 * peak * level)) @ psi.conj().T
@@ -227,7 +244,9 @@ def _levels(own: Float, h: Complex) -> tuple[Float, Float]:
     power = (own * inside).sum(0) / np.maximum((form * inside).sum(0), 1e-300)
     away = np.where(form < 0.03, own - power * form, np.nan)
     seen = np.asarray(np.isfinite(away).any(0))
-    rest = np.array([np.nanmedian(x) if s else 0.0 for x, s in zip(away.T, seen, strict=True)])
+    rest = np.array(
+        [np.nanmedian(x) if s else 0.0 for x, s in zip(away.T, seen, strict=True)]
+    )
     return power, np.maximum(rest, 1e-3 * power)
 
 
@@ -258,7 +277,11 @@ def _solve_mixing(
 
 
 def refined(
-    c: CandidateModes, at: Int, references: Int, bins: SpectralBins, slope: tuple[float, float]
+    c: CandidateModes,
+    at: Int,
+    references: Int,
+    bins: SpectralBins,
+    slope: tuple[float, float],
 ) -> CandidateModes:
     """The candidates with poles and deviations of the rows `at` from their own spectra.
 
@@ -371,7 +394,10 @@ def with_pairs(
         in_plane = (np.abs(pair.basis.conj().T @ table.shape) ** 2).sum(0)
         inside = in_plane / (np.abs(table.shape) ** 2).sum(0)
         own = np.flatnonzero(near & (inside > PAIRS.within))
-        if pair.turn < ANY_TURN and (confidence(table, spectrum.duration)[own] > least).sum() > 1:
+        if (
+            pair.turn < ANY_TURN
+            and (confidence(table, spectrum.duration)[own] > least).sum() > 1
+        ):
             continue
         two = spectrum.with_gain(_rows(band, pair))
         if confidence(two, spectrum.duration).min() < least:
@@ -439,7 +465,10 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     unit_shapes = np.moveaxis(shapes, 1, 0) / np.linalg.norm(shapes, axis=0)[:, None]
     planes = np.linalg.svd(unit_shapes, full_matrices=False)[0]
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
-    like = np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2 > PAIRS.within
+    like = (
+        np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2
+        > PAIRS.within
+    )
     if like.sum() < fewest:
         return None
     return _solved(band, at[like], basis)
@@ -462,7 +491,9 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     if not separated and size[2] < 0.5 * size[1]:
         inner = real[:, :2].T @ basis
         turned = (inner @ mean @ np.linalg.inv(inner)).imag
-        shape = (real[:, :2] @ np.linalg.eigh(turned + turned.T)[1]).astype(np.complex128)
+        shape = (real[:, :2] @ np.linalg.eigh(turned + turned.T)[1]).astype(
+            np.complex128
+        )
     else:
         shape = basis @ (vectors if separated else np.eye(2))
     rank = np.argsort(np.abs(pole))

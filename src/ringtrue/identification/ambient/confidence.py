@@ -87,7 +87,12 @@ class ConfidenceLimits:
 
 WEIGHTS = EvidenceWeights()
 LIMITS = ConfidenceLimits()
-DOUBTS = ("candidate orders", "candidate scatter", "candidate complex", "candidate peak")
+DOUBTS = (
+    "candidate orders",
+    "candidate scatter",
+    "candidate complex",
+    "candidate peak",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,7 +202,12 @@ def weakest(value: Float) -> tuple[str, ...]:
     """For each candidate the code of the note on which evidence, of `value` (4, m), speaks most
     against it.
     """
-    clear = (0.0, 0.0, WEIGHTS.complexity * np.log(0.02), WEIGHTS.peak * np.arcsinh(20.0))
+    clear = (
+        0.0,
+        0.0,
+        WEIGHTS.complexity * np.log(0.02),
+        WEIGHTS.peak * np.arcsinh(20.0),
+    )
     return tuple(DOUBTS[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
 
 
@@ -321,7 +331,9 @@ def doubts(found: BandModes, i: int) -> Note:
         "scatter": float(100 * std[i] / c.damping[i]),
         "mpc": float(c.mpc[i]),
     }
-    return Note(weakest(found.evidence)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values)
+    return Note(
+        weakest(found.evidence)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values
+    )
 
 
 def in_short(found: BandModes, i: int) -> str:
@@ -336,12 +348,16 @@ def uncertainty(found: list[BandModes], at: list[Row], channels: int) -> Uncerta
     """Standard deviations and covariance factor; modes of different bands are independent."""
     m = len(at)
     if not m:
-        return Uncertainty.independent(np.empty(0), np.empty(0), np.empty((channels, 0)))
+        return Uncertainty.independent(
+            np.empty(0), np.empty(0), np.empty((channels, 0))
+        )
     shape = np.stack([found[b].shape_std[:, i] for b, i in at], axis=1)
     blocks = np.cumsum([0] + [x.table.deviation.shape[1] for x in found])
     factor = np.zeros((int(blocks[-1]), 2 * m))
     for k, (b, i) in enumerate(at):
-        df, dz = var.frequency_damping(found[b].table.pole[[i]], found[b].table.deviation[[i]])
+        df, dz = var.frequency_damping(
+            found[b].table.pole[[i]], found[b].table.deviation[[i]]
+        )
         own = slice(blocks[b], blocks[b + 1])
         factor[own, k] = df[0]
         factor[own, m + k] = dz[0]
@@ -399,7 +415,11 @@ class ForceLimits:
 
 
 def machine(
-    f: float, zeta: float, lines: tuple[Harmonic, ...], resolution: float, duration: float
+    f: float,
+    zeta: float,
+    lines: tuple[Harmonic, ...],
+    resolution: float,
+    duration: float,
 ) -> Harmonic | None:
     """The line that a pole stands on, if its width is no more than that of a line.
 
@@ -437,7 +457,9 @@ def line_remainders(
     usual = float(np.median(modes)) if modes.size else 0.0
     sharp = damping < min(limits.damping, usual / limits.sharper)
     left = near & sharp
-    return tuple(float(max(sines[left[:, k]], default=0.0)) for k in range(frequency.size))
+    return tuple(
+        float(max(sines[left[:, k]], default=0.0)) for k in range(frequency.size)
+    )
 
 
 def forced_by(found: list[BandModes], rows: list[Row]) -> list[Int]:
@@ -446,7 +468,9 @@ def forced_by(found: list[BandModes], rows: list[Row]) -> list[Int]:
     return carriers(c.frequency, c.damping, c.std_damping, c.shape)
 
 
-def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex) -> list[Int]:
+def carriers(
+    frequency: Float, damping: Float, deviation: Float, shape: Complex
+) -> list[Int]:
     """For each pole the modes whose motion it is, none for a mode.
 
     Parameters
@@ -462,7 +486,8 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
     limits = ForceLimits()
     level = np.linalg.norm(shape, axis=1)
     typical = float(np.median(level))
-    odd = level > channel_checks.LIMITS.level_ratio * typical  # a channel of another unit
+    # a channel of another unit
+    odd = level > channel_checks.LIMITS.level_ratio * typical
     psi = shape * np.where(odd, typical / np.maximum(level, 1e-300), 1.0)[:, None]
     psi = psi / np.linalg.norm(psi, axis=0)
     # over the statistical floor, up to the length of the record
@@ -471,7 +496,9 @@ def carriers(frequency: Float, damping: Float, deviation: Float, shape: Complex)
     loose = loose * np.maximum(usual / (limits.sharper * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
     accepted = np.zeros(frequency.size, dtype=np.bool_)
-    for k in np.argsort(loose * np.maximum(damping / usual, 1.0), kind="stable").tolist():
+    for k in np.argsort(
+        loose * np.maximum(damping / usual, 1.0), kind="stable"
+    ).tolist():
         at = np.flatnonzero(accepted)
         near = _neighbours(at[at < k], at[at > k], len(psi), limits)
         if near.size:

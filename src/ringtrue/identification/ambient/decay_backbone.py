@@ -70,7 +70,9 @@ class Backbone(Displayed):
     def fit_frequency(self) -> Float:
         """The polynomial at `fit_amplitude`, (k,) float64, Hz."""
         return np.asarray(
-            polynomial.polyval(self.fit_amplitude / self.reference, self.frequency_terms)
+            polynomial.polyval(
+                self.fit_amplitude / self.reference, self.frequency_terms
+            )
         )
 
     @property
@@ -104,7 +106,9 @@ class Envelope:
     end: int
 
 
-def envelope(y: Float, shape: Complex, variance: Float, basis: Complex, width: float) -> Envelope:
+def envelope(
+    y: Float, shape: Complex, variance: Float, basis: Complex, width: float
+) -> Envelope:
     """The envelope of a mode in a decay `y` (ch, sample) of nothing but it and noise.
 
     What changes slowly is its ratio to the `basis`, which is smoothed: a decay that is already
@@ -141,7 +145,11 @@ def envelope(y: Float, shape: Complex, variance: Float, basis: Complex, width: f
 
 
 def fit_backbone(
-    parts: list[Envelope], pole: complex, rate: float, false_alarm: float, degree: int | None = None
+    parts: list[Envelope],
+    pole: complex,
+    rate: float,
+    false_alarm: float,
+    degree: int | None = None,
 ) -> tuple[Backbone, list[Complex]] | None:
     """The backbone from the envelopes of a mode, and the slow factor that each decay has over
     e^{λt} from it; None where no decay shows it long enough.
@@ -160,7 +168,9 @@ def fit_backbone(
     weights = [a[t] / parts[k].noise for a, t, k in zip(size, at, used, strict=True)]
     y = np.concatenate([v * w for v, w in zip(values, weights, strict=True)])
     best = None
-    smooth = [_smooth(values[i], weights[i], at[i], parts[k]) for i, k in enumerate(used)]
+    smooth = [
+        _smooth(values[i], weights[i], at[i], parts[k]) for i, k in enumerate(used)
+    ]
     for d in range(DEGREE + 1) if degree is None else (degree,):
         columns = []
         for i, k in enumerate(used):
@@ -175,7 +185,9 @@ def fit_backbone(
         inverse = np.linalg.pinv(a.T @ a, hermitian=True)
         linear = inverse @ (a.T @ y)
         squares = float((np.abs(y - a @ linear) ** 2).sum())
-        if best is None or best[0] - squares > chdtri(2 * max(d - best[1], 1), false_alarm):
+        if best is None or best[0] - squares > chdtri(
+            2 * max(d - best[1], 1), false_alarm
+        ):
             best = (squares, d, linear, inverse)
     assert best is not None
     squares, d, linear, inverse = best
@@ -216,7 +228,9 @@ def _smooth(values: Complex, weights: Float, at: Int, part: Envelope) -> Float:
     """Amplitude (sample,) from `begin` to `end`, a smooth curve through that of the points."""
     time = (at - at[0]) / max(at[-1] - at[0], 1)
     degree = int(min(5, at.size // 3))
-    curve = np.polynomial.Polynomial.fit(time, values.real, degree, w=weights, domain=[0, 1])
+    curve = np.polynomial.Polynomial.fit(
+        time, values.real, degree, w=weights, domain=[0, 1]
+    )
     inside = np.arange(part.begin, part.end)
     return np.asarray(np.exp(curve((inside - at[0]) / max(at[-1] - at[0], 1))))
 
@@ -241,7 +255,8 @@ def _factors(
         slow = (known[:, None] ** powers - middle**powers) @ terms[1:]
         total = np.cumsum(slow) - 0.5 * slow
         total -= total[0]
-        out.append(np.exp(np.clip(total.real, -100, 30) + 1j * total.imag))  # finite, whatever came
+        # finite, whatever came
+        out.append(np.exp(np.clip(total.real, -100, 30) + 1j * total.imag))
     return out
 
 
@@ -251,7 +266,9 @@ def _before(first: float, terms: Float, samples: int) -> Float:
     rate = float(first ** np.arange(terms.size) @ terms)
     track = np.log(first) - rate * back
     for _ in range(4):  # Picard's iteration: the rate changes little
-        power = np.exp(np.minimum(track, np.log(first) + 1.5))[:, None] ** np.arange(terms.size)
+        power = np.exp(np.minimum(track, np.log(first) + 1.5))[:, None] ** np.arange(
+            terms.size
+        )
         slope = power @ terms
         track = np.log(first) - np.cumsum(slope[::-1])[::-1]
     return np.asarray(np.exp(np.minimum(track, np.log(first) + 1.5)))

@@ -15,7 +15,11 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
-from ringtrue.identification.ambient.decay_backbone import Envelope, envelope, fit_backbone
+from ringtrue.identification.ambient.decay_backbone import (
+    Envelope,
+    envelope,
+    fit_backbone,
+)
 from ringtrue.identification.ambient.decay_fit import (
     EMPTY,
     DecayFloor,
@@ -31,7 +35,8 @@ from ringtrue.identification.ambient.decay_fit import (
 from ringtrue.identification.common.stabilisation import unit
 from ringtrue.signal.spectra import Band, check_band
 
-STOP_DB = 120.0  # what other bands leave in a band stays below the noise of any recorder
+# what other bands leave in a band stays below the noise of any recorder
+STOP_DB = 120.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +69,9 @@ class BandDecays:
         return np.asarray(np.interp(frequencies, self.freqs, self.gain))
 
 
-def decays_of(data: Any_, rate: float, bounds: Int, bands: Sequence[Band]) -> list[BandDecays]:
+def decays_of(
+    data: Any_, rate: float, bounds: Int, bands: Sequence[Band]
+) -> list[BandDecays]:
     """The decays of each band.
 
     Parameters
@@ -230,9 +237,13 @@ class BandFit:
         """The envelope of a mode in each decay, in the unit of its largest channel."""
         pole = self.sums.model.poles[k]
         hertz = pole.imag / (2 * np.pi)
-        half = max(float(-pole.real) / (2 * np.pi), 0.3 * self.part.rate / len(self.scaled[0][0]))
+        half = max(
+            float(-pole.real) / (2 * np.pi),
+            0.3 * self.part.rate / len(self.scaled[0][0]),
+        )
         width = min(8 * half, 0.2 * hertz) / self.part.rate
-        gain = self.part.gain_at(np.array([hertz]))[0]  # of the time that its frequency is of
+        # of the time that its frequency is of
+        gain = self.part.gain_at(np.array([hertz]))[0]
         shape = self.shape(k) / self.scale * gain
         variance = self.floor.at(np.array([hertz]))[:, 0]
         own = left_over(self.scaled, self.part.rate, self.sums, keep=k)
@@ -257,10 +268,14 @@ def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
     found = _state(part, scale, EMPTY, np.inf)
     for _ in range(MOST):
         rest = left_over(found.scaled, part.rate, found.sums)
-        peak = strongest_decay(rest, part.rate, found.floor, limits, settings.false_alarm)
+        peak = strongest_decay(
+            rest, part.rate, found.floor, limits, settings.false_alarm
+        )
         if peak.gain < peak.critical:
             return _without_weak(replace(found, critical=peak.critical))
-        scale = found.scale * np.sqrt(np.median(found.floor.variance[:, part.gain > 0.7], axis=1))
+        scale = found.scale * np.sqrt(
+            np.median(found.floor.variance[:, part.gain > 0.7], axis=1)
+        )
         more = _state(part, scale, found.sums.model.plus(peak.pole), peak.critical)
         bent = _with_backbone(found, scale, peak, settings)
         found = more if bent is None or _squares(more) <= _squares(bent) else bent
@@ -268,11 +283,18 @@ def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
 
 
 def _state(
-    part: BandDecays, scale: Float, model: DecayModel, critical: float, *, rough: bool = True
+    part: BandDecays,
+    scale: Float,
+    model: DecayModel,
+    critical: float,
+    *,
+    rough: bool = True,
 ) -> BandFit:
     scaled = tuple(y / scale[:, None] for y in part.decays)
     sums = fit(scaled, part.rate, model, rough=rough)
-    floor = noise_floor(left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain)
+    floor = noise_floor(
+        left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain
+    )
     return BandFit(part, scaled, scale, sums, floor=floor, critical=critical)
 
 
@@ -313,7 +335,9 @@ def _with_backbone(
     for _ in range(4):  # the envelope is the better known the better the mode is
         model = now.sums.model
         parts = now.envelopes(k)
-        fitted = fit_backbone(parts, model.poles[k], now.part.rate, settings.false_alarm)
+        fitted = fit_backbone(
+            parts, model.poles[k], now.part.rate, settings.false_alarm
+        )
         if fitted is None or not fitted[0].nonlinear:
             return best
         backbone, factors = fitted
@@ -343,4 +367,6 @@ def _without_weak(found: BandFit) -> BandFit:
         rest = np.delete(np.arange(found.sums.gain.size), found.sums.gain.argmin())
         model = found.sums.model.take(rest)
         found = _state(found.part, found.scale, model, found.critical)
-    return _state(found.part, found.scale, found.sums.model, found.critical, rough=False)
+    return _state(
+        found.part, found.scale, found.sums.model, found.critical, rough=False
+    )

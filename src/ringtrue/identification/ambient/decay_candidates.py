@@ -10,7 +10,11 @@ import numpy as np
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.notes import Note
 from ringtrue.identification.ambient.decay_backbone import Backbone, fit_backbone
-from ringtrue.identification.ambient.decay_band_fit import BandFit, DecaySettings, shape_mac
+from ringtrue.identification.ambient.decay_band_fit import (
+    BandFit,
+    DecaySettings,
+    shape_mac,
+)
 from ringtrue.identification.ambient.decay_fit import covariance, deviations, is_steady
 from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
@@ -109,12 +113,18 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
         band = found.part.band
         # bands overlap: each has what is nearer to its own middle
         high = band.high if i == 0 else np.sqrt(band.high * fits[i - 1].part.band.low)
-        low = band.low if i == len(fits) - 1 else np.sqrt(band.low * fits[i + 1].part.band.high)
+        low = (
+            band.low
+            if i == len(fits) - 1
+            else np.sqrt(band.low * fits[i + 1].part.band.high)
+        )
         spread = deviations(model.poles, covariance(found.sums, found.floor))
         std = np.sqrt(np.maximum(np.diag(spread), 0)).reshape(2, -1)
         slack = 5 * std[0]
         f = model.frequencies
-        inside = (f > low - slack) & (f < high + slack) & (f >= band.low) & (f <= band.high)
+        inside = (
+            (f > low - slack) & (f < high + slack) & (f >= band.low) & (f <= band.high)
+        )
         inside &= model.damping < DAMPING_MAX
         for k in np.flatnonzero(inside).tolist():
             parts = found.envelopes(k)
@@ -131,7 +141,8 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
             )
             others = (c for c in out if c.found is not found)
             if not any(
-                abs(new.frequency - c.frequency) < 6 * float(np.hypot(new.std[0], c.std[0]))
+                abs(new.frequency - c.frequency)
+                < 6 * float(np.hypot(new.std[0], c.std[0]))
                 for c in others
             ):
                 out.append(new)
@@ -147,7 +158,11 @@ def is_remainder(c: DecayCandidate, others: list[DecayCandidate], near: float) -
         reach = near * max(other.damping * other.frequency, c.damping * c.frequency)
         close = low - reach < c.frequency < high + reach
         like = shape_mac(c.found.shape(c.k), other.found.shape(other.k)) > 0.8
-        if close and c.gain < 0.01 * other.gain and (like or c.gain < 1e-4 * other.gain):
+        if (
+            close
+            and c.gain < 0.01 * other.gain
+            and (like or c.gain < 1e-4 * other.gain)
+        ):
             return True
     return False
 
@@ -165,7 +180,11 @@ def sum_of(
     far = [a for a in stronger if c.gain < 0.1 * a.gain]
     for a in far:
         for n in (2, 3, 4, 5):
-            if _is_multiple(c, a, n, settings) or _is_locked(c, a, n) or _is_in_span(c, a, n):
+            if (
+                _is_multiple(c, a, n, settings)
+                or _is_locked(c, a, n)
+                or _is_in_span(c, a, n)
+            ):
                 return (a.frequency,) * n
     signed = [(a, sign) for a in far for sign in (1, -1)]
     for order in (2, 3):
@@ -177,7 +196,9 @@ def sum_of(
 
 
 def _is_sum(
-    c: DecayCandidate, parts: tuple[tuple[DecayCandidate, int], ...], settings: DecaySettings
+    c: DecayCandidate,
+    parts: tuple[tuple[DecayCandidate, int], ...],
+    settings: DecaySettings,
 ) -> bool:
     """Whether the pole of a weak decay is the sum of those of `parts`, conjugate for a sign of -1.
 
@@ -195,7 +216,9 @@ def _is_sum(
     return known and weak and abs(away.real) < reach and abs(away.imag) < reach
 
 
-def _is_multiple(c: DecayCandidate, a: DecayCandidate, n: int, settings: DecaySettings) -> bool:
+def _is_multiple(
+    c: DecayCandidate, a: DecayCandidate, n: int, settings: DecaySettings
+) -> bool:
     """Whether a weak decay is at n times the frequency of a mode, and decays about n times as
     fast.
     """

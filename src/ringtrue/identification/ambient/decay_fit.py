@@ -51,7 +51,9 @@ class DecayModel:
     def take(self, at: Sequence[int] | Int) -> DecayModel:
         """The chosen poles."""
         chosen = np.asarray(at, dtype=np.int64)
-        return DecayModel(self.poles[chosen], tuple(self.factors[k] for k in chosen.tolist()))
+        return DecayModel(
+            self.poles[chosen], tuple(self.factors[k] for k in chosen.tolist())
+        )
 
     def plus(self, pole: complex) -> DecayModel:
         """With one more pole."""
@@ -121,7 +123,9 @@ def decay_sums(decays: Decays, rate: float, model: DecayModel) -> DecaySums:
         moved = both * time
         size = np.sqrt(np.einsum("un,un->u", both, both)) + np.finfo(np.float64).tiny
         gram = both @ both.T / np.outer(size, size)
-        inverse[i] = np.linalg.pinv(gram, rcond=1e-13, hermitian=True) / np.outer(size, size)
+        inverse[i] = np.linalg.pinv(gram, rcond=1e-13, hermitian=True) / np.outer(
+            size, size
+        )
         right = both @ y.T
         linear = inverse[i] @ right  # (2 m, ch)
         squares -= float(np.einsum("uc,uc->", right, linear))
@@ -131,7 +135,8 @@ def decay_sums(decays: Decays, rate: float, model: DecayModel) -> DecaySums:
         pairs = linear.reshape(m, 2, ch)
         amplitudes[i] = (pairs[:, 0] - 1j * pairs[:, 1]).T
         turned = np.stack([pairs[:, 1], -pairs[:, 0]], axis=1)
-        by = np.stack([pairs, turned])  # (part, m, 2, ch): of the derivatives in `moved`
+        # (part, m, 2, ch): of the derivatives in `moved`
+        by = np.stack([pairs, turned])
         gradient += np.einsum("pkuc,kuc->pk", by, left.reshape(m, 2, ch))
         four = schur.reshape(m, 2, m, 2)
         half = np.einsum("kulv,qlvc->kuqlc", four, by)
@@ -180,7 +185,9 @@ class DecayFit:
 
     def init(self) -> DecayFitState:
         """The start."""
-        return DecayFitState(decay_sums(self.decays, self.rate, self.start), 1e-4, np.inf)
+        return DecayFitState(
+            decay_sums(self.decays, self.rate, self.start), 1e-4, np.inf
+        )
 
     def step(self, state: DecayFitState) -> DecayFitState:
         """The next poles; the old ones with a larger factor where the step does not help."""
@@ -219,11 +226,18 @@ class DecayFit:
 def _sizes(normal: Float) -> Float:
     """(p,) roots of the diagonal of a normal matrix, none so small that it cannot be divided by."""
     diagonal = np.diag(normal)
-    return np.asarray(np.sqrt(np.maximum(diagonal, 1e-12 * max(diagonal.max(initial=0.0), 1e-12))))
+    return np.asarray(
+        np.sqrt(np.maximum(diagonal, 1e-12 * max(diagonal.max(initial=0.0), 1e-12)))
+    )
 
 
 def fit(
-    decays: Decays, rate: float, start: DecayModel, *, rough: bool = False, limit: int = 60
+    decays: Decays,
+    rate: float,
+    start: DecayModel,
+    *,
+    rough: bool = False,
+    limit: int = 60,
 ) -> DecaySums:
     """The most likely poles from a start; `rough` where more poles are to come."""
     if not start.poles.size:
@@ -234,7 +248,9 @@ def fit(
     return iterate(rules, limit=limit).last.sums
 
 
-def left_over(decays: Decays, rate: float, sums: DecaySums, keep: int | None = None) -> Decays:
+def left_over(
+    decays: Decays, rate: float, sums: DecaySums, keep: int | None = None
+) -> Decays:
     """What a fit leaves of the decays; with one pole `keep`, that one is left in."""
     amplitudes = sums.amplitudes.copy()
     if keep is not None:
@@ -287,7 +303,10 @@ def noise_floor(rest: Decays, rate: float, freqs: Float, gain: Float) -> DecayFl
         at = np.arange(power.shape[1]) * rate / y.shape[1]
         power /= np.maximum(np.interp(at, freqs, gain), 0.1) ** 2
         ends = np.searchsorted(at, edges)
-        each = [np.median(power[:, i : max(j, i + 1)], axis=1) for i, j in pairwise(ends.tolist())]
+        each = [
+            np.median(power[:, i : max(j, i + 1)], axis=1)
+            for i, j in pairwise(ends.tolist())
+        ]
         # the median of an exponential distribution
         level += np.array(each).T / np.log(2) / len(rest)
     level = median_filter(level, (1, max(bins // 5, 1) | 1), mode="nearest")
@@ -309,7 +328,11 @@ class DecayPeak:
 
 
 def strongest_decay(
-    rest: Decays, rate: float, floor: DecayFloor, limits: tuple[float, float], false_alarm: float
+    rest: Decays,
+    rate: float,
+    floor: DecayFloor,
+    limits: tuple[float, float],
+    false_alarm: float,
 ) -> DecayPeak:
     """The decay that a rest holds most likely: the generalised likelihood ratio over a grid.
 
@@ -335,17 +358,23 @@ def strongest_decay(
         total = np.zeros(f.size)
         # a cell is as wide as its decay is fast: it holds the mean of the floor over that width
         lag = np.minimum(np.arange(n), n - np.arange(n)) / rate
-        variance = rfft(irfft(floor.at(f), n, axis=1) * np.exp(-sigma * lag), axis=1).real
+        variance = rfft(
+            irfft(floor.at(f), n, axis=1) * np.exp(-sigma * lag), axis=1
+        ).real
         for y in single:
             part = y[:, :reach]
             weight = np.exp(-sigma * np.arange(part.shape[1]) / rate).astype(np.float32)
             energy = float(weight @ weight)
             spectrum = rfft(part * weight, n, axis=1)
             total += (2 * np.abs(spectrum) ** 2 / (variance * energy)).sum(axis=0)
-        total[(f < limits[0]) | (f > limits[1]) | (sigma > DAMPING_MAX * 2 * np.pi * f)] = 0
+        total[
+            (f < limits[0]) | (f > limits[1]) | (sigma > DAMPING_MAX * 2 * np.pi * f)
+        ] = 0
         at = int(total.argmax())
         if total[at] > best.gain:
-            best = DecayPeak(complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf)
+            best = DecayPeak(
+                complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf
+            )
     freedom = 2 * len(rest[0]) * len(rest)
     critical = float(chdtri(freedom, false_alarm / (count * samples)))
     return replace(best, critical=critical)

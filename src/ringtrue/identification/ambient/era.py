@@ -17,7 +17,12 @@ from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
-from ringtrue.identification.ambient.ssi_cov import SsiCov, choose_references, decompose, prepared
+from ringtrue.identification.ambient.ssi_cov import (
+    SsiCov,
+    choose_references,
+    decompose,
+    prepared,
+)
 from ringtrue.identification.common.stabilisation import (
     DAMPING_MAX,
     PoleSet,
@@ -64,7 +69,9 @@ def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
     """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of
     `c` (ch, n).
     """
-    parts = [modal(a[:n, :n], c[:, :n], rate) for n in range(2, len(a) + 1, s.order_step)]
+    parts = [
+        modal(a[:n, :n], c[:, :n], rate) for n in range(2, len(a) + 1, s.order_step)
+    ]
     return gathered(list(range(2, len(a) + 1, s.order_step)), parts)
 
 
@@ -74,12 +81,18 @@ def modal(a: Float, c: Float, rate: float) -> tuple[Complex, Complex]:
     pole = np.log(np.where(mu == 0, 1e-300, mu).astype(np.complex128)) * rate
     zeta = -pole.real / np.maximum(np.abs(pole), 1e-300)
     keep = (mu.imag > 0) & (zeta > 0) & (zeta < DAMPING_MAX)
-    return np.asarray(pole[keep]), np.asarray((c @ right[:, keep]).astype(np.complex128))
+    return np.asarray(pole[keep]), np.asarray(
+        (c @ right[:, keep]).astype(np.complex128)
+    )
 
 
-def gathered(orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]) -> PoleSet:
+def gathered(
+    orders: Sequence[int], parts: Sequence[tuple[Complex, Complex]]
+) -> PoleSet:
     """One set of the (poles, shapes) of each order, without standard deviations."""
-    order: Int = np.repeat(np.asarray(orders, dtype=np.int64), [x[0].size for x in parts])
+    order: Int = np.repeat(
+        np.asarray(orders, dtype=np.int64), [x[0].size for x in parts]
+    )
     unknown = np.full(order.size, np.nan)
     return PoleSet(
         order=order,
@@ -129,7 +142,9 @@ def era_modes(
     def poles(data: Float) -> PoleSet:
         rows = min(settings.block_rows, data.shape[1] // SAMPLES_A_LAG)
         own = SsiCov(rows, order_max=60)
-        return next_era(replace(part, data=data), own, references=settings.references or None)
+        return next_era(
+            replace(part, data=data), own, references=settings.references or None
+        )
 
     modes, std = modes_of(poles(part.data), tuple(c.id for c in part.channels))
     first, second = np.array_split(part.data, 2, axis=1)

@@ -90,7 +90,10 @@ class _Taper:
 
 
 def fdd(
-    history: TimeHistory, settings: FddSettings | None = None, *, near: Sequence[float] = ()
+    history: TimeHistory,
+    settings: FddSettings | None = None,
+    *,
+    near: Sequence[float] = (),
 ) -> tuple[ModeSet, Uncertainty]:
     """Modes from the peaks of the singular values of the spectral matrix, of 20 segments.
 
@@ -116,7 +119,9 @@ def fdd(
     """
     s = settings or FddSettings()
     if not np.isfinite(history.data).all():
-        raise DataError(f"{history.source}: values are not finite; leave those channels out")
+        raise DataError(
+            f"{history.source}: values are not finite; leave those channels out"
+        )
     spectra = csd(history, Welch(20.0 / history.duration))
     power = np.einsum("fii->i", spectra.data).real
     scale = np.sqrt(np.maximum(power, np.finfo(np.float64).tiny))
@@ -126,10 +131,14 @@ def fdd(
         at = np.searchsorted(spectra.freqs, np.asarray(near, dtype=np.float64))
         around = np.clip(at[:, None] + np.arange(-3, 4), 1, spectra.freqs.size - 2)
         highest = np.argmax(sv[:, 0][around], axis=1)
-        lines = np.asarray(np.unique(around[np.arange(at.size), highest]), dtype=np.int64)
+        lines = np.asarray(
+            np.unique(around[np.arange(at.size), highest]), dtype=np.int64
+        )
     else:
         lines = _peaks(spectra, u[:, :, 0], sv[:, 0], s)
-    taper = _Taper(round(history.rate / spectra.freqs[1]), history.rate, spectra.segments)
+    taper = _Taper(
+        round(history.rate / spectra.freqs[1]), history.rate, spectra.segments
+    )
     mean_mac = np.empty(lines.size)
     fitted = np.empty((lines.size, 4))
     shapes = np.empty((scale.size, lines.size), dtype=np.complex128)
@@ -167,7 +176,9 @@ def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
     found, _ = find_peaks(np.log(np.maximum(level, 1e-300)), prominence=prominence)
     f = spectra.freqs
     top = s.fmax or 0.95 * f[-1]
-    inside = (f[found] >= max(s.fmin, 3 * f[1])) & (f[found] <= top) & (found < f.size - 2)
+    inside = (
+        (f[found] >= max(s.fmin, 3 * f[1])) & (f[found] <= top) & (found < f.size - 2)
+    )
     found = found[inside]
     around = vector[found[:, None] + np.array([-2, -1, 1, 2])]
     like = np.abs(np.einsum("pkc,pc->pk", around.conj(), vector[found])) ** 2
@@ -186,10 +197,14 @@ def _borders(lines: Int, k: int, sv: Float, foot: float) -> tuple[int, int]:
     if sv.shape[1] > 1:
         return low, high
     level = np.maximum(sv[:, 0], foot * sv[k, 0])
-    return k - int(np.argmin(level[low : k + 1][::-1])), k + int(np.argmin(level[k : high + 1]))
+    return k - int(np.argmin(level[low : k + 1][::-1])), k + int(
+        np.argmin(level[k : high + 1])
+    )
 
 
-def _bell(k: int, u: Complex, sv: Float, *, least: float, borders: tuple[int, int]) -> _Bell:
+def _bell(
+    k: int, u: Complex, sv: Float, *, least: float, borders: tuple[int, int]
+) -> _Bell:
     """Lines around `k` with a singular vector like that of the peak, at least three on each
     side.
     """
@@ -243,7 +258,10 @@ def _one_mode(
     cosines = np.cos(2 * np.pi * np.outer(f, lag) / rate)
     # the taper shrinks a correlation at each lag
     padded = int(next_fast_len(2 * length, real=True))
-    tapered = irfft(np.abs(rfft(window("hann", length), padded)) ** 2, padded)[:length] / length
+    tapered = (
+        irfft(np.abs(rfft(window("hann", length), padded)) ** 2, padded)[:length]
+        / length
+    )
     kernel = cosines * tapered * once
     peak = int(np.argmax(level))
 
@@ -253,7 +271,9 @@ def _one_mode(
         wt = w * lag / rate
         decay = np.exp(-zeta * wt) * np.cos(wt * np.sqrt(max(1 - zeta**2, 1e-3)))
         curve = kernel @ decay * 2 * zeta * w / rate
-        model = np.exp(x[2]) * np.maximum(curve, 1e-9) * (f / f[peak]) ** x[4] + np.exp(x[3])
+        model = np.exp(x[2]) * np.maximum(curve, 1e-9) * (f / f[peak]) ** x[4] + np.exp(
+            x[3]
+        )
         slope = (x[4] - 2) / 2 * np.sqrt(1 / taper.segments)
         return np.append(np.log(level) - np.log(model), slope)
 
@@ -262,7 +282,10 @@ def _one_mode(
     low_z, high_z = np.log(damping)
     bounds = ([-0.3, low_z, -12.0, -25.0, -8.0], [0.3, high_z, 12.0, 1.0, 12.0])
     fit = least_squares(
-        misfit, np.clip(start, bounds[0], bounds[1]), bounds=bounds, x_scale=[0.01, 0.3, 0.3, 1, 2]
+        misfit,
+        np.clip(start, bounds[0], bounds[1]),
+        bounds=bounds,
+        x_scale=[0.01, 0.3, 0.3, 1, 2],
     )
     jac = np.asarray(fit.jac, dtype=np.float64)
     cov = np.linalg.pinv(jac.T @ jac) * _scatter(length) / taper.segments

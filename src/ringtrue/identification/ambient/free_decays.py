@@ -62,7 +62,9 @@ def decay_bounds(events: Events, history: TimeHistory) -> Int:
     return np.asarray(bounds[bounds[:, 1] > bounds[:, 0] + 64])
 
 
-def decay_bands(rate: float, longest: float, settings: DecaySettings) -> tuple[Band, ...]:
+def decay_bands(
+    rate: float, longest: float, settings: DecaySettings
+) -> tuple[Band, ...]:
     """The pyramid for decays of at most `longest` s, from the highest band."""
     low = settings.fmin if settings.fmin else 8.0 / longest
     own = AmbientSettings(fmin=low, fmax=settings.fmax)
@@ -115,7 +117,9 @@ class DecayResult:
             confidence=np.ones(len(of)),
         )
         std = Uncertainty.independent(
-            np.array([m.std_frequency for m in of]), np.array([m.std_damping for m in of]), shapes
+            np.array([m.std_frequency for m in of]),
+            np.array([m.std_damping for m in of]),
+            shapes,
         )
         classes: list[ModeClass] = ["harmonic" for _ in of]
         return OtherCandidates(modes, std, tuple(classes), tuple(m.note for m in of))
@@ -127,7 +131,10 @@ class DecayResult:
 
 
 def identify_decay(
-    history: TimeHistory, settings: DecaySettings | None = None, *, progress: Progress = quiet
+    history: TimeHistory,
+    settings: DecaySettings | None = None,
+    *,
+    progress: Progress = quiet,
 ) -> DecayResult:
     """Modes from a record of free decays.
 
@@ -150,7 +157,9 @@ def identify_decay(
     whole, gaps = bridge_gaps(history)
     good, states = usable(whole)
     progress(0.0, "impacts")
-    bounds = behind_clipping(good, decay_bounds(find_events(good.data, good.rate), good))
+    bounds = behind_clipping(
+        good, decay_bounds(find_events(good.data, good.rate), good)
+    )
     parts = band_decays(good, bounds, settings)
     if not parts:
         raise DataError(
@@ -159,7 +168,10 @@ def identify_decay(
         )
     fits = []
     for k, part in enumerate(parts):
-        progress((k + 1) / (len(parts) + 1), f"{part.band.low:.3g} .. {part.band.high:.3g} Hz")
+        progress(
+            (k + 1) / (len(parts) + 1),
+            f"{part.band.low:.3g} .. {part.band.high:.3g} Hz",
+        )
         fits.append(fit_band(part, settings))
     found = _assembled(fits, good, settings)
     of_record = Note(
@@ -170,10 +182,14 @@ def identify_decay(
     )
     of_channels = (*gaps.notes, *states, of_record)
     progress(1.0, f"{len(found.modes)} modes")
-    return replace(found, notes=(*of_channels, *found.notes), starts=bounds[:, 0] / good.rate)
+    return replace(
+        found, notes=(*of_channels, *found.notes), starts=bounds[:, 0] / good.rate
+    )
 
 
-def band_decays(history: TimeHistory, bounds: Int, settings: DecaySettings) -> list[BandDecays]:
+def band_decays(
+    history: TimeHistory, bounds: Int, settings: DecaySettings
+) -> list[BandDecays]:
     """The decays of the bands in which something decays."""
     longest = float(np.diff(bounds, axis=1).max()) / history.rate
     bands = decay_bands(history.rate, longest, settings)
@@ -215,17 +231,23 @@ def era_diagram(found: BandFit) -> tuple[StableDiagram, Float]:
     shown = [np.unique(poles.order[at]) for at in near.T]
     after = [np.count_nonzero(poles.orders >= s.min()) if s.size else 1 for s in shown]
     share = np.array([s.size / max(n, 1) for s, n in zip(shown, after, strict=True)])
-    cluster = np.where(near.any(axis=1), near.argmax(axis=1) if model.poles.size else 0, -1)
+    cluster = np.where(
+        near.any(axis=1), near.argmax(axis=1) if model.poles.size else 0, -1
+    )
     y = found.scaled[0]
     power = np.square(np.abs(np.fft.rfft(y, axis=1))).sum(axis=0)
     lines = np.arange(power.size) * found.part.rate / y.shape[1]
     level = 10 * np.log10(np.maximum(power, np.finfo(np.float64).tiny))
     shape = unit(poles.shape * found.scale[:, None])
-    full = PoleSet(poles.order, poles.pole, shape, poles.std_frequency, poles.std_damping)
+    full = PoleSet(
+        poles.order, poles.pole, shape, poles.std_frequency, poles.std_damping
+    )
     return StableDiagram(full, cluster >= 0, cluster, lines, level[None]), share
 
 
-def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySettings) -> DecayResult:
+def _assembled(
+    fits: list[BandFit], history: TimeHistory, settings: DecaySettings
+) -> DecayResult:
     """The candidates of all bands as natural modes, multiples of these and notes."""
     every = candidates(fits, settings)
     notes = []
@@ -233,9 +255,13 @@ def _assembled(fits: list[BandFit], history: TimeHistory, settings: DecaySetting
     for c in every:
         values = {"frequency": c.frequency}
         if c.steady:
-            notes.append(Note("decay steady", "information", f"{c.frequency:.5g} Hz", values))
+            notes.append(
+                Note("decay steady", "information", f"{c.frequency:.5g} Hz", values)
+            )
         elif is_remainder(c, every, settings.near):
-            notes.append(Note("decay remainder", "information", f"{c.frequency:.5g} Hz", values))
+            notes.append(
+                Note("decay remainder", "information", f"{c.frequency:.5g} Hz", values)
+            )
         else:
             decaying.append(c)
     natural: list[DecayCandidate] = []
@@ -331,13 +357,17 @@ def _mode(c: DecayCandidate, share: float, history: TimeHistory) -> _Row:
     )
 
 
-def _uncertainty(natural: list[DecayCandidate], rows: list[_Row], ch: int) -> Uncertainty:
+def _uncertainty(
+    natural: list[DecayCandidate], rows: list[_Row], ch: int
+) -> Uncertainty:
     """Standard deviations, and the covariance of the modes that share a band."""
     m = len(rows)
     std = np.array([r.std for r in rows]).reshape(m, 2)
     joint = np.diag(std.T.ravel() ** 2)
     for i, a in enumerate(natural):
-        spread = deviations(a.found.sums.model.poles, covariance(a.found.sums, a.found.floor))
+        spread = deviations(
+            a.found.sums.model.poles, covariance(a.found.sums, a.found.floor)
+        )
         size = len(spread) // 2
         for j, b in enumerate(natural):
             if j == i or b.found is not a.found or a.bent or b.bent:
@@ -378,7 +408,10 @@ def decay_evidence(history: TimeHistory, settings: DecaySettings) -> DecayEviden
 
     A stationary record ends at the first look: its frames are of one power within a decade.
     """
-    if history.data.shape[1] < 16 * settings.frames or not np.isfinite(history.data).all():
+    if (
+        history.data.shape[1] < 16 * settings.frames
+        or not np.isfinite(history.data).all()
+    ):
         return DecayEvidence()
     count = settings.frames
     size = history.data.shape[1] // count
@@ -412,10 +445,14 @@ def _fall(y: Float) -> tuple[float, float]:
     square = np.square(y).sum(axis=0)
     last = max(float(square[-tenth:].mean()), 1e-300)
     decades = float(np.log10(max(float(square[:tenth].mean()), 1e-300) / last))
-    return decades, float(square[: square.size // 2].sum() / max(float(square.sum()), 1e-300))
+    return decades, float(
+        square[: square.size // 2].sum() / max(float(square.sum()), 1e-300)
+    )
 
 
-def free_decay_note(history: TimeHistory, settings: DecaySettings | None = None) -> Note | None:
+def free_decay_note(
+    history: TimeHistory, settings: DecaySettings | None = None
+) -> Note | None:
     """The note that a record holds free decays and next to nothing else; None for another one."""
     settings = settings or DecaySettings()
     found = decay_evidence(history, settings)

@@ -106,7 +106,9 @@ class _Curve:
     d_zeta: Float
 
 
-def _finite(nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]) -> Float:
+def _finite(
+    nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]
+) -> Float:
     """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in
     periods of f_start.
 
@@ -185,7 +187,8 @@ class _SpectrumFit:
     def cost(self, s: Float, theta: Float) -> float:
         """Negative log posterior."""
         return float(
-            self.count @ (np.log(s) + self.power / s) + 0.5 * self.prior @ (theta - self.mean) ** 2
+            self.count @ (np.log(s) + self.power / s)
+            + 0.5 * self.prior @ (theta - self.mean) ** 2
         )
 
     def run(self) -> tuple[Float, Float, float, bool]:
@@ -196,7 +199,9 @@ class _SpectrumFit:
         done = False
         for _ in range(80):
             info = (g.T * self.count) @ g + np.diag(self.prior)
-            slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (theta - self.mean)
+            slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (
+                theta - self.mean
+            )
             step = np.linalg.solve(info, slope)
             # the posterior can still rise by half of this: below, nothing is left to gain
             if done := bool(slope @ step < 1e-4):
@@ -214,7 +219,9 @@ class _SpectrumFit:
             g = g_new
             cost = c
         info = (g.T * self.count) @ g + np.diag(self.prior)
-        misfit = float((self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1))
+        misfit = float(
+            (self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1)
+        )
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
 
     def waves(self, theta: Float) -> float:
@@ -222,7 +229,9 @@ class _SpectrumFit:
         modes share bend it.
         """
         error = self.count * (self.power / self.spectrum(theta)[0] - 1)
-        k = np.floor((self.nu / np.exp(theta[0]) - self.nu[0]) / np.exp(theta[1])).astype(np.int64)
+        k = np.floor(
+            (self.nu / np.exp(theta[0]) - self.nu[0]) / np.exp(theta[1])
+        ).astype(np.int64)
         k -= k.min()
         lines = np.bincount(k, self.count)
         return float((np.bincount(k, error)[lines > 0] ** 2 / lines[lines > 0]).mean())
@@ -284,7 +293,9 @@ def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _
     psi = modes.shape
     channels = len(psi)
     shapes = psi[:, [i, *mode.others.tolist()]]
-    u, size, _ = np.linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
+    u, size, _ = np.linalg.svd(
+        shapes / np.linalg.norm(shapes, axis=0), full_matrices=False
+    )
     q = u[:, size > 0.03 * size[0]]  # other directions are none of theirs
     off = at[np.abs(b.freqs[at] - f[i]) > 2.5 * mode.half]
     parts = np.array_split(off if off.size > 20 else at, 3)
@@ -293,13 +304,18 @@ def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _
     share = np.zeros((3, at[-1] + 1 - first), dtype=np.float32)
     for row, k in zip(share, parts, strict=True):
         row[k - first] = 1 / k.size
-    flat = np.ascontiguousarray(b.cross[inside]).reshape(share.shape[1], -1).view(np.float32)
+    flat = (
+        np.ascontiguousarray(b.cross[inside])
+        .reshape(share.shape[1], -1)
+        .view(np.float32)
+    )
     r = (share @ flat).view(np.complex64).reshape(3, channels, -1).astype(np.complex128)
     out = np.eye(channels) - q @ q.conj().T
     left = np.einsum("ca,pab,bc->pc", out, r, out).real
     level = np.trace(r, axis1=1, axis2=2).real[:, None]
     peak = np.trace(b.cross[at], axis1=1, axis2=2).real.max()
-    floor = np.maximum(1e-6 * level, 1e-12 * peak) / channels  # of a sine nothing lies around it
+    # of a sine nothing lies around it
+    floor = np.maximum(1e-6 * level, 1e-12 * peak) / channels
     noise = np.maximum(left / np.maximum(np.diag(out).real, 0.1), floor)
     peaks = np.empty(mode.others.size)
     for row, k in enumerate(mode.others):
@@ -378,7 +394,11 @@ def _joined(nu: Float, zeta: float) -> Int:
 
 
 def _prepare(
-    b: SpectralBins, modes: EstimatedModes, i: int, far: float, slope: tuple[float, float]
+    b: SpectralBins,
+    modes: EstimatedModes,
+    i: int,
+    far: float,
+    slope: tuple[float, float],
 ) -> _SpectrumFit | None:
     """The filtered spectrum of mode `i`, `far` half bandwidths to each side, with a start; None
     where lines are too few or too coarse.
@@ -389,7 +409,9 @@ def _prepare(
     at = np.flatnonzero(np.abs(b.freqs - f[i]) < min(far * half, LIMITS.span * f[i]))
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
-    others = np.flatnonzero((np.abs(f - f[i]) < 2 * LIMITS.span * f[i]) & (np.arange(f.size) != i))
+    others = np.flatnonzero(
+        (np.abs(f - f[i]) < 2 * LIMITS.span * f[i]) & (np.arange(f.size) != i)
+    )
     begin = _joined(b.freqs[at] / f[i], z[i])
     lines = b.count[at]
     count = np.add.reduceat(lines, begin)
@@ -398,7 +420,8 @@ def _prepare(
     place = f[others] / f[i]
     windows = tuple((weight, length * float(f[i])) for weight, length in b.windows)
     near = np.empty((nu.size, others.size))
-    for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):  # neighbours
+    # neighbours
+    for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):
         near[:, k] = _lorentz(nu, p, q, windows).level
     mode = _ModeAmongOthers(i, at, half, others, count @ near / count.sum())
     own = _filter(b, modes, mode)
@@ -418,8 +441,19 @@ def _prepare(
     # its damping
     loose = np.where(known, LIMITS.level, 3.0) ** -2
     prior = np.concatenate(
-        [[1e-6, 1e-4, slope[1] ** -2, 1e-4], loose, np.full(others.size, LIMITS.level**-2)]
+        [
+            [1e-6, 1e-4, slope[1] ** -2, 1e-4],
+            loose,
+            np.full(others.size, LIMITS.level**-2),
+        ]
     )
     return _SpectrumFit(
-        nu, power, count=count, windows=windows, place=place, near=near, mean=mean, prior=prior
+        nu,
+        power,
+        count=count,
+        windows=windows,
+        place=place,
+        near=near,
+        mean=mean,
+        prior=prior,
     )

@@ -75,7 +75,8 @@ from ringtrue.signal.spectra import Band, check_band, remove_drift, scaled, unit
 from ringtrue.signal.tonal_lines import Harmonic, harmonics, remove_tonal_lines
 from ringtrue.signal.transients import Events
 
-CLASSES: dict[str, ModeClass] = {  # of candidates by their notes; of other notes: doubtful
+# of candidates by their notes; of other notes: doubtful
+CLASSES: dict[str, ModeClass] = {
     "candidate line": "harmonic",
     "candidate harmonic": "harmonic",
     "candidate impacts": "harmonic",
@@ -163,9 +164,13 @@ class AmbientResult:
     def notes(self) -> tuple[str, ...]:
         """All notes as sentences."""
         highest = sorted(self.unexplained, key=lambda p: -p.prominence)
-        peaks = [f"{p.frequency:.4g} Hz ({p.prominence:.0f} dB)" for p in highest[:SHOWN]]
+        peaks = [
+            f"{p.frequency:.4g} Hz ({p.prominence:.0f} dB)" for p in highest[:SHOWN]
+        ]
         more = f" and {len(highest) - SHOWN} lower ones" if len(highest) > SHOWN else ""
-        unexplained = f"peaks of the spectrum that nothing explains: {', '.join(peaks)}{more}"
+        unexplained = (
+            f"peaks of the spectrum that nothing explains: {', '.join(peaks)}{more}"
+        )
         of_spectrum = (unexplained,) if peaks else ()
         return (*map(sentence, self.channel_notes), *self.record_notes, *of_spectrum)
 
@@ -175,7 +180,9 @@ def lowest(duration: float, settings: AmbientSettings) -> float:
     return settings.fmin if settings.fmin is not None else 50.0 / duration
 
 
-def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[Band, ...]:
+def bands_for(
+    rate: float, duration: float, settings: AmbientSettings
+) -> tuple[Band, ...]:
     """The pyramid, from the highest band.
 
     Raises
@@ -190,7 +197,8 @@ def bands_for(rate: float, duration: float, settings: AmbientSettings) -> tuple[
             f"band {low:.4g} .. {high:.4g} Hz is empty: {duration:.4g} s at {rate:.4g} Hz allow "
             f"{50 / duration:.4g} .. {0.49 * rate:.4g} Hz"
         )
-    share = 0.34  # of the rate: the skirts of the filter of a decimated band begin at 0.4
+    # of the rate: the skirts of the filter of a decimated band begin at 0.4
+    share = 0.34
     top = rate / max(int(share * rate / high), 1)
     bands = [Band(max(low, 0.06 * top), high, top)]
     while bands[-1].low > low:
@@ -273,7 +281,9 @@ def modes_of_record(
     progress(1.0, f"{len(result.modes)} modes")
     noisy = noisy_channels(result.modes, result.uncertainty.shape)
     notes = (
-        record.notes + event_notes(weighed.events, result.modes.frequencies) + result.record_notes
+        record.notes
+        + event_notes(weighed.events, result.modes.frequencies)
+        + result.record_notes
     )
     if facts.motion:
         kinds = f"channels of different kinds: shapes are those of {facts.motion.kind} in all"
@@ -326,19 +336,27 @@ def weighed_candidates(
     record = _first_stretch(first, settings, single=second is None)
     progress(0.0, "filtering into bands")
     # four blocks of each stretch of a long record
-    ssi = SsiCov(settings.block_rows, settings.order_max, blocks=0 if second is None else 4)
+    ssi = SsiCov(
+        settings.block_rows, settings.order_max, blocks=0 if second is None else 4
+    )
     later = chain(() if second is None else (second,), coming)
     factor = record.factor
-    sums, events = sums_of_stretches(record, (scaled(x, factor) for x in later), ssi, progress)
+    sums, events = sums_of_stretches(
+        record, (scaled(x, factor) for x in later), ssi, progress
+    )
     motion = one_motion(record.good.channels)
     strongest = max(events, key=lambda e: e.share)
     duration = record.good.duration * len(events)
-    facts = RecordFacts(response_slope(record.good), choice, strongest, motion, duration)
+    facts = RecordFacts(
+        response_slope(record.good), choice, strongest, motion, duration
+    )
     found = _modes_of_bands(record, sums, facts, settings, progress)
     return WeighedRecord(record, sums, events, facts, found)
 
 
-def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: bool) -> FirstStretch:
+def _first_stretch(
+    first: TimeHistory, settings: AmbientSettings, *, single: bool
+) -> FirstStretch:
     """The usable channels of the first stretch, without what machines leave in it."""
     channels, samples = first.data.shape
     if channels > samples:
@@ -361,7 +379,9 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
     elif kept:  # an amplitude that is cut off looks steady
         unclipped = good.pick([c.id for c in kept.channels])
     impacts = events_of(good, gaps)
-    quiet = without_machines(good, unclipped, impacts, 2 * settings.block_rows / bands[0].rate)
+    quiet = without_machines(
+        good, unclipped, impacts, 2 * settings.block_rows / bands[0].rate
+    )
     sines = steady_sines(quiet.unclipped, bands, impacts)
     places = [sine.frequency for sine in sines]
     clean = remove_tonal_lines(quiet.good, places)
@@ -372,7 +392,9 @@ def _first_stretch(first: TimeHistory, settings: AmbientSettings, *, single: boo
         unclipped = remove_tonal_lines(quiet.unclipped, places)
     else:
         unclipped = None
-        notes += ("every channel is clipped: machines are not distinguished from modes",)
+        notes += (
+            "every channel is clipped: machines are not distinguished from modes",
+        )
     events = impacts if clean is good else events_of(clean, gaps)
     bands = bands_of_use(bands, good.duration, events, settings.block_rows)
     return FirstStretch(
@@ -396,7 +418,9 @@ def _unexplained(
 ) -> tuple[SpectrumPeak, ...]:
     """Peaks of the spectrum without a mode, a doubtful one or a machine, each once."""
     lines = [h.frequency for h in (*record.sines, *result.harmonics)]
-    known = np.concatenate([result.modes.frequencies, result.others.modes.frequencies, lines])
+    known = np.concatenate(
+        [result.modes.frequencies, result.others.modes.frequencies, lines]
+    )
     out: list[SpectrumPeak] = []
     for x in sums:
         for peak in spectrum_peaks(x.bins, x.band.low, x.band.high):
@@ -414,7 +438,9 @@ def _modes_of_bands(
     progress: Progress,
 ) -> list[BandModes]:
     found = []
-    results = map_in_threads(lambda x: modes_of_band(x, settings.confidence_min, facts), sums)
+    results = map_in_threads(
+        lambda x: modes_of_band(x, settings.confidence_min, facts), sums
+    )
     for k, modes in enumerate(results):
         band = record.bands[k]
         share = (k + 1) / (len(record.bands) + 2)
@@ -424,7 +450,10 @@ def _modes_of_bands(
 
 
 def _assembled(
-    record: FirstStretch, found: list[BandModes], facts: RecordFacts, settings: AmbientSettings
+    record: FirstStretch,
+    found: list[BandModes],
+    facts: RecordFacts,
+    settings: AmbientSettings,
 ) -> AmbientResult:
     """The modes of all bands as one result, after the evidence against them and the choice by
     hand.
@@ -439,7 +468,10 @@ def _assembled(
     notes = _against(record, listed(found, candidates), lines=lines, facts=facts)
     against = dict(zip(candidates, notes, strict=True))
     for row in candidates:
-        if against[row] is None and found[row[0]].confidence[row[1]] < settings.confidence_min:
+        if (
+            against[row] is None
+            and found[row[0]].confidence[row[1]] < settings.confidence_min
+        ):
             against[row] = doubts(found[row[0]], row[1])
     rows = [row for row in candidates if against[row] is None]
     against |= _forced(found, rows)
@@ -448,7 +480,11 @@ def _assembled(
     rows = by_hand.rows
     reported = listed(found, rows)
     taken = _among(listed(found, candidates), reported)
-    others = [row for row, own in zip(candidates, taken, strict=True) if against[row] and not own]
+    others = [
+        row
+        for row, own in zip(candidates, taken, strict=True)
+        if against[row] and not own
+    ]
     of_record = by_hand.notes
     if not rows:
         of_record = (*of_record, nothing_found(good, record.bands))
@@ -494,7 +530,9 @@ def _among(of: ListedCandidates, reported: ListedCandidates) -> Bool:
     return np.asarray((near & (mac(of.shape, reported.shape) > 0.8)).any(axis=1))
 
 
-def _doubt(code: str, frequency: float, values: Mapping[str, float | int | str]) -> Note:
+def _doubt(
+    code: str, frequency: float, values: Mapping[str, float | int | str]
+) -> Note:
     return Note(code, "warning", f"{frequency:.5g} Hz", values)
 
 
@@ -502,9 +540,13 @@ def _forced(found: list[BandModes], rows: list[Row]) -> dict[Row, Note | None]:
     """For each row the note that it is a peak of the force."""
     frequency = listed(found, rows).frequency
     out: dict[Row, Note | None] = {}
-    for row, f, by in zip(rows, frequency.tolist(), forced_by(found, rows), strict=True):
+    for row, f, by in zip(
+        rows, frequency.tolist(), forced_by(found, rows), strict=True
+    ):
         others = ", ".join(f"{x:.4g}" for x in frequency[by])
-        out[row] = _doubt("candidate forced", f, {"others": others}) if by.size else None
+        out[row] = (
+            _doubt("candidate forced", f, {"others": others}) if by.size else None
+        )
     return out
 
 
@@ -528,12 +570,18 @@ def _against(
     ]
     unsteady = ("",) * f.size
     if record.unclipped:
-        unsteady = amplitude_evidence(record.unclipped, f, damping, line_f, facts.interval)
+        unsteady = amplitude_evidence(
+            record.unclipped, f, damping, line_f, facts.interval
+        )
     if record.unclipped and not facts.driven:
-        running = [bool(line or text) for line, text in zip(on_line, unsteady, strict=True)]
+        running = [
+            bool(line or text) for line, text in zip(on_line, unsteady, strict=True)
+        ]
         every = np.append(f, line_f)
         widths = np.append(damping, np.zeros(len(line_f)))
-        locked_to = phase_evidence(record.unclipped, every, widths, running + [True] * len(line_f))
+        locked_to = phase_evidence(
+            record.unclipped, every, widths, running + [True] * len(line_f)
+        )
         both = zip(unsteady, locked_to[: f.size], strict=True)
         unsteady = tuple(own or other for own, other in both)
     edges = filter_edges(good, f, damping)
@@ -549,8 +597,13 @@ def _against(
             found = "candidate line", {"why": line.why, "line": line.frequency}
         elif left[k]:
             speed = record.machines[orders.machine[k]].frequency
-            found = "candidate harmonic", {"order": int(orders.order[k]), "speed": speed}
-        elif facts.interval and facts.impacts.lines_near(x) and z < 3 * of.std_damping[k]:
+            found = (
+                "candidate harmonic",
+                {"order": int(orders.order[k]), "speed": speed},
+            )
+        elif (
+            facts.interval and facts.impacts.lines_near(x) and z < 3 * of.std_damping[k]
+        ):
             found = "candidate impacts", {}
         elif remainders[k]:
             found = "candidate remainder", {"line": remainders[k]}

@@ -22,7 +22,11 @@ from ringtrue.errors import DataError
 from ringtrue.identification.ambient.era import SAMPLES_A_LAG
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
-from ringtrue.identification.common.stabilisation import DAMPING_MAX, least_deviations, unit
+from ringtrue.identification.common.stabilisation import (
+    DAMPING_MAX,
+    least_deviations,
+    unit,
+)
 from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
 from ringtrue.identification.frf.lines import Noise, prepare
 from ringtrue.identification.frf.plscf import Plscf, grouped, merged, plscf
@@ -96,7 +100,9 @@ def half_spectra_modes(
         for x in (data, *np.array_split(data, 2, axis=1))
     )
     level = Noise(
-        np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))), np.ones(len(data)), np.ones(refs.size)
+        np.sqrt((np.abs(whole.data) ** 2).mean(axis=(1, 2))),
+        np.ones(len(data)),
+        np.ones(refs.size),
     )
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
     # with the window, and participation vectors for shapes
@@ -119,7 +125,11 @@ def half_spectra_modes(
     ids = tuple(c.id for c in history.channels)
     none = np.full(pole.size, np.nan)
     modes = ModeSet(
-        np.abs(pole) / (2 * np.pi), -pole.real / np.abs(pole), shape, ids, confidence=conf[rank]
+        np.abs(pole) / (2 * np.pi),
+        -pole.real / np.abs(pole),
+        shape,
+        ids,
+        confidence=conf[rank],
     )
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
 
@@ -139,17 +149,32 @@ def _lags(history: TimeHistory) -> int:
     return lags
 
 
-def _half_spectra(part: TimeHistory, band: tuple[float, float], refs: Int, lags: int) -> FrfSet:
+def _half_spectra(
+    part: TimeHistory, band: tuple[float, float], refs: Int, lags: int
+) -> FrfSet:
     """(freq, ch, ref) those of the lines in the band and a little around it."""
     decay = -np.log(HALF.ends_at) * part.rate / lags
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
     r = correlations(part.data, refs, lags)[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
     # lag 0, noise, is out
-    half = np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
-    at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * part.rate)) & (freqs > 0)
+    half = (
+        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
+    )
+    at = (
+        (freqs >= 0.9 * band[0])
+        & (freqs <= min(1.1 * band[1], 0.48 * part.rate))
+        & (freqs > 0)
+    )
     inputs = tuple(part.channels[i] for i in refs)
-    return FrfSet(half[at], freqs[at], part.channels, inputs, kind="receptance", window_decay=decay)
+    return FrfSet(
+        half[at],
+        freqs[at],
+        part.channels,
+        inputs,
+        kind="receptance",
+        window_decay=decay,
+    )
 
 
 def _settled(
@@ -174,7 +199,9 @@ def _settled(
         conf = assess_candidates(lines, fit, c, damping_max=DAMPING_MAX).confidence
         if (conf >= least).all():
             start = c.pole - whole.window_decay, c.participation
-            conf = conf * _agreement(c.pole, refine(one, *start), refine(two, *start), duration)
+            conf = conf * _agreement(
+                c.pole, refine(one, *start), refine(two, *start), duration
+            )
         if (conf >= least).all():
             return fit.poles, fit.shapes, conf
         c = c.take(np.arange(conf.size) != conf.argmin())

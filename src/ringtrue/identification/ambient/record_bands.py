@@ -98,7 +98,9 @@ class BandSums:
         """Mean spectra."""
         if self.stretches == 1:
             return self.spectra
-        return replace(self.spectra, cross=self.spectra.cross / np.float32(self.stretches))
+        return replace(
+            self.spectra, cross=self.spectra.cross / np.float32(self.stretches)
+        )
 
 
 def _added(a: BandSums, b: BandSums) -> BandSums:
@@ -120,7 +122,9 @@ def _added(a: BandSums, b: BandSums) -> BandSums:
     lost = (n * x.lost + y.lost) / (n + 1)
     breaks = (n * x.breaks + y.breaks) / (n + 1)
     return replace(
-        both, spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks), stretches=n + 1
+        both,
+        spectra=replace(x, count=x.count + y.count, lost=lost, breaks=breaks),
+        stretches=n + 1,
     )
 
 
@@ -203,7 +207,8 @@ def first_sums(
         cut = band_correlations.segments(y.samples, blocks, 2 * rows - 1, high, down)
         scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
-        eyes = spanning(lagged, 16)  # they separate the modes for the maximum likelihood fit
+        # they separate the modes for the maximum likelihood fit
+        eyes = spanning(lagged, 16)
         first = BandSums(
             band=band,
             ssi=own,
@@ -250,13 +255,19 @@ def _at_first_rate(data: Any_, rate: float, bands: tuple[Band, ...]) -> Signals:
     )
 
 
-def _pass(x: BandSums, y: Signals, events: Events, factor: int) -> tuple[BandSums, Signals]:
+def _pass(
+    x: BandSums, y: Signals, events: Events, factor: int
+) -> tuple[BandSums, Signals]:
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
     high, down = _filters(x.band, factor)
-    cut = band_correlations.segments(y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down)
+    cut = band_correlations.segments(
+        y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down
+    )
     keep = events.free(y.samples, x.band.rate, cut.lags)
     share = band_correlations.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)
-    r, lower = band_correlations.run(y, cut, high, down, references=x.references, keep=keep)
+    r, lower = band_correlations.run(
+        y, cut, high, down, references=x.references, keep=keep
+    )
     scale = x.scale.astype(np.float32)
     r /= scale[:, None] * scale[x.references]
     low = 0.7 * x.band.low
@@ -265,7 +276,10 @@ def _pass(x: BandSums, y: Signals, events: Events, factor: int) -> tuple[BandSum
         y, x.eyes, rate=x.band.rate, limits=(low, high_end), scale=1 / scale[x.eyes]
     )
     spectra = replace(
-        spectra, count=spectra.count * events.kept, lost=1 - events.kept, breaks=events.breaks
+        spectra,
+        count=spectra.count * events.kept,
+        lost=1 - events.kept,
+        breaks=events.breaks,
     )
     return replace(
         x, parts=(r,), shares=(share,), spectra=spectra, stretches=1
@@ -339,7 +353,10 @@ class WithoutMachines:
 
 
 def without_machines(
-    good: TimeHistory, unclipped: TimeHistory | None, impacts: Events, longest_lag: float
+    good: TimeHistory,
+    unclipped: TimeHistory | None,
+    impacts: Events,
+    longest_lag: float,
 ) -> WithoutMachines:
     """The record without the regular impacts, run-ups and harmonics of machines.
 
@@ -424,7 +441,8 @@ def sums_of_stretches(
     )
     duration = good.duration
 
-    def with_sums() -> Iterator[tuple[list[BandSums], TimeHistory]]:  # each with the sums so far
+    # each with the sums so far
+    def with_sums() -> Iterator[tuple[list[BandSums], TimeHistory]]:
         nonlocal duration
         for part in coming:
             report(0.0, f"filtering into bands, {duration:.4g} s done")
@@ -476,11 +494,15 @@ def _next_stretch(
     lost = np.flatnonzero(~np.isfinite(out[0].parts[0]).all((0, 1, 3)))
     if lost.size:
         bad = " ".join(part.channels[k].id for k in lost[:8].tolist())
-        raise DataError(f"{coming.source}: channels {bad} fail later in the record; leave them out")
+        raise DataError(
+            f"{coming.source}: channels {bad} fail later in the record; leave them out"
+        )
     return out, events
 
 
-def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) -> float:
+def shared_shapes(
+    first: Sequence[SpectralBins], other: Sequence[SpectralBins]
+) -> float:
     """Mean share of the shapes that both records have in common, 1 where nothing is clear.
 
     The least of two means: by the power of the lines, and of lines and channels of equal weight.
@@ -500,17 +522,24 @@ def shared_shapes(first: Sequence[SpectralBins], other: Sequence[SpectralBins]) 
         groups = np.cumsum(b.count) // (2 * a.cross.shape[1])
         starts = np.unique(groups, return_index=True)[1]
         one, two = (
-            np.add.reduceat(x.cross * x.count[:, None, None], starts).astype(np.complex128)
+            np.add.reduceat(x.cross * x.count[:, None, None], starts).astype(
+                np.complex128
+            )
             for x in (a, b)
         )
         share, power = _common_shapes(one, two)
         by_power.append((share, power))
-        level = 1 / np.sqrt(np.maximum(_channel_shares(one) + _channel_shares(two), 1e-12))
+        level = 1 / np.sqrt(
+            np.maximum(_channel_shares(one) + _channel_shares(two), 1e-12)
+        )
         balance = np.outer(level, level)
         common.append(_common_shapes(one * balance, two * balance)[0])
     shares, weights = (np.concatenate(x) for x in zip(*by_power, strict=True))
     lines = np.concatenate(common)
-    return min(float(np.average(shares, weights=weights)), float(lines.mean()) if lines.size else 1)
+    return min(
+        float(np.average(shares, weights=weights)),
+        float(lines.mean()) if lines.size else 1,
+    )
 
 
 def _channel_shares(cross: Any_) -> Float:

@@ -14,7 +14,10 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.spectral_bins import SpectralBins, oscillator_spectrum
+from ringtrue.identification.ambient.spectral_bins import (
+    SpectralBins,
+    oscillator_spectrum,
+)
 from ringtrue.signal.clock_alignment import channel_phases, in_step
 from ringtrue.signal.spectra import Band, Welch, psd
 from ringtrue.signal.transients import Events
@@ -112,14 +115,20 @@ def one_motion(channels: Sequence[Channel]) -> CommonMotion | None:
     if len(set(kinds)) < 2:
         return None
     kind = max(ORDER, key=lambda k: kinds.count(k))
-    order = np.array([ORDER.get(c.quantity, ORDER[kind]) - ORDER[kind] for c in channels])
+    order = np.array(
+        [ORDER.get(c.quantity, ORDER[kind]) - ORDER[kind] for c in channels]
+    )
     strain = np.array([c.quantity == "strain" for c in channels])
     return CommonMotion(
-        kind, np.asarray((-1j) ** order, dtype=np.complex128), np.where(strain, 0, -order)
+        kind,
+        np.asarray((-1j) ** order, dtype=np.complex128),
+        np.where(strain, 0, -order),
     )
 
 
-def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[Note, ...]]:
+def in_phase(
+    history: TimeHistory, *, mend: bool
+) -> tuple[TimeHistory, tuple[Note, ...]]:
     """The record with channels that lag or drift from the others moved back; notes on them and on
     odd phases.
     """
@@ -146,9 +155,13 @@ def in_phase(history: TimeHistory, *, mend: bool) -> tuple[TimeHistory, tuple[No
         values = {"ppm": 1e6 * float(rate), "treatment": treatment}
         notes.append(Note("channel clock", "warning", names, values))
     if found.odd.any():
-        notes.append(Note("channel phase", "warning", " ".join(ids[found.odd].tolist())))
+        notes.append(
+            Note("channel phase", "warning", " ".join(ids[found.odd].tolist()))
+        )
     moved = mend and bool(found.delay.any() or found.drift.any())
-    return (in_step(history, found.delay, found.drift) if moved else history), tuple(notes)
+    return (in_step(history, found.delay, found.drift) if moved else history), tuple(
+        notes
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +231,9 @@ def event_notes(events: list[Events], frequencies: Float) -> tuple[str, ...]:
             "periods between two, their stated deviations are rough"
         )
     plural = "s" if count > 1 else ""
-    return (f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",)
+    return (
+        f"{count} event{plural} {level:.0f} dB above the rest (a jump, an impact): {use}",
+    )
 
 
 def noisy_channels(modes: ModeSet, std: Float) -> tuple[Note, ...]:

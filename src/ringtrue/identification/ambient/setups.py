@@ -18,7 +18,13 @@ from ringtrue.core.arrays import Float, Int
 from ringtrue.core.channels import SHOWN
 from ringtrue.core.choice import Choice
 from ringtrue.core.iterate import Progress, quiet
-from ringtrue.core.modes import ModeClass, ModeSet, OtherCandidates, Uncertainty, joined_modes
+from ringtrue.core.modes import (
+    ModeClass,
+    ModeSet,
+    OtherCandidates,
+    Uncertainty,
+    joined_modes,
+)
 from ringtrue.core.notes import Note, sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
@@ -30,8 +36,14 @@ from ringtrue.identification.ambient.pipeline import (
     modes_of_record,
     weighed_candidates,
 )
-from ringtrue.identification.ambient.shape_reading import RecordCorrelations, with_joined_shapes
-from ringtrue.identification.common.manual_selection import chosen_of_setups, with_evidence
+from ringtrue.identification.ambient.shape_reading import (
+    RecordCorrelations,
+    with_joined_shapes,
+)
+from ringtrue.identification.common.manual_selection import (
+    chosen_of_setups,
+    with_evidence,
+)
 from ringtrue.identification.common.merging import Merged, merge_modes
 from ringtrue.identification.common.stabilisation import StableDiagram
 
@@ -111,14 +123,19 @@ class _AllCandidates:
     def of(cls, result: AmbientResult) -> _AllCandidates:
         others = result.others
         weak = np.array([note.code in DOUBTS for note in others.notes], dtype=np.bool_)
-        counted = replace(others.modes, confidence=np.where(weak, others.modes.confidence, 0.0))
+        counted = replace(
+            others.modes, confidence=np.where(weak, others.modes.confidence, 0.0)
+        )
         modes, std = joined_modes(
             [(result.modes, result.uncertainty), (counted, others.uncertainty)]
         )
         natural: list[ModeClass] = ["natural"] * len(result.modes)
         physical = [None if note.code in DOUBTS else note for note in others.notes]
         return cls(
-            modes, std, (*natural, *others.classes), (*[None] * len(result.modes), *physical)
+            modes,
+            std,
+            (*natural, *others.classes),
+            (*[None] * len(result.modes), *physical),
         )
 
 
@@ -174,7 +191,9 @@ def identify_setups(
             kept.append(history.pick(references) if references else history)
     _refuse_unconnected(setups, references)
     found = [_AllCandidates.of(x.result) for x in setups]
-    records = [(c.modes, c.uncertainty, x.name) for c, x in zip(found, setups, strict=True)]
+    records = [
+        (c.modes, c.uncertainty, x.name) for c, x in zip(found, setups, strict=True)
+    ]
     readers = [x.correlations for x in setups]
     said: list[str] = []
     by_hand: Sequence[str] = ()
@@ -186,8 +205,12 @@ def identify_setups(
         keep = np.array([kind == "natural" for kind in kinds], dtype=np.bool_)
         if choice:
             std = merged.uncertainty.frequency
-            keep, said, by_hand = chosen_of_setups(merged.modes.frequencies, std, keep, choice)
-            kinds = [None if there else kind for there, kind in zip(keep, kinds, strict=True)]
+            keep, said, by_hand = chosen_of_setups(
+                merged.modes.frequencies, std, keep, choice
+            )
+            kinds = [
+                None if there else kind for there, kind in zip(keep, kinds, strict=True)
+            ]
         natural = np.flatnonzero(keep)
         merged = with_joined_shapes(merged, records, readers, natural, references)
         others = _others(merged, members, found, joint, kinds)
@@ -206,13 +229,17 @@ def identify_setups(
     modes = merged.modes.take(natural)
     remarks = []
     reasons = []
-    for k, of_mode, of_damping in zip(natural.tolist(), frequency.T, damping.T, strict=True):
+    for k, of_mode, of_damping in zip(
+        natural.tolist(), frequency.T, damping.T, strict=True
+    ):
         count, spread = _scatter(of_mode)
         hand = said[k] if said else ""
         remarks.append(hand or f"{count}/{len(setups)} setups, f ±{spread:.2g} %")
         reasons.append(with_evidence(hand, _reason(of_mode, of_damping)))
     return SetupsResult(
-        modes=replace(modes, confidence=joint[natural], source=f"{len(setups)} setups: SSI-cov"),
+        modes=replace(
+            modes, confidence=joint[natural], source=f"{len(setups)} setups: SSI-cov"
+        ),
         uncertainty=merged.uncertainty.take(natural),
         reasons=tuple(reasons),
         remarks=tuple(remarks),
@@ -233,21 +260,30 @@ def _diagrams(setups: Sequence[IdentifiedSetup]) -> tuple[StableDiagram, ...]:
     for k, d in enumerate(first):
         levels = [d.level]
         for own in equal:
-            levels.append(np.stack([np.interp(d.freqs, own[k].freqs, x) for x in own[k].level]))
+            levels.append(
+                np.stack([np.interp(d.freqs, own[k].freqs, x) for x in own[k].level])
+            )
         rows = min(len(x) for x in levels)
         out.append(replace(d, level=np.mean([x[:rows] for x in levels], axis=0)))
     none = np.empty(0)
-    return (*out, *(replace(d, freqs=none, level=none[None]) for own in others for d in own))
+    return (
+        *out,
+        *(replace(d, freqs=none, level=none[None]) for own in others for d in own),
+    )
 
 
-def _refuse_unconnected(setups: Sequence[IdentifiedSetup], references: Sequence[str]) -> None:
+def _refuse_unconnected(
+    setups: Sequence[IdentifiedSetup], references: Sequence[str]
+) -> None:
     if len(setups) < 2:
         raise DataError(f"setups: two or more are needed, got {len(setups)}")
     for k, setup in enumerate(setups):
         own = set(setup.correlations.channels)
         if references:
             own &= set(references)
-        others = {c for i, x in enumerate(setups) if i != k for c in x.correlations.channels}
+        others = {
+            c for i, x in enumerate(setups) if i != k for c in x.correlations.channels
+        }
         if not own & others:
             raise DataError(
                 f"{setup.name}: none of its channels is in another setup, so that its shapes have "
@@ -285,7 +321,9 @@ def _on_channels(others: OtherCandidates, channels: tuple[str, ...]) -> OtherCan
     shapes[at] = others.modes.shapes
     std[at] = others.uncertainty.shape
     modes = replace(others.modes, shapes=shapes, labels=channels)
-    return replace(others, modes=modes, uncertainty=replace(others.uncertainty, shape=std))
+    return replace(
+        others, modes=modes, uncertainty=replace(others.uncertainty, shape=std)
+    )
 
 
 def _at_poles_of(
@@ -294,22 +332,35 @@ def _at_poles_of(
     """The modes of the references with what each setup gives to them."""
     name = "references of all setups"
     merged = merge_modes([(found.modes, found.uncertainty, name), *records])
-    place = {p.mode: k for k, own in enumerate(merged.provenance) for p in own if p.position == 0}
+    place = {
+        p.mode: k
+        for k, own in enumerate(merged.provenance)
+        for p in own
+        if p.position == 0
+    }
     rows = np.array([place[k] for k in range(len(found.modes))], dtype=np.int64)
     joint = merged.modes.take(rows)
     return replace(
         merged,
-        modes=replace(joint, frequencies=found.modes.frequencies, damping=found.modes.damping),
+        modes=replace(
+            joint, frequencies=found.modes.frequencies, damping=found.modes.damping
+        ),
         uncertainty=replace(
             merged.uncertainty.take(rows),
             frequency=found.uncertainty.frequency,
             damping=found.uncertainty.damping,
         ),
         provenance=tuple(
-            tuple(replace(p, position=p.position - 1) for p in merged.provenance[k] if p.position)
+            tuple(
+                replace(p, position=p.position - 1)
+                for p in merged.provenance[k]
+                if p.position
+            )
             for k in rows.tolist()
         ),
-        faults=tuple(replace(f, record=f.record - 1) for f in merged.faults if f.record),
+        faults=tuple(
+            replace(f, record=f.record - 1) for f in merged.faults if f.record
+        ),
     )
 
 
@@ -368,7 +419,10 @@ def _others(
         if 2 * len(physical) > len(against):
             notes.append(replace(physical[0], subject=subject))
         else:
-            values: dict[str, float | int | str] = {"found": len(against), "setups": len(own)}
+            values: dict[str, float | int | str] = {
+                "found": len(against),
+                "setups": len(own),
+            }
             notes.append(Note("candidate setups", "warning", subject, values))
     return OtherCandidates(
         replace(merged.modes.take(at), confidence=joint[at]),
@@ -417,7 +471,9 @@ def _notes(setups: Sequence[IdentifiedSetup]) -> tuple[str, ...]:
         own = setup.result
         for note in own.channel_notes:
             if note.code == "channel quantity":
-                learned.setdefault(str(note.values["quantity"]), []).extend(note.subject.split())
+                learned.setdefault(str(note.values["quantity"]), []).extend(
+                    note.subject.split()
+                )
             else:
                 holds.setdefault(sentence(note), []).append(setup.name)
         for text in own.record_notes:
@@ -425,9 +481,17 @@ def _notes(setups: Sequence[IdentifiedSetup]) -> tuple[str, ...]:
     out = []
     for quantity, ids in learned.items():
         names = " ".join(dict.fromkeys(ids))
-        out.append(sentence(Note("channel quantity", "information", names, {"quantity": quantity})))
+        out.append(
+            sentence(
+                Note("channel quantity", "information", names, {"quantity": quantity})
+            )
+        )
     for text, names_of in holds.items():
         more = f" and {len(names_of) - SHOWN} more" if len(names_of) > SHOWN else ""
-        where = "" if len(names_of) == len(setups) else f"{', '.join(names_of[:SHOWN])}{more}: "
+        where = (
+            ""
+            if len(names_of) == len(setups)
+            else f"{', '.join(names_of[:SHOWN])}{more}: "
+        )
         out.append(where + text)
     return tuple(out)

@@ -65,7 +65,9 @@ class BandCorrelations:
         """Those of the sums of a band, loud blocks weighed less."""
         r = sums.r
         loudness = block_weights(block_power(r, sums.references))
-        mean, deviation = var.deviations(r, loudness * sums.share / (loudness @ sums.share))
+        mean, deviation = var.deviations(
+            r, loudness * sums.share / (loudness @ sums.share)
+        )
         band = sums.band
         return cls(band.low, band.high, band.rate, mean, deviation, sums.scale)
 
@@ -76,7 +78,9 @@ class BandCorrelations:
         design = np.concatenate([decay.real, -decay.imag], axis=1)
         inverse = np.linalg.pinv(design, rcond=1e-6)
         parts = np.tensordot(inverse, self.mean[1:], 1)
-        by_block = np.einsum("pl,blcr->bpcr", inverse, self.deviation[:, 1:], optimize=True)
+        by_block = np.einsum(
+            "pl,blcr->bpcr", inverse, self.deviation[:, 1:], optimize=True
+        )
         m = pole.size
         return parts[:m] + 1j * parts[m:], by_block[:, :m] + 1j * by_block[:, m:]
 
@@ -125,8 +129,12 @@ class RecordCorrelations:
             own = inside[near]
             scale: Any_ = band.scale[:, None]
             if self.motion:
-                scale = scale * self.motion.turn[:, None] * self.motion.lift(pole[inside])
-            shape[:, inside], std[:, inside] = _shapes(residue[own], by_block[:, own], scale)
+                scale = (
+                    scale * self.motion.turn[:, None] * self.motion.lift(pole[inside])
+                )
+            shape[:, inside], std[:, inside] = _shapes(
+                residue[own], by_block[:, own], scale
+            )
         return shape, std
 
 
@@ -276,7 +284,9 @@ def _joined(
     """
     shape = np.array(joint.shapes)
     half = joint.frequencies * joint.damping
-    distance = np.abs(joint.frequencies[:, None] - joint.frequencies) / (half[:, None] + half)
+    distance = np.abs(joint.frequencies[:, None] - joint.frequencies) / (
+        half[:, None] + half
+    )
     share = 1 / np.maximum(distance, 1.0)
     for step in range(ROUNDS + 1):
         expected = share if step == ROUNDS else np.zeros(share.shape)
@@ -289,7 +299,9 @@ def _joined(
                 continue
             psi = record.psi[rows]
             own = record.var[rows]
-            turn = _mixing(shape[scaled_on], record.psi[scaled_on], record.var[scaled_on], expected)
+            turn = _mixing(
+                shape[scaled_on], record.psi[scaled_on], record.var[scaled_on], expected
+            )
             size = np.abs(np.diag(turn)) ** 2
             new = np.linalg.solve(turn.T, psi.T).T
             noise = np.median(own, axis=0)

@@ -18,7 +18,11 @@ from scipy.special import stdtrit
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.identification.ambient.ssi_cov import BandPoles, transition
 from ringtrue.identification.common import uncertainty as var
-from ringtrue.identification.common.stabilisation import DAMPING_MAX, cluster_poles, unit
+from ringtrue.identification.common.stabilisation import (
+    DAMPING_MAX,
+    cluster_poles,
+    unit,
+)
 from ringtrue.shapes import mpc
 from ringtrue.signal.band_correlations import Signals
 from ringtrue.signal.tonal_lines import DYNAMIC_RANGE
@@ -119,13 +123,17 @@ def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
     p = band.poles
     few = stdtrit(band.deviation.shape[1] - 1, 0.975) / 1.96
     orders = {n: transition(sub, n) for n in np.unique(p.order[at]).tolist()}
-    out = np.empty((len(at), sub.channels, band.deviation.shape[1]), dtype=np.complex128)
+    out = np.empty(
+        (len(at), sub.channels, band.deviation.shape[1]), dtype=np.complex128
+    )
     for row, k in zip(out, at, strict=True):  # modes
         n = int(p.order[k])
         i = int(np.argmin(np.abs(orders[n][0] - np.exp(p.pole[k] / sub.rate))))
         c = sub.u[: sub.channels, :n]
         r = sub.r[:n, :n]
-        row[:] = sub.turned(few * var.shape_deviations(band.perturbations, orders[n], c, i, r))
+        row[:] = sub.turned(
+            few * var.shape_deviations(band.perturbations, orders[n], c, i, r)
+        )
     return out
 
 
@@ -136,7 +144,9 @@ def candidates(band: BandPoles, *, driven: bool) -> CandidateModes:
     """
     stable = stable_poles(band, strength=0.0 if driven else 2.0)
     use = np.flatnonzero(stable)
-    label = cluster_poles(band.poles.pole[use], band.poles.shape[:, use], band.poles.order[use])
+    label = cluster_poles(
+        band.poles.pole[use], band.poles.shape[:, use], band.poles.order[use]
+    )
     groups = [use[label == g] for g in range(int(label.max(initial=-1)) + 1)]
     groups = [g for g in groups if g.size >= 4]
     means = [_average(band, g) for g in groups]
@@ -167,11 +177,17 @@ def _table(
     for i, g in enumerate(groups):
         label[g] = i
     size = np.array([g.size for g in groups], dtype=np.int64)
-    shape = np.stack([x[2] for x in means], axis=1) if m else np.empty((ch, 0), np.complex128)
+    shape = (
+        np.stack([x[2] for x in means], axis=1)
+        if m
+        else np.empty((ch, 0), np.complex128)
+    )
     d = _shape_deviations(band, [x[3] for x in means])
     return CandidateModes(
         pole=np.array([x[0] for x in means], dtype=np.complex128),
-        deviation=np.stack([x[1] for x in means]) if m else np.empty((0, nb), np.complex128),
+        deviation=np.stack([x[1] for x in means])
+        if m
+        else np.empty((0, nb), np.complex128),
         shape=unit(shape),
         shape_deviation=d,
         orders=np.stack([size, np.full(m, p.orders.size)], axis=1).astype(np.int64),
@@ -188,10 +204,16 @@ def stacked(one: CandidateModes, two: CandidateModes) -> CandidateModes:
     """The rows of two tables of one band; the second one's poles count for it."""
     wide = max(one.deviation.shape[1], two.deviation.shape[1])
     one, two = (
-        replace(c, deviation=np.pad(c.deviation, ((0, 0), (0, wide - c.deviation.shape[1]))))
+        replace(
+            c, deviation=np.pad(c.deviation, ((0, 0), (0, wide - c.deviation.shape[1])))
+        )
         for c in (one, two)
     )
-    by_row = [f.name for f in fields(CandidateModes) if f.name not in ("shape", "label", "stable")]
+    by_row = [
+        f.name
+        for f in fields(CandidateModes)
+        if f.name not in ("shape", "label", "stable")
+    ]
     joined = {n: np.concatenate([getattr(one, n), getattr(two, n)]) for n in by_row}
     return CandidateModes(
         **joined,
@@ -285,11 +307,16 @@ class RecordSpectrum:
         likelihood ratio of n lines. The sign is that of the peak. What lies 140 dB below the
         highest level is rounding.
         """
-        gain = [self._gain(*x) for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)]
+        gain = [
+            self._gain(*x)
+            for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)
+        ]
         level = np.trace(self.bins.cross, axis1=1, axis2=2).real
         here = np.interp(c.frequencies, self.bins.freqs, level)
         rounding = here < DYNAMIC_RANGE * level.max(initial=0.0)
-        return replace(c, gain=np.where(rounding, -np.inf, np.array(gain, dtype=np.float64)))
+        return replace(
+            c, gain=np.where(rounding, -np.inf, np.array(gain, dtype=np.float64))
+        )
 
     def _gain(self, frequency: float, damping: float, shape: Complex) -> float:
         bins = self.bins
@@ -306,7 +333,9 @@ class RecordSpectrum:
         if not floor > 0:
             return 0.0
         solved = np.linalg.solve(outside + floor * np.eye(psi.size), psi)
-        ratio = float((solved.conj() @ inside @ solved).real / (psi.conj() @ solved).real)
+        ratio = float(
+            (solved.conj() @ inside @ solved).real / (psi.conj() @ solved).real
+        )
         twice = 2 * bins.count[peak].sum() * (ratio - 1 - np.log(ratio))
         return float(np.sign(ratio - 1) * np.sqrt(max(twice, 0.0)))
 
@@ -328,7 +357,9 @@ def spectral_bins(
         start = k * (y.samples // parts)
         part = y.part(start, start + n, channels)
         lines[:, k] = rfft(part, axis=1)[:, first : last + 1].T
-    unit = np.outer(scale, scale).astype(np.float32) * np.float32(2 / (n * rate * parts))
+    unit = np.outer(scale, scale).astype(np.float32) * np.float32(
+        2 / (n * rate * parts)
+    )
     edges = [first]
     while edges[-1] <= last:  # sub-bands, with bins of one width each
         edges.append(max(int(edges[-1] * 1.2), edges[-1] + 1))
@@ -346,7 +377,9 @@ def spectral_bins(
         counts.append(np.full(bins, float(width * parts)))
         matrices.append(cross)
     freqs = np.concatenate(places) * rate / n
-    return SpectralBins(freqs, np.concatenate(counts), np.concatenate(matrices), n / rate)
+    return SpectralBins(
+        freqs, np.concatenate(counts), np.concatenate(matrices), n / rate
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,7 +467,9 @@ def spectrum_peaks(
     level = np.log(size)
     found = []
     for k, curve in enumerate(level):
-        least = max(limits.chance / np.sqrt(np.median(count)), np.log(limits.prominence))
+        least = max(
+            limits.chance / np.sqrt(np.median(count)), np.log(limits.prominence)
+        )
         places, about = find_peaks(curve, prominence=least, width=0, rel_height=0.5)
         for at, prominence, width in zip(
             places, about["prominences"], about["widths"], strict=True
@@ -445,5 +480,7 @@ def spectrum_peaks(
             if low <= frequency <= high and not dip:
                 step = float(freqs[min(at + 1, freqs.size - 1)] - freqs[at - 1]) / 2
                 decibel = float(10 * prominence / np.log(10))
-                found.append(SpectrumPeak(frequency, float(width) * step, k + 1, decibel))
+                found.append(
+                    SpectrumPeak(frequency, float(width) * step, k + 1, decibel)
+                )
     return tuple(found)

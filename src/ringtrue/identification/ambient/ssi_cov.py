@@ -46,7 +46,12 @@ class SsiCov:
     blocks: int = 0
 
     def __post_init__(self) -> None:
-        if self.block_rows < 2 or self.order_max < 2 or self.order_step < 1 or self.blocks == 2:
+        if (
+            self.block_rows < 2
+            or self.order_max < 2
+            or self.order_step < 1
+            or self.blocks == 2
+        ):
             raise ConfigError(
                 f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
                 f"order_step {self.order_step} >= 1, blocks {self.blocks} not 2"
@@ -120,7 +125,9 @@ def _triplets(
         return u[:, :order], s[:order], vt[:order].T
     # of the Krylov space: the default takes more products
     wide = min(max(3 * order // 2, order + 20), j)
-    size, v = eigsh(h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide)
+    size, v = eigsh(
+        h.T @ h if gram is None else gram, order, v0=np.ones(j), tol=1e-8, ncv=wide
+    )
     rank = np.argsort(-size, kind="stable")
     size = size[rank]
     v = v[:, rank]
@@ -156,7 +163,8 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
     spectrum = rfft(r[1 : 2 * rows], size, axis=0)
     back = np.ascontiguousarray(spectrum.transpose(0, 2, 1))
 
-    def convolved(x: Float, by: Complex) -> Float:  # (row, k) -> (row, l): Σ_j R[i + j] x_j
+    # (row, k) -> (row, l): Σ_j R[i + j] x_j
+    def convolved(x: Float, by: Complex) -> Float:
         y = by @ rfft(x[::-1], size, axis=0)[:, :, None]
         return irfft(y[:, :, 0], size, axis=0)[rows - 1 : 2 * rows - 1]
 
@@ -167,12 +175,16 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
     return LinearOperator((columns, columns), matvec=product, dtype=np.float64)
 
 
-def subspace(r: Float, rows: int, order: int, rate: float, turn: Complex | None = None) -> Subspace:
+def subspace(
+    r: Float, rows: int, order: int, rate: float, turn: Complex | None = None
+) -> Subspace:
     """The decomposition of the correlations `r` (lag, ch, ref)."""
     ch = r.shape[1]
     h = var.hankel(r, rows)
     # of many columns, convolutions take less time than products
-    gram = hankel_gram(r, rows) if h.shape[1] > 1500 else squared_hankel(h, ch, r.shape[2])
+    gram = (
+        hankel_gram(r, rows) if h.shape[1] > 1500 else squared_hankel(h, ch, r.shape[2])
+    )
     u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
     return factored(u, s, v / s, ch, rate, turn=turn)
 
@@ -220,7 +232,9 @@ def _order(
     leading blocks.
     """
     mu, right = np.linalg.eig(back[:n, :n] @ sub.qd[:n, :n])
-    log = np.asarray(np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128)
+    log = np.asarray(
+        np.log(np.where(mu == 0, 1e-300, mu + 0j)) * sub.rate, dtype=np.complex128
+    )
     f = np.abs(log) / (2 * np.pi)
     zeta = -log.real / np.maximum(np.abs(log), 1e-300)
     inside = (f >= band[0]) & (f <= band[1])
@@ -238,12 +252,17 @@ def _order(
 
 
 def all_orders(
-    sub: Subspace, p: var.Perturbations | None, settings: SsiCov, band: tuple[float, float]
+    sub: Subspace,
+    p: var.Perturbations | None,
+    settings: SsiCov,
+    band: tuple[float, float],
 ) -> tuple[PoleSet, Complex, Float]:
     """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations and strengths."""
     orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
     back = solve_triangular(sub.r, np.eye(len(sub.r)))
-    parts = [_order(sub, back, p, n=int(n), settings=settings, band=band) for n in orders]
+    parts = [
+        _order(sub, back, p, n=int(n), settings=settings, band=band) for n in orders
+    ]
     pole = np.concatenate([x[0] for x in parts])
     psi = np.concatenate([x[1] for x in parts], axis=1)
     dev = np.concatenate([x[2] for x in parts])
@@ -261,7 +280,9 @@ def all_orders(
     return poles, dev, strength
 
 
-def choose_references(history: TimeHistory, data: Float, names: Sequence[str] | None) -> Int:
+def choose_references(
+    history: TimeHistory, data: Float, names: Sequence[str] | None
+) -> Int:
     """(ref,) int64 channels of these names; without, those that span the motion best, of its
     `prepared` data.
 
@@ -289,7 +310,9 @@ def spanning(lagged: Float, most: int) -> Int:
 
 def block_power(r: Float, references: Int) -> Float:
     """(block,) mean squares of the references from the correlations `r` (block, lag, ch, ref)."""
-    return np.asarray(r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64)
+    return np.asarray(
+        r[:, 0, references, np.arange(references.size)].mean(1), dtype=np.float64
+    )
 
 
 def identify_band(
@@ -304,10 +327,14 @@ def identify_band(
     signals at `rate`.
     """
     mean, dr = var.deviations(r, weights)
-    sub = subspace(mean, settings.block_rows, order=settings.order_max, rate=rate, turn=turn)
+    sub = subspace(
+        mean, settings.block_rows, order=settings.order_max, rate=rate, turn=turn
+    )
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
     poles, dev, strength = all_orders(sub, p, settings, band)
-    return BandPoles(poles=poles, deviation=dev, strength=strength, subspace=sub, perturbations=p)
+    return BandPoles(
+        poles=poles, deviation=dev, strength=strength, subspace=sub, perturbations=p
+    )
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:

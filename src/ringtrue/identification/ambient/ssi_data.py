@@ -64,7 +64,9 @@ def columns(data: Float, references: Int, rows: int) -> Float:
     n = data.shape[1] - 2 * rows + 1
     past = sliding_window_view(data[references], n, axis=1)[:, :rows]
     future = sliding_window_view(data, n, axis=1)[:, rows : 2 * rows]
-    return np.concatenate([x.transpose(1, 0, 2).reshape(-1, n) for x in (past, future)]).T
+    return np.concatenate(
+        [x.transpose(1, 0, 2).reshape(-1, n) for x in (past, future)]
+    ).T
 
 
 def _triangle(data: Float, references: Int, rows: int) -> Float:
@@ -76,8 +78,12 @@ def _triangle(data: Float, references: Int, rows: int) -> Float:
     step = 4 * width  # rows of a stretch: the triangle is refactored a few times only
     r = np.zeros((0, width))
     for start in range(0, n, step):
-        part = columns(data[:, start : min(start + step, n) + 2 * rows - 1], references, rows)
-        r = qr(np.concatenate([r, part]), mode="r", overwrite_a=True, check_finite=False)[0][:width]
+        part = columns(
+            data[:, start : min(start + step, n) + 2 * rows - 1], references, rows
+        )
+        r = qr(
+            np.concatenate([r, part]), mode="r", overwrite_a=True, check_finite=False
+        )[0][:width]
     return r
 
 
@@ -105,10 +111,15 @@ def project(data: Float, references: Int, rows: int, blocks: int) -> Projection:
     for b, (start, end) in enumerate(pairwise(bounds.tolist())):
         own = _triangle(data[:, start : end + 2 * rows - 1], references, rows)
         products[b] = own[:, past:].T @ own[:, :past] / (end - start)
-        r = qr(np.concatenate([r, own]), mode="r", overwrite_a=True, check_finite=False)[0][:width]
+        r = qr(
+            np.concatenate([r, own]), mode="r", overwrite_a=True, check_finite=False
+        )[0][:width]
     size = np.sqrt(n)
     return Projection(
-        r[:past, :past].T / size, r[:past, past:].T / size, products, np.diff(bounds) / n
+        r[:past, :past].T / size,
+        r[:past, past:].T / size,
+        products,
+        np.diff(bounds) / n,
     )
 
 
@@ -153,9 +164,13 @@ def ssi_data(
     blocks = settings.blocks or var.blocks_for(data.shape[1], 2 * rows)
     p = project(data, refs, rows=rows, blocks=blocks)
     ch = len(data)
-    u, sv, v = decompose(p.future, min(settings.order_max, (rows - 1) * ch, min(p.future.shape)))
+    u, sv, v = decompose(
+        p.future, min(settings.order_max, (rows - 1) * ch, min(p.future.shape))
+    )
     sub = factored(u, sv, v / sv, ch, history.rate)
-    poles = all_orders(sub, _perturbations(p, sub), settings, (0.0, history.rate / 2))[0]
+    poles = all_orders(sub, _perturbations(p, sub), settings, (0.0, history.rate / 2))[
+        0
+    ]
     return poles.rescaled(scale)
 
 
@@ -175,5 +190,6 @@ def fewest_samples(channels: int, settings: AmbientSettings) -> int:
 
 
 def _block_rows(channels: int, settings: AmbientSettings) -> int:
-    most = 400 // max(channels, 1)  # the cost grows with the square of rows times channels
+    # the cost grows with the square of rows times channels
+    most = 400 // max(channels, 1)
     return max(4, min(settings.block_rows, most) // 2)

@@ -127,7 +127,9 @@ class IdentificationDiagram(Displayed):
         freqs = [np.empty(0)]
         level = [np.empty(0)]
         shift = 0.0
-        for upper, d, lower in zip([None, *parts], parts, [*parts[1:], None], strict=False):
+        for upper, d, lower in zip(
+            [None, *parts], parts, [*parts[1:], None], strict=False
+        ):
             if upper is not None:
                 shift += _step(d, upper)
             bottom = low
@@ -175,7 +177,9 @@ def identification_diagram(
         std = others.uncertainty.take([])
     elif not len(others):
         others = OtherCandidates.none(modes.channels)
-    joined, deviations = joined_modes([(modes, std), (others.modes, others.uncertainty)])
+    joined, deviations = joined_modes(
+        [(modes, std), (others.modes, others.uncertainty)]
+    )
     rank = np.argsort(joined.frequencies, kind="stable")
     natural_ones: list[ModeClass] = ["natural"] * len(modes)
     kinds = [*natural_ones, *others.classes]

@@ -19,9 +19,18 @@ from ringtrue.core.choice import Choice, Pick
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.confidence import BandModes, Row, listed
-from ringtrue.identification.ambient.spectral_bins import CandidateModes, groups_table, stacked
+from ringtrue.identification.ambient.spectral_bins import (
+    CandidateModes,
+    groups_table,
+    stacked,
+)
 from ringtrue.identification.ambient.ssi_cov import BandPoles
-from ringtrue.identification.common.stabilisation import CUT, PoleSet, cluster_poles, distances
+from ringtrue.identification.common.stabilisation import (
+    CUT,
+    PoleSet,
+    cluster_poles,
+    distances,
+)
 from ringtrue.identification.frf.confidence import CandidatePoles, DroppedPole
 from ringtrue.identification.frf.refinement import Refined
 from ringtrue.identification.frf.split_modes import support
@@ -31,7 +40,9 @@ WITHIN = 0.01  # of its frequency: so near a pick must be to what it means
 EXACT = 20  # a penalty makes no distance more than this many times as far
 
 
-def as_choice(modes: ModeSet, reasons: Sequence[str] = (), *, record: str = "") -> Choice:
+def as_choice(
+    modes: ModeSet, reasons: Sequence[str] = (), *, record: str = ""
+) -> Choice:
     """The modes as a choice that reports these and no others; replayed as it is, it changes
     nothing.
     """
@@ -111,7 +122,9 @@ def reject_and_merge(
     for reject in choice.rejects:
         k = nearest(reject.frequency)
         if k < 0:
-            notes.append(f"rejected by hand, but not there: a mode at {reject.frequency:.5g} Hz")
+            notes.append(
+                f"rejected by hand, but not there: a mode at {reject.frequency:.5g} Hz"
+            )
             continue
         keep[k] = False
         notes.append(f"mode at {frequency[k]:.5g} Hz rejected by hand: {reject.reason}")
@@ -120,7 +133,9 @@ def reject_and_merge(
         members = list(dict.fromkeys(k for k in near if k >= 0))
         if len(members) < 2:
             wanted = ", ".join(f"{f:.5g}" for f in merge.frequencies)
-            notes.append(f"merged by hand, but not there as different modes: {wanted} Hz")
+            notes.append(
+                f"merged by hand, but not there as different modes: {wanted} Hz"
+            )
             continue
         best = min(members, key=lambda k: float(doubt[k]))
         keep[members] = False
@@ -246,8 +261,12 @@ def hand_poles(
     keep = np.where(inside, shown, keep)
     n_in = sets[0].shape.shape[0] if sets else 1
     poles = np.array([p for p, _ in added], dtype=np.complex128)
-    parts = np.array([v for _, v in added], dtype=np.complex128).reshape(len(added), n_in)
-    more = CandidatePoles(poles, parts, support(poles, parts, sets, decay), np.zeros(poles.size))
+    parts = np.array([v for _, v in added], dtype=np.complex128).reshape(
+        len(added), n_in
+    )
+    more = CandidatePoles(
+        poles, parts, support(poles, parts, sets, decay), np.zeros(poles.size)
+    )
     kept = [said[k] for k in np.flatnonzero(keep)]
     return HandPoles(keep, more, tuple(taken), (*kept, *texts), tuple(notes))
 
@@ -292,10 +311,14 @@ def chosen_of_setups(
     for pick, k in zip(choice.picks, at.tolist(), strict=True):
         if k < 0:
             where = _place(choice.source, pick)
-            raise DataError(f"{where}: no candidate of the setups within {100 * WITHIN:g} %")
+            raise DataError(
+                f"{where}: no candidate of the setups within {100 * WITHIN:g} %"
+            )
         keep[k] = True
         said[k] = "confirmed by hand" if natural[k] else "taken up by hand"
-    notes = reject_and_merge(choice, frequency, deviation / frequency, keep=keep, said=said)
+    notes = reject_and_merge(
+        choice, frequency, deviation / frequency, keep=keep, said=said
+    )
     return keep, said, notes
 
 
@@ -339,13 +362,19 @@ def current_poles(
     keep[at[at >= 0]] = True
     picked = [p for p, k in zip(plain, at.tolist(), strict=True) if k < 0]
     picked += [p for p in choice.picks if p.order]
-    new = np.array([_pole(p, sets, decay, choice.source)[0] for p in picked], dtype=np.complex128)
+    new = np.array(
+        [_pole(p, sets, decay, choice.source)[0] for p in picked], dtype=np.complex128
+    )
     for pole in new:  # a pick replaces the automatic mode there
         keep &= np.abs(own - pole) >= 0.5 * np.abs(pole.real)
     both = np.concatenate([own, new])
     keep = np.concatenate([keep, np.ones(new.size, dtype=np.bool_)])
     reject_and_merge(
-        choice, np.abs(both) / (2 * np.pi), np.abs(both), keep=keep, said=[""] * both.size
+        choice,
+        np.abs(both) / (2 * np.pi),
+        np.abs(both),
+        keep=keep,
+        said=[""] * both.size,
     )
     return np.asarray(both[keep])
 
@@ -372,7 +401,9 @@ def _pole(
     _, s, at = max(found, key=lambda x: x[0])
     pole = complex(np.median(s.pole[at].real), np.median(s.pole[at].imag))
     near = at[np.argmin(np.abs(s.pole[at] - pole))]
-    return complex(min(pole.real + decay, -1e-4 * abs(pole)), pole.imag), s.shape[:, near]
+    return complex(min(pole.real + decay, -1e-4 * abs(pole)), pole.imag), s.shape[
+        :, near
+    ]
 
 
 def _late(s: PoleSet, frequency: float) -> Int:
@@ -447,7 +478,10 @@ class Chosen:
 
 
 def chosen(
-    found: list[BandModes], automatic: Sequence[Row], choice: Choice | None, source: str = ""
+    found: list[BandModes],
+    automatic: Sequence[Row],
+    choice: Choice | None,
+    source: str = "",
 ) -> Chosen:
     """Apply a choice to the candidates of all bands.
 
@@ -494,4 +528,6 @@ def chosen(
         keep[k] = not (mac(c.shape[:, [k]], c.shape[:, near]) > 0.9).any()
     notes = reject_and_merge(choice, f, c.std_frequency / f, keep=keep, said=said)
     left = sorted(np.flatnonzero(keep).tolist(), key=lambda k: float(f[k]))
-    return Chosen([rows[k] for k in left], {rows[k]: said[k] for k in left}, tuple(notes))
+    return Chosen(
+        [rows[k] for k in left], {rows[k]: said[k] for k in left}, tuple(notes)
+    )

@@ -137,7 +137,10 @@ def common_faults(records: Sequence[ModeSet]) -> tuple[CommonFault, ...]:
                 if not most or _mean(after) >= FAULTS.left * _mean(before):
                     continue
                 fault = CommonFault(r, channels, 1 - _mean(before), 1 - _mean(after))
-                if best is None or fault.after - fault.before > best.after - best.before:
+                if (
+                    best is None
+                    or fault.after - fault.before > best.after - best.before
+                ):
                     best = fault
         if best is None:
             break
@@ -301,10 +304,14 @@ class _GluedMode:
         wa = np.where(np.isfinite(self.var), 1 / self.var, 0.0)
         wb = np.where(np.isfinite(v), 1 / v, 0.0)
         total = wa + wb
-        inverse = np.divide(1.0, total, out=np.full(total.shape, np.nan), where=total > 0)
+        inverse = np.divide(
+            1.0, total, out=np.full(total.shape, np.nan), where=total > 0
+        )
         mean = (wa * np.nan_to_num(self.shape) + wb * np.nan_to_num(new)) * inverse
         k = len(self.members)
-        frequency = (k * self.frequency + float(record.modes.frequencies[mode])) / (k + 1)
+        frequency = (k * self.frequency + float(record.modes.frequencies[mode])) / (
+            k + 1
+        )
         return _GluedMode(members, frequency, mean.astype(np.complex128), inverse)
 
 
@@ -327,7 +334,9 @@ def merge_modes(records: Sequence[tuple[ModeSet, Uncertainty, str]]) -> Merged:
     """
     if not records:
         raise InputError("no record to merge")
-    channels = tuple(dict.fromkeys(c for modes, _, _ in records for c in modes.channels))
+    channels = tuple(
+        dict.fromkeys(c for modes, _, _ in records for c in modes.channels)
+    )
     names = [name for _, _, name in records]
     faults = common_faults([modes for modes, _, _ in records])
     full = [MergeRecord.of(*record, channels) for record in mended(records, faults)]
@@ -347,7 +356,9 @@ def merge_modes(records: Sequence[tuple[ModeSet, Uncertainty, str]]) -> Merged:
         confidence[column] = max(full[r].modes.confidence[i] for r, i in mode.members)
     top = np.nan_to_num(np.abs(shape)).max(axis=0, initial=0.0)
     top = np.where(top > 0, top, 1.0)
-    merged = ModeSet(f, z, shape / top, channels, source=" + ".join(names), confidence=confidence)
+    merged = ModeSet(
+        f, z, shape / top, channels, source=" + ".join(names), confidence=confidence
+    )
     std = Uncertainty.independent(std_f, std_z, np.sqrt(_of_unit(shape, var)) / top)
     notes = tuple(fault.describe(names) for fault in faults)
     return Merged(merged, std, tuple(found[k][1] for k in rank), notes, faults)
@@ -363,11 +374,17 @@ def mended(
         deviations = np.array(std.shape)
         at = [modes.channels.index(c) for c in fault.channels]
         deviations[at] = deviations[at[::-1]]
-        out[fault.record] = undone(modes, fault.channels), replace(std, shape=deviations), name
+        out[fault.record] = (
+            undone(modes, fault.channels),
+            replace(std, shape=deviations),
+            name,
+        )
     return out
 
 
-def join_candidates(records: Sequence[OtherCandidates], merged: ModeSet) -> OtherCandidates:
+def join_candidates(
+    records: Sequence[OtherCandidates], merged: ModeSet
+) -> OtherCandidates:
     """The candidates of all records, each once: the most confident of those of one frequency and
     shape, and none that is a merged mode.
 
@@ -387,7 +404,9 @@ def join_candidates(records: Sequence[OtherCandidates], merged: ModeSet) -> Othe
     if len(records) == 1:
         return records[0]
     channels = merged.channels if len(merged) else ()
-    channels = channels or tuple(dict.fromkeys(c for r in records for c in r.modes.channels))
+    channels = channels or tuple(
+        dict.fromkeys(c for r in records for c in r.modes.channels)
+    )
     every, std = joined_modes([_widened(r, channels) for r in records])
     classes = [kind for r in records for kind in r.classes]
     notes = [note for r in records for note in r.notes]
@@ -412,7 +431,9 @@ def join_candidates(records: Sequence[OtherCandidates], merged: ModeSet) -> Othe
     )
 
 
-def _widened(own: OtherCandidates, channels: Sequence[str]) -> tuple[ModeSet, Uncertainty]:
+def _widened(
+    own: OtherCandidates, channels: Sequence[str]
+) -> tuple[ModeSet, Uncertainty]:
     """Candidates with rows as in `channels`, NaN where a row is not among theirs."""
     here = {c: k for k, c in enumerate(own.modes.channels)}
     there = [k for k, c in enumerate(channels) if c in here]

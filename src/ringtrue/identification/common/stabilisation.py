@@ -18,7 +18,11 @@ DAMPING_MAX = 0.2  # of a mode; what decays faster is the end of an impact
 
 def unit(psi: Complex) -> Complex:
     """Shapes (ch, k) with their largest component 1."""
-    top = np.argmax(np.abs(psi), axis=0)[None] if psi.shape[1] else np.zeros((1, 0), dtype=np.int64)
+    top = (
+        np.argmax(np.abs(psi), axis=0)[None]
+        if psi.shape[1]
+        else np.zeros((1, 0), dtype=np.int64)
+    )
     return psi / np.take_along_axis(psi, top, axis=0)
 
 
@@ -138,7 +142,8 @@ class StableDiagram:
             )
 
 
-CUT = 0.08  # a pole-and-shape distance within which poles of different orders are one mode
+# a pole-and-shape distance within which poles of different orders are one mode
+CUT = 0.08
 
 
 def distances(pole: Complex, psi: Complex) -> Float:
@@ -199,25 +204,35 @@ def modes_of(poles: PoleSet, channels: tuple[str, ...]) -> tuple[ModeSet, Uncert
     rank = np.argsort(rows[:, 0], kind="stable")
     rows, at = rows[rank], rows[rank, 4].astype(np.int64)
     shape = unit(good.shape[:, at])
-    confidence = np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
+    confidence = (
+        np.clip(part[rank] * np.sqrt(mpc(shape)), 0, 1) if at.size else np.empty(0)
+    )
     modes = ModeSet(rows[:, 0], rows[:, 1], shape, channels, confidence=confidence)
     std = np.full(shape.shape, np.nan)
     return modes, Uncertainty.independent(rows[:, 2], rows[:, 3], std)
 
 
-def confirmed(modes: ModeSet, halves: tuple[PoleSet, PoleSet], duration: float) -> ModeSet:
+def confirmed(
+    modes: ModeSet, halves: tuple[PoleSet, PoleSet], duration: float
+) -> ModeSet:
     """The modes of a record of `duration` (s), their confidence times the root of the agreement of
     its halves.
     """
     f = modes.frequencies
     zeta = modes.damping
     seen = seen_in_halves(
-        f, zeta, shape=modes.shapes, stds=least_deviations(f, zeta, duration), halves=halves
+        f,
+        zeta,
+        shape=modes.shapes,
+        stds=least_deviations(f, zeta, duration),
+        halves=halves,
     )
     return replace(modes, confidence=modes.confidence * np.sqrt(seen))
 
 
-def least_deviations(frequency: Float, damping: Float, duration: float) -> tuple[Float, Float]:
+def least_deviations(
+    frequency: Float, damping: Float, duration: float
+) -> tuple[Float, Float]:
     """Standard deviations (m,) of frequency (Hz) and damping ratio that no method falls below
     (Gersch 1974).
 
@@ -238,7 +253,9 @@ def _physical(poles: PoleSet) -> Bool:
     if len(psi) > 1:
         ok &= mpc(psi) > 0.3
     known = np.isfinite(poles.std_frequency)
-    sharp = (poles.std_frequency < 0.5 * z * f) & (poles.std_damping < np.maximum(z, 2e-3))
+    sharp = (poles.std_frequency < 0.5 * z * f) & (
+        poles.std_damping < np.maximum(z, 2e-3)
+    )
     ok &= ~known | sharp
     step = int(np.diff(poles.orders).min(initial=2))
     before = poles.order[:, None] - poles.order == step
@@ -293,18 +310,25 @@ def seen_in_halves(
     same = np.abs((psi_1.conj() * psi_2).sum(0)) ** 2
     size = (np.abs(psi_1) ** 2).sum(0) * (np.abs(psi_2) ** 2).sum(0)
     return np.asarray(
-        np.minimum(share_1, share_2) * same / np.maximum(size, np.finfo(np.float64).tiny)
+        np.minimum(share_1, share_2)
+        * same
+        / np.maximum(size, np.finfo(np.float64).tiny)
     )
 
 
 def _seen(
-    frequency: Float, damping: Float, shape: Complex, stds: tuple[Float, Float], h: PoleSet
+    frequency: Float,
+    damping: Float,
+    shape: Complex,
+    stds: tuple[Float, Float],
+    h: PoleSet,
 ) -> tuple[Float, Complex]:
     """Share of orders of one half that show each mode, and its mean shape there (ch, m)."""
     df = np.abs(h.frequencies[:, None] - frequency)
     dz = np.abs(h.damping[:, None] - damping)
     reach = np.maximum(
-        np.maximum(4 * np.sqrt(2) * stds[0], 0.1 * damping * frequency), 2e-4 * frequency
+        np.maximum(4 * np.sqrt(2) * stds[0], 0.1 * damping * frequency),
+        2e-4 * frequency,
     )
     width = np.maximum(np.maximum(5 * np.sqrt(2) * stds[1], 0.2 * damping), 2e-3)
     shape_like = mac(h.shape, shape)
@@ -312,8 +336,12 @@ def _seen(
     # half a record may split a mode in two; with three channels any shape is like any other
     if len(h.shape) > 3:
         reach = np.where(shape_like > 0.99, 2.0, 0.7) * damping * frequency
-        like |= (df < reach) & (dz < np.maximum(width, 0.5 * damping)) & (shape_like > 0.95)
-    share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(h.orders.size, 1)
+        like |= (
+            (df < reach) & (dz < np.maximum(width, 0.5 * damping)) & (shape_like > 0.95)
+        )
+    share = np.array([np.unique(h.order[x]).size for x in like.T]) / max(
+        h.orders.size, 1
+    )
     turn = (shape.conj().T @ h.shape).T
     phase = np.where(like, turn.conj() / np.maximum(np.abs(turn), 1e-300), 0)
     return share, h.shape @ phase

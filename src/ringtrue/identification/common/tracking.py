@@ -96,7 +96,13 @@ class ModeTrack:
     def __post_init__(self) -> None:
         f = np.float64
         freeze_fields(
-            self, at=np.int64, mode=np.int64, frequency=f, std_frequency=f, damping=f, std_damping=f
+            self,
+            at=np.int64,
+            mode=np.int64,
+            frequency=f,
+            std_frequency=f,
+            damping=f,
+            std_damping=f,
         )
         freeze_fields(self, confidence=f, shape=np.complex128, mac=f)
 
@@ -132,7 +138,9 @@ class _Thread:
     frequency: float
     shape: Complex
 
-    def joined(self, member: tuple[int, int], frequency: float, psi: Complex) -> _Thread:
+    def joined(
+        self, member: tuple[int, int], frequency: float, psi: Complex
+    ) -> _Thread:
         """With one more member; the shape turns towards it, the frequency is the newest."""
         on = np.isfinite(psi)
         known = on & np.isfinite(self.shape)
@@ -165,14 +173,19 @@ def track_modes(stretches: Sequence[Stretch]) -> Tracked:
         raise DataError("no stretch to follow modes through")
     times = np.array([x.time for x in stretches])
     if not (np.diff(times) > 0).all():
-        raise DataError(f"the stretches must ascend in time; got {times[:8].tolist()} h")
+        raise DataError(
+            f"the stretches must ascend in time; got {times[:8].tolist()} h"
+        )
     channels = tuple(dict.fromkeys(c for x in stretches for c in x.modes.channels))
     shapes = [_on_all(x.modes, channels) for x in stretches]
     clock = ticks(times)
     threads: list[_Thread] = []
     for k, stretch in enumerate(stretches):
         gap = np.array([clock[k] - clock[t.members[-1][0]] for t in threads])
-        last = [stretches[i].uncertainty.frequency[j] for i, j in (t.members[-1] for t in threads)]
+        last = [
+            stretches[i].uncertainty.frequency[j]
+            for i, j in (t.members[-1] for t in threads)
+        ]
         cost = _cost(threads, stretch, shapes[k], gap, _finite(np.array(last)))
         left = set(range(len(stretch.modes)))
         rows, columns = linear_sum_assignment(cost)
@@ -196,7 +209,11 @@ def track_modes(stretches: Sequence[Stretch]) -> Tracked:
 
 def ticks(times: Float) -> Float:
     """Times (k,) in units of their usual distance: a stretch that is not there leaves a gap."""
-    return times / float(np.median(np.diff(times))) if times.size > 1 else np.zeros(times.size)
+    return (
+        times / float(np.median(np.diff(times)))
+        if times.size > 1
+        else np.zeros(times.size)
+    )
 
 
 def _on_all(modes: ModeSet, channels: tuple[str, ...]) -> Complex:
@@ -205,7 +222,9 @@ def _on_all(modes: ModeSet, channels: tuple[str, ...]) -> Complex:
     rows = np.array([at.get(c, -1) for c in channels], dtype=np.int64)
     if not len(modes):
         return np.full((len(channels), 0), np.nan, dtype=np.complex128)
-    psi = np.where(rows[:, None] >= 0, np.asarray(modes.shapes, dtype=np.complex128)[rows], np.nan)
+    psi = np.where(
+        rows[:, None] >= 0, np.asarray(modes.shapes, dtype=np.complex128)[rows], np.nan
+    )
     size = np.sqrt(np.where(np.isfinite(psi), np.abs(psi) ** 2, 0.0).sum(axis=0))
     return np.asarray(psi / np.maximum(size, 1e-300))
 
@@ -232,7 +251,9 @@ def common_mac(a: Complex, b: Complex) -> Float:
 NEVER = 1e6
 
 
-def _cost(threads: list[_Thread], stretch: Stretch, psi: Complex, gap: Float, last: Float) -> Float:
+def _cost(
+    threads: list[_Thread], stretch: Stretch, psi: Complex, gap: Float, last: Float
+) -> Float:
     """(thread, mode) cost of joining modes of one more stretch, `NEVER` where they may not be.
 
     `gap` (thread,) is the time since the last member, and `last` its deviation.
@@ -260,7 +281,10 @@ def _finite(x: Float) -> Float:
 
 
 def _with_parts_joined(
-    tracks: list[ModeTrack], stretches: Sequence[Stretch], shapes: Sequence[Complex], clock: Float
+    tracks: list[ModeTrack],
+    stretches: Sequence[Stretch],
+    shapes: Sequence[Complex],
+    clock: Float,
 ) -> list[ModeTrack]:
     """Tracks that never occur in one stretch together, and agree where they come next to each
     other, made one.
@@ -437,7 +461,8 @@ def level_dependence(
     first = found[order[0]][0]
     values = np.full((4, force.size, len(first)), np.nan)
     last = first
-    for i, k in enumerate(order):  # a handful of levels, each followed from the one before
+    # a handful of levels, each followed from the one before
+    for i, k in enumerate(order):
         modes, std = found[k]
         here, there = track(last, modes)
         values[:, i, here] = np.stack(
@@ -475,7 +500,9 @@ def track(a: ModeSet, b: ModeSet) -> tuple[Int, Int]:
     similarity = mac(a.shapes, b.shapes)
     far = np.abs(np.log(a.frequencies[:, None] / b.frequencies))
     ok = (similarity >= LEVELS.mac_min) & (far <= LEVELS.shift_max)
-    here, there = linear_sum_assignment(np.where(ok, similarity - far, -1.0), maximize=True)
+    here, there = linear_sum_assignment(
+        np.where(ok, similarity - far, -1.0), maximize=True
+    )
     good = ok[here, there]
     return here[good], there[good]
 

@@ -46,7 +46,10 @@ def hankel(r: Any_, rows: int) -> Any_:
     ch, lags, ref = by_channel.shape
     item = by_channel.itemsize  # the strides of axes of length one mean nothing
     view = as_strided(
-        by_channel, (rows, ch, rows * ref), (ref * item, lags * ref * item, item), writeable=False
+        by_channel,
+        (rows, ch, rows * ref),
+        (ref * item, lags * ref * item, item),
+        writeable=False,
     )
     return view.reshape(rows * ch, rows * ref)
 
@@ -85,9 +88,13 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
         # (block, freq, ch, order): real, then imaginary parts
         t = _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by
         both[k : k + TOGETHER] = left @ t.reshape(len(t), -1, n)
-    first, last = (np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1))
+    first, last = (
+        np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1)
+    )
     # Uᵀ ΔO, as U without its last block row is Q R
-    inner = (q.T @ u[:-ch]).T.astype(np.float32) @ both[:, :n] + u[-ch:].T.astype(np.float32) @ last
+    inner = (q.T @ u[:-ch]).T.astype(np.float32) @ both[:, :n] + u[-ch:].T.astype(
+        np.float32
+    ) @ last
     return Perturbations(both[:, :n], both[:, n:], first, inner)
 
 
@@ -105,7 +112,11 @@ def _spectral(q: Float, size: int) -> Any_:
     spectrum *= np.where((line == 0) | (2 * line == size), 1, 2)[:, None, None] / size
     late = spectrum * np.exp(-2j * np.pi * line / size)[:, None, None]
     both = np.concatenate([spectrum, late], axis=2)
-    return np.stack([both.real, both.imag], axis=2).reshape(-1, both.shape[2]).T.astype(np.float32)
+    return (
+        np.stack([both.real, both.imag], axis=2)
+        .reshape(-1, both.shape[2])
+        .T.astype(np.float32)
+    )
 
 
 def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:
@@ -120,7 +131,9 @@ def _bilinear(left: Complex, mid: Any_, right: Complex) -> Complex:
     )
 
 
-def pole_deviations(p: Perturbations, row: Complex, mu: Complex, right: Complex) -> Complex:
+def pole_deviations(
+    p: Perturbations, row: Complex, mu: Complex, right: Complex
+) -> Complex:
     """Δμ (k, block) complex128 of the discrete poles `mu` (k,) of one order.
 
     `right` (n, k) are eigenvectors; `row` (k, n) left ones, scaled to left @ right = I, times R⁻¹
@@ -141,12 +154,18 @@ def strengths(p: Perturbations, s: Float, left: Complex) -> Float:
     n = left.shape[1]
     size2 = (np.abs(left * s[:n]) ** 2).sum(1)
     along = (left * s[:n] ** 2).conj().T
-    change = _bilinear(left, p.inner[:, :n, :n], np.asarray(along)).real / size2[:, None]
+    change = (
+        _bilinear(left, p.inner[:, :n, :n], np.asarray(along)).real / size2[:, None]
+    )
     return np.asarray(1 / np.sqrt((change**2).sum(1)))
 
 
 def shape_deviations(
-    p: Perturbations, eigen: tuple[Complex, Complex, Complex], c: Float, i: int, r: Float
+    p: Perturbations,
+    eigen: tuple[Complex, Complex, Complex],
+    c: Float,
+    i: int,
+    r: Float,
 ) -> Complex:
     """Δψ (ch, block) of the shape ψ = C φ_i of one mode, its largest component held at 1.
 
@@ -186,7 +205,9 @@ def modulus_std(psi: Complex, d_psi: Complex) -> Float:
     turned = d * phase.T.conj()[:, :, None]
     along = (turned.real**2).sum(2).T
     across = (turned.imag**2).sum(2).T
-    return np.asarray(np.sqrt(along + across**2 / np.maximum(across + size**2 / 6, 1e-300)))
+    return np.asarray(
+        np.sqrt(along + across**2 / np.maximum(across + size**2 / 6, 1e-300))
+    )
 
 
 def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:

@@ -171,7 +171,9 @@ def assess_candidates(
     aspects = {
         "pole orders": _stable(candidates, clear, needed),
         "pole gain": gains,
-        "pole share": _aspect(np.clip((seen - 0.02) / 0.1, 0, 1), [""] * seen.size, faint),
+        "pole share": _aspect(
+            np.clip((seen - 0.02) / 0.1, 0, 1), [""] * seen.size, faint
+        ),
         "pole damping": _damped(fit, zeta, damping_max),
         "pole double": _double(lines, fit, candidates, total, strict=strict),
     }
@@ -268,16 +270,24 @@ def doubtful_candidates(
         inside = band[0] <= c.frequency <= band[1]
         if c.confidence < LIMITS.doubtful or not inside:
             continue
-        near = [shape for f, shape in known if abs(f - c.frequency) < c.damping * c.frequency]
+        near = [
+            shape
+            for f, shape in known
+            if abs(f - c.frequency) < c.damping * c.frequency
+        ]
         # one that was alone there was found again later
-        if near and (c.alone or mac(c.shape[:, None], np.array(near).T).max() > LIMITS.same):
+        if near and (
+            c.alone or mac(c.shape[:, None], np.array(near).T).max() > LIMITS.same
+        ):
             continue
         kept.append(c)
         known.append((c.frequency, c.shape))
     return sorted(kept, key=lambda x: x.frequency)
 
 
-def as_other_candidates(doubtful: Sequence[DroppedPole], modes: ModeSet) -> OtherCandidates:
+def as_other_candidates(
+    doubtful: Sequence[DroppedPole], modes: ModeSet
+) -> OtherCandidates:
     """Doubtful modes at the channels of `modes`."""
     if not doubtful:
         return OtherCandidates.none(modes.channels)
@@ -338,7 +348,10 @@ def _gains(fit: Refined, total: Float, near: Float) -> tuple[_Aspect, Float]:
     rest = 0.5 * (np.abs(fit.known.rest) ** 2).mean(axis=(0, 2))  # per real value
     ratio = total / (2 * fit.shapes.shape[0]) / np.maximum(near.T @ rest, 1e-300)
     factor = np.log(np.maximum(ratio, 1e-9) / 2) / np.log(LIMITS.gain / 2)
-    text = [f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error" for r in ratio]
+    text = [
+        f"contribution {10 * np.log10(max(r, 1e-9)):.0f} dB over the error"
+        for r in ratio
+    ]
     return _aspect(np.clip(factor, 0, 1), text, [f"weak, {t}" for t in text]), ratio
 
 

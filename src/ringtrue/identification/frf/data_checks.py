@@ -21,7 +21,11 @@ from ringtrue.core.signals import FrfSet
 from ringtrue.errors import DataError
 from ringtrue.identification.frf.lines import Lines, faded
 from ringtrue.identification.frf.refinement import Refined
-from ringtrue.identification.frf.residues import DrivingPoints, driving_pairs, line_coherence
+from ringtrue.identification.frf.residues import (
+    DrivingPoints,
+    driving_pairs,
+    line_coherence,
+)
 from ringtrue.shapes import mac, unit
 from ringtrue.signal.frf_sets import passive
 
@@ -118,7 +122,9 @@ class HannLimits:
 LIMITS = FrfCheckLimits()
 
 
-def band_limits(frfs: FrfSet, fmin: float | None, fmax: float | None) -> tuple[float, float]:
+def band_limits(
+    frfs: FrfSet, fmin: float | None, fmax: float | None
+) -> tuple[float, float]:
     """The reported band, Hz; where not given, up to where the coherence, or the likeness of next
     lines, ends.
     """
@@ -138,9 +144,15 @@ def _usable_to(frfs: FrfSet) -> float:
     """
     f = frfs.freqs
     known = bool(np.isfinite(frfs.coherence).all())
-    good = np.median(frfs.coherence, axis=(1, 2)) if known else line_coherence(frfs.data, f)
+    good = (
+        np.median(frfs.coherence, axis=(1, 2))
+        if known
+        else line_coherence(frfs.data, f)
+    )
     wide = max(5, good.size // 50) | 1
-    smoothed = np.convolve(np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid")
+    smoothed = np.convolve(
+        np.pad(good, wide // 2, mode="edge"), np.ones(wide) / wide, "valid"
+    )
     usable = f[smoothed > LIMITS.usable]
     return float(usable[-1] if usable.size else f[-1])
 
@@ -149,13 +161,17 @@ def end_note(frfs: FrfSet, fmax: float | None, high: float) -> str:
     """Says that the band ends before the lines do."""
     if fmax is not None or high > 0.95 * frfs.freqs[-1]:
         return ""
-    return f"the band ends at {high:.4g} Hz: beyond, the FRFs are noise (--fmax for more)"
+    return (
+        f"the band ends at {high:.4g} Hz: beyond, the FRFs are noise (--fmax for more)"
+    )
 
 
 def lines_between(frfs: FrfSet, low: float, high: float) -> FrfSet:
     """The FRFs of a band, Hz, without the line at 0 Hz."""
     at = (frfs.freqs >= low) & (frfs.freqs <= high) & (frfs.freqs > 0)
-    return replace(frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at])
+    return replace(
+        frfs, data=frfs.data[at], freqs=frfs.freqs[at], coherence=frfs.coherence[at]
+    )
 
 
 def refuse_bad_frfs(frfs: FrfSet) -> None:
@@ -173,9 +189,14 @@ def refuse_bad_frfs(frfs: FrfSet) -> None:
         raise DataError(f"{where}: {h.shape[0]} lines above 0 Hz; there must be some")
     size = np.abs(h)
     if not 1e-70 < size.max() < 1e70:  # fourth powers stay finite
-        raise DataError(f"{where}: the largest value is {size.max():.2g}; no unit makes that")
+        raise DataError(
+            f"{where}: the largest value is {size.max():.2g}; no unit makes that"
+        )
     flat: Bool = np.all(h == h[0], axis=0)
-    for name, channels, axis in (("response", frfs.outputs, 1), ("reference", frfs.inputs, 0)):
+    for name, channels, axis in (
+        ("response", frfs.outputs, 1),
+        ("reference", frfs.inputs, 0),
+    ):
         if (dead := np.asarray(flat.all(axis=axis))).any():
             ids = " ".join(c.id for c, d in zip(channels, dead, strict=True) if d)
             raise DataError(
@@ -210,7 +231,9 @@ def frf_notes(frfs: FrfSet, sound: DrivingPoints) -> tuple[str, ...]:
         same = level[kinds == c.quantity]
         ratio = float(level[k] / max(np.median(same), 1e-300))
         if same.size > 2 and not 1 / LIMITS.odd_level < ratio < LIMITS.odd_level:
-            out.append(f"response {c.id}: {ratio:.1e} of the typical level: unit or sensitivity?")
+            out.append(
+                f"response {c.id}: {ratio:.1e} of the typical level: unit or sensitivity?"
+            )
     if np.isfinite(frfs.coherence).any():
         typical = float(np.nanmedian(_some_coherence(frfs)))
         if typical < LIMITS.usable:
@@ -227,7 +250,9 @@ def frf_notes(frfs: FrfSet, sound: DrivingPoints) -> tuple[str, ...]:
         )
     if len(frfs.inputs) == 1:
         out.append("one reference: two modes of one and the same frequency show as one")
-    turned = [frfs.inputs[i].id for i in driving_pairs(frfs).input if i not in sound.input]
+    turned = [
+        frfs.inputs[i].id for i in driving_pairs(frfs).input if i not in sound.input
+    ]
     if turned:
         rest = "" if sound else ": the modes are not scaled"
         out.append(
@@ -262,7 +287,11 @@ def incoherent_responses(frfs: FrfSet) -> tuple[Note, ...]:
     names = " ".join(frfs.outputs[i].id for i in at)
     values = ", ".join(f"{of_each[i]:.2f}" for i in at)
     usual = float(np.nanmedian(of_each[~low]))
-    return (Note("channel incoherent", "warning", names, {"values": values, "usual": usual}),)
+    return (
+        Note(
+            "channel incoherent", "warning", names, {"values": values, "usual": usual}
+        ),
+    )
 
 
 def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
@@ -292,7 +321,9 @@ def fit_notes(frfs: FrfSet, modes: ModeSet, error: Float) -> tuple[str, ...]:
         n = np.where(np.isfinite(frfs.averages), np.maximum(frfs.averages, 1), 1)
         g = np.clip(frfs.coherence, 1e-3, 1.0)
         power = np.abs(frfs.data) ** 2
-        noise = (power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+        noise = (power * (1 - g) / (n * g)).sum(axis=0) / np.maximum(
+            power.sum(axis=0), 1e-300
+        )
         due = float(np.median(np.sqrt(noise)))
         left = float(np.median(error))
         if left > max(LIMITS.left, 3 * due):
@@ -319,7 +350,9 @@ def disagreement_note(model: ModalModel) -> str:
     part = model.participation[order].T
     ratio = f / f[:, None]
     unlike = shapes.T @ shapes < 0.2
-    first, second = np.nonzero((ratio > 1) & (ratio < 1.05) & unlike & (mac(part, part) > 0.9))
+    first, second = np.nonzero(
+        (ratio > 1) & (ratio < 1.05) & unlike & (mac(part, part) > 0.9)
+    )
     if 2 * np.unique(first).size < 0.5 * f.size:
         return ""
     some = zip(first[:3], second[:3], strict=True)
@@ -347,7 +380,8 @@ def late_channels(modes: ModeSet) -> tuple[str, ...]:
     # (channel, delay), 1 where all phases are 0 or 180°
     real = (turned @ np.exp(2j * omega[:, None] * delay)).real
     now = real[:, delay.size // 2]
-    effective = 1 / np.maximum((weight**2).sum(axis=1), 1e-300)  # number of modes in a response
+    # number of modes in a response
+    effective = 1 / np.maximum((weight**2).sum(axis=1), 1e-300)
     late = (now < limits.real) & (real.max(axis=1) > limits.delayed)
     late &= (effective > limits.modes - 1) & (np.median(now) > limits.delayed)
     out = []
@@ -388,7 +422,12 @@ def odd_channel(frfs: FrfSet, poles: Complex) -> str:
     limits = OddChannelLimits()
     poles = _distinct(poles)
     n_out, n_in = frfs.data.shape[1:]
-    if n_in < 2 or n_out < 3 or poles.size < 2 or n_in * n_out**2 * poles.size > limits.trials:
+    if (
+        n_in < 2
+        or n_out < 3
+        or poles.size < 2
+        or n_in * n_out**2 * poles.size > limits.trials
+    ):
         return ""
     r = _residues(frfs, poles)
     r = r / np.maximum(np.linalg.norm(r, axis=(1, 2), keepdims=True), 1e-300)
@@ -418,7 +457,9 @@ def _residues(frfs: FrfSet, poles: Complex) -> Complex:
     asked for.
     """
     s = 2j * np.pi * frfs.freqs + frfs.window_decay
-    near = (np.abs(s[:, None] - poles) < 12 * np.abs(poles.real)).any(axis=1) & (frfs.freqs > 0)
+    near = (np.abs(s[:, None] - poles) < 12 * np.abs(poles.real)).any(axis=1) & (
+        frfs.freqs > 0
+    )
     s = s[near]
     kind = (s / np.abs(s[-1])) ** POWER[frfs.kind]
     one = kind[:, None] / (s[:, None] - poles)
@@ -456,7 +497,10 @@ def _single_faults(frfs: FrfSet, r: Complex) -> Iterator[tuple[float, str]]:
         turned[np.arange(len(out)), :, np.arange(len(out)), i] *= -1
         left = _misfit(turned).mean(axis=1)
         odd = out[int(left.argmin())]
-        yield float(left.min()), f"response {odd} looks turned under reference {reference}"
+        yield (
+            float(left.min()),
+            f"response {odd} looks turned under reference {reference}",
+        )
         for o in range(len(out) - 1):
             other = np.arange(o + 1, len(out))
             swapped = np.broadcast_to(r, (other.size, *r.shape)).copy()
@@ -464,7 +508,10 @@ def _single_faults(frfs: FrfSet, r: Complex) -> Iterator[tuple[float, str]]:
             swapped[np.arange(other.size), :, other, i] = r[:, o, i]
             left = _misfit(swapped).mean(axis=1)
             pair = f"{out[o]} and {out[int(other[left.argmin()])]}"
-            yield float(left.min()), f"responses {pair} look swapped under reference {reference}"
+            yield (
+                float(left.min()),
+                f"responses {pair} look swapped under reference {reference}",
+            )
 
 
 def block_of_noise(frfs: FrfSet) -> float:
@@ -474,7 +521,10 @@ def block_of_noise(frfs: FrfSet) -> float:
     step = np.diff(frfs.freqs)
     even = float(np.ptp(step)) < 1e-3 * float(step.mean())
     known = (
-        frfs.sharp or frfs.impacts is not None or np.isfinite(frfs.kept) or frfs.window_decay > 0
+        frfs.sharp
+        or frfs.impacts is not None
+        or np.isfinite(frfs.kept)
+        or frfs.window_decay > 0
     )
     return 0.0 if known or not even else 1 / float(step.mean())
 
@@ -498,8 +548,12 @@ def looks_faded(lines: Lines, fit: Refined, length: float) -> bool:
         if np.count_nonzero(at) < 2 * limits.around:
             continue
         s = lines.s[at]
-        pole = complex(-half[k] / (1 + limits.excess / count[k] ** 2), fit.poles[k].imag)
-        missing = faded(s, np.array([pole]), length)[0][:, 0] * pole**lines.order / (s - pole)
+        pole = complex(
+            -half[k] / (1 + limits.excess / count[k] ** 2), fit.poles[k].imag
+        )
+        missing = (
+            faded(s, np.array([pole]), length)[0][:, 0] * pole**lines.order / (s - pole)
+        )
         far = 1 / (s - fit.poles[k])
         explained = np.stack([far, far**2, np.ones(far.size), x[at] / x[-1]], axis=1)
         weight = lines.weight[at]

@@ -41,7 +41,9 @@ def count_peaks(curve: Float) -> Int:
 
     level = 20 * np.log10(np.maximum(curve[:, :2], curve.max() * 1e-9))
     kernel = np.ones(3) / 3
-    found = [find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T]
+    found = [
+        find_peaks(np.convolve(c, kernel, "same"), prominence=2.0)[0] for c in level.T
+    ]
     return np.concatenate(found).astype(np.int64)
 
 
@@ -126,12 +128,16 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     """
     s = np.asarray(2j * np.pi * frfs.freqs + frfs.window_decay, dtype=np.complex128)
     if (frfs.freqs <= 0).any():
-        raise InputError("the line at 0 Hz has no place in a fit of modes: leave it out")
+        raise InputError(
+            "the line at 0 Hz has no place in a fit of modes: leave it out"
+        )
     order = POWER[frfs.kind]
     kind = np.asarray(s**order, dtype=np.complex128)
     weight = 1 / sigma.line
     given = 1 / sigma.input
-    t = kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1)
+    t = kind[:, None] * np.stack(
+        [(s[0] / s) ** 2, np.ones(s.size), (s / s[-1]) ** 2], axis=1
+    )
     # λ^p for s^p: what is cut off, or faded, leaves a polynomial
     if np.isfinite(frfs.kept) or frfs.hann:
         t = np.concatenate([t, (kind * s[0] / s)[:, None]], axis=1)
@@ -142,7 +148,9 @@ def prepare(frfs: FrfSet, sigma: Noise, smooth: int = 0) -> Lines:
     terms = np.linalg.qr(residual[:, new])[0]
     data = weight[:, None] * given[:, None, None] * frfs.data.transpose(2, 0, 1)
     y = without(terms, without(flat, data))
-    power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum("ifo,ifo->o", y.imag, y.imag)
+    power = np.einsum("ifo,ifo->o", y.real, y.real) + np.einsum(
+        "ifo,ifo->o", y.imag, y.imag
+    )
     return Lines(
         s=s,
         y=y,
@@ -177,7 +185,9 @@ def smooth_rest(lines: Lines, poles: Complex, rest: Complex) -> Float:
     width = 2 * float(np.median(np.abs(poles.real)))
     most = int(min(48, np.ptp(lines.s.imag) / width, rest.shape[1] / 16))
     basis = np.linalg.qr(lines.weight[:, None] * polynomials(lines.s.imag, most))[0]
-    power = 2 * ((basis.T @ np.ascontiguousarray(rest).view(np.float64)) ** 2).mean(axis=(0, 2))
+    power = 2 * ((basis.T @ np.ascontiguousarray(rest).view(np.float64)) ** 2).mean(
+        axis=(0, 2)
+    )
     out = np.flatnonzero(power > 5.0 * (np.abs(rest) ** 2).mean())
     return basis[:, : out.max(initial=-1) + 1]
 
@@ -219,7 +229,9 @@ def functions(lines: Lines, poles: Complex) -> Complex:
     """Weighted `resonances` of the poles and of the conjugate ones, (freq, 2 m), residual terms
     projected out.
     """
-    return _beside_terms(lines, lines.weight[:, None] * resonances(lines, augment(poles))[0])
+    return _beside_terms(
+        lines, lines.weight[:, None] * resonances(lines, augment(poles))[0]
+    )
 
 
 def functions_slopes(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
@@ -300,7 +312,9 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
     if np.isfinite(lines.kept) or lines.hann:
         return lines
     x = lines.s.imag
-    stretches = [(a, b, b - a > NODES) for a, b in _stretches(x, _room(lines, poles, reach))]
+    stretches = [
+        (a, b, b - a > NODES) for a, b in _stretches(x, _room(lines, poles, reach))
+    ]
     if sum(NODES if long else b - a for a, b, long in stretches) > 0.8 * x.size:
         return lines
     parts = []
@@ -310,7 +324,9 @@ def condensed(lines: Lines, poles: Complex, reach: Float) -> Lines:
             continue
         at = slice(a, b)
         own = lines.y[:, at]
-        parts.append((lines.s[at], lines.weight[at], own, lines.terms[at], lines.smooth[at]))
+        parts.append(
+            (lines.s[at], lines.weight[at], own, lines.terms[at], lines.smooth[at])
+        )
     s, weight, y, terms, smooth = zip(*parts, strict=True)
     return replace(
         lines,
@@ -329,12 +345,16 @@ def _room(lines: Lines, poles: Complex, reach: Float) -> Float:
     far = np.abs(lines.s)  # conjugate poles and residual terms: no nearer than 0 Hz
     # (freq, pole) arrays are slower
     for pole, r in zip(poles.tolist(), reach.tolist(), strict=True):
-        far = np.minimum(far, np.sqrt((x - pole.imag) ** 2 + (decay - pole.real) ** 2) - r)
+        far = np.minimum(
+            far, np.sqrt((x - pole.imag) ** 2 + (decay - pole.real) ** 2) - r
+        )
     # the functions are right to (2 + √3)^-NODES in stretches twice as long as that
     room = 2.0 * far
     if n := lines.smooth.shape[1]:  # of the polynomial of the highest degree
         place = 2 * (x - x[0]) / np.ptp(x) - 1
-        wavelength = np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n
+        wavelength = (
+            np.pi * np.ptp(x) * (np.sqrt(np.maximum(1 - place**2, 0)) + 1 / n) / n
+        )
         room = np.minimum(room, wavelength)
     return room
 
@@ -350,7 +370,9 @@ def _stretches(x: Float, room: Float) -> Iterator[tuple[int, int]]:
         start += length
 
 
-def _nodes(lines: Lines, a: int, b: int) -> tuple[Complex, Float, Complex, Complex, Float]:
+def _nodes(
+    lines: Lines, a: int, b: int
+) -> tuple[Complex, Float, Complex, Complex, Float]:
     """Places and weights of the nodes, and the data and residual terms there."""
     x = lines.s.imag[a:b]
     weight = lines.weight[a:b]

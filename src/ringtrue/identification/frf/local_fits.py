@@ -22,9 +22,18 @@ from ringtrue.core.signals import Channel, FrfSet
 from ringtrue.errors import InputError
 from ringtrue.identification.frf.data_checks import lines_between
 from ringtrue.identification.frf.lines import prepare
-from ringtrue.identification.frf.pipeline import HammerModes, HammerResult, identify_hammer
+from ringtrue.identification.frf.pipeline import (
+    HammerModes,
+    HammerResult,
+    identify_hammer,
+)
 from ringtrue.identification.frf.refinement import refine, shape_deviations
-from ringtrue.identification.frf.residues import blow_factors, driving_pairs, noise, normalise
+from ringtrue.identification.frf.residues import (
+    blow_factors,
+    driving_pairs,
+    noise,
+    normalise,
+)
 from ringtrue.identification.frf.scaling import mode_scale
 from ringtrue.shapes import mac
 
@@ -115,7 +124,9 @@ def identify_batches(
     settings = settings or HammerModes()
     lead = int(np.argmax([b.data.shape[1] for b in batches]))
     first = identify_hammer(
-        batches[lead], settings, progress=lambda share, text: progress(0.6 * share, text)
+        batches[lead],
+        settings,
+        progress=lambda share, text: progress(0.6 * share, text),
     )
     band = float(first.freqs[0]), float(first.freqs[-1])
     found = [_local(b, band, first.model) for b in batches]
@@ -126,13 +137,20 @@ def identify_batches(
             alone[i] = identify_hammer(batch, settings)
     start = _with_unseen(first.model, list(alone.values()))
     for i in range(len(batches)) if start is not first.model else alone:
-        found[i] = _local(batches[i], band, tracked(start, alone[i].model) if i in alone else start)
+        found[i] = _local(
+            batches[i], band, tracked(start, alone[i].model) if i in alone else start
+        )
     new = np.arange(first.model.poles.size, start.poles.size)
     at = np.append(
-        np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(axis=0), new
+        np.abs(first.model.frequencies[:, None] - first.modes.frequencies).argmin(
+            axis=0
+        ),
+        new,
     )
     at = at[np.argsort(start.frequencies[at], kind="stable")]
-    return _joined(batches, [f.take(at) for f in found], start.participation[at], batches[lead])
+    return _joined(
+        batches, [f.take(at) for f in found], start.participation[at], batches[lead]
+    )
 
 
 def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalModel:
@@ -148,8 +166,15 @@ def _with_unseen(modes: ModalModel, others: Sequence[HammerResult]) -> ModalMode
         new = np.setdiff1d(np.arange(poles.size), column[goes])
         seen = np.append(seen, np.ones(new.size))
         grown = _appended(grown, poles[new], part[new])
-    added = np.flatnonzero(seen[modes.poles.size :] >= max(0.5 * len(others), 2)) + modes.poles.size
-    return _appended(modes, grown.poles[added], grown.participation[added]) if added.size else modes
+    added = (
+        np.flatnonzero(seen[modes.poles.size :] >= max(0.5 * len(others), 2))
+        + modes.poles.size
+    )
+    return (
+        _appended(modes, grown.poles[added], grown.participation[added])
+        if added.size
+        else modes
+    )
 
 
 def _appended(modes: ModalModel, poles: Complex, participation: Complex) -> ModalModel:
@@ -173,7 +198,9 @@ def tracked(modes: ModalModel, own: ModalModel) -> ModalModel:
     return replace(modes, poles=poles)
 
 
-def _assigned(modes: ModalModel, poles: Complex, participation: Complex) -> tuple[Int, Int, Bool]:
+def _assigned(
+    modes: ModalModel, poles: Complex, participation: Complex
+) -> tuple[Int, Int, Bool]:
     """Modes (k,), which of `poles` (m,) with `participation` (m, in) is each (k,), and whether it
     may be.
 
@@ -219,7 +246,9 @@ def with_local_fits(
         return joint
     fit = identify_batches(batches, settings, progress=progress)
     half = fit.modes.damping * fit.modes.frequencies
-    clear = (fit.chance < LIMITS.chance) & (np.ptp(fit.frequency, axis=0) > LIMITS.shift * half)
+    clear = (fit.chance < LIMITS.chance) & (
+        np.ptp(fit.frequency, axis=0) > LIMITS.shift * half
+    )
     if not clear.mean() > 0.5:
         return joint
     reasons = tuple(
@@ -234,7 +263,11 @@ def with_local_fits(
     )
     notes = (*(n for n in joint.notes if n != joint.split_note), note)
     return replace(
-        joint, modes=fit.modes, uncertainty=fit.uncertainty, reasons=reasons, notes=notes
+        joint,
+        modes=fit.modes,
+        uncertainty=fit.uncertainty,
+        reasons=reasons,
+        notes=notes,
     )
 
 
@@ -267,10 +300,15 @@ def _local(batch: FrfSet, band: tuple[float, float], start: ModalModel) -> _Loca
     lines = prepare(used, noise(used))
     fit = refine(lines, start.poles, start.participation)
     heard, driven = blow_factors(lines, fit.poles)
-    fit = replace(fit, shapes=fit.shapes / heard, participation=fit.participation / driven)
-    order = _assigned(start, fit.poles, fit.participation)[1]  # close modes may have changed places
+    fit = replace(
+        fit, shapes=fit.shapes / heard, participation=fit.participation / driven
+    )
+    # close modes may have changed places
+    order = _assigned(start, fit.poles, fit.participation)[1]
     common = start.participation[np.argsort(order)]
-    factor = (common.conj() * fit.participation).sum(axis=1) / (np.abs(common) ** 2).sum(axis=1)
+    factor = (common.conj() * fit.participation).sum(axis=1) / (
+        np.abs(common) ** 2
+    ).sum(axis=1)
     std = np.stack([fit.std_frequency, fit.std_damping])
     found = _Local(
         fit.poles,
@@ -296,7 +334,10 @@ def _joined(
     spread = np.sqrt(np.maximum(excess / n, 1) / weight.sum(axis=0))
     outputs, rows, which = _best(batches, found)
     shapes = np.array(
-        [found[b].shapes[r] * found[b].poles.imag for b, r in zip(which, rows, strict=True)]
+        [
+            found[b].shapes[r] * found[b].poles.imag
+            for b, r in zip(which, rows, strict=True)
+        ]
     )
     omega = 2 * np.pi * mean[0]
     pole = omega * (-mean[1] + 1j * np.sqrt(np.maximum(1 - mean[1] ** 2, 0)))
@@ -314,7 +355,9 @@ def _joined(
     )
     model = normalise(unscaled, driving_pairs(unscaled))
     scaled = model.shapes * mode_scale(model)
-    deviation = np.array([found[b].deviation[r] for b, r in zip(which, rows, strict=True)])
+    deviation = np.array(
+        [found[b].deviation[r] for b, r in zip(which, rows, strict=True)]
+    )
     norm = Norm.UNSCALED if model.norm is Norm.UNSCALED else Norm.MASS
     labels = tuple(c.id for c in outputs)
     modes = ModeSet(
@@ -325,7 +368,9 @@ def _joined(
         norm=norm,
         source=first.source or "hammer FRFs, local fits",
     )
-    uncertainty = Uncertainty.independent(spread[0], spread[1], deviation * np.abs(scaled))
+    uncertainty = Uncertainty.independent(
+        spread[0], spread[1], deviation * np.abs(scaled)
+    )
     chance = chdtrc(2 * n, excess.sum(axis=0))
     return LocalFit(modes, uncertainty, value[:, 0], chance)
 

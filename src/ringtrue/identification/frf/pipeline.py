@@ -41,7 +41,14 @@ from ringtrue.identification.frf.data_checks import (
     refuse_bad_frfs,
     sound_pairs,
 )
-from ringtrue.identification.frf.lines import Lines, Noise, cmif, prepare, smooth_rest, without
+from ringtrue.identification.frf.lines import (
+    Lines,
+    Noise,
+    cmif,
+    prepare,
+    smooth_rest,
+    without,
+)
 from ringtrue.identification.frf.plscf import band_candidates, choose_bands, merged
 from ringtrue.identification.frf.refinement import Refined, refine, shape_deviations
 from ringtrue.identification.frf.residues import (
@@ -52,7 +59,11 @@ from ringtrue.identification.frf.residues import (
     noise_left,
     synthesise_windowed,
 )
-from ringtrue.identification.frf.scaling import mode_scale, reciprocity_note, scale_deviations
+from ringtrue.identification.frf.scaling import (
+    mode_scale,
+    reciprocity_note,
+    scale_deviations,
+)
 from ringtrue.identification.frf.split_modes import (
     joined,
     levelled,
@@ -238,7 +249,9 @@ def identify_hammer(
     left_out += more
     search, fit, split = _whole(search, fit)
     refined = fit.refined
-    doubtful = doubtful_candidates(left_out, refined.frequencies, refined.shapes, (low, high))
+    doubtful = doubtful_candidates(
+        left_out, refined.frequencies, refined.shapes, (low, high)
+    )
     by_hand: tuple[str, ...] = ()
     if choice:
         fit, doubtful, by_hand = _by_hand(search, fit, doubtful, choice, (low, high))
@@ -282,7 +295,9 @@ def _candidates(
     found = []
     diagrams = []
     for k, band in enumerate(bands):
-        progress(0.05 + 0.55 * k / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz")
+        progress(
+            0.05 + 0.55 * k / len(bands), f"poles in {band[0]:.3g}-{band[1]:.3g} Hz"
+        )
         clusters, diagram = band_candidates(
             used, sigma, curve=curve, band=band, damping_max=settings.damping_max
         )
@@ -313,9 +328,13 @@ class _Fitter:
     def refined(self, c: CandidatePoles) -> _Assessed:
         """The candidates refined; not assessed yet."""
         fit = united(
-            self.lines, refine(self.lines, c.pole, c.participation, local=self.last), self.points
+            self.lines,
+            refine(self.lines, c.pole, c.participation, local=self.last),
+            self.points,
         )
-        return _Assessed(fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), (), ()))
+        return _Assessed(
+            fit, c, Assessment(np.abs(c.pole), np.ones(c.pole.size), (), ())
+        )
 
     def assessed(self, fit: _Assessed, *, strict: bool) -> _Assessed:
         """The fit with the confidence of its modes."""
@@ -342,7 +361,9 @@ class _Fitter:
             left_out += [dropped(fit.refined, fit.assessment, k, keep) for k in gone]
             if not keep.any():
                 last = "; ".join(fit.assessment.describe(k) for k in gone[-3:])
-                raise DataError(f"{self.source}: no mode has enough confidence; the last: {last}")
+                raise DataError(
+                    f"{self.source}: no mode has enough confidence; the last: {last}"
+                )
             fit = self.refined(fit.candidates.take(keep))
         return fit, left_out
 
@@ -359,7 +380,9 @@ def _fit(
             0.7 + 0.25 * turn / settings.searches,
             f"{best.refined.poles.size} modes, looking for missed ones",
         )
-        more = missed(lines, best.refined, sets=search.sets, decay=search.decay, most=LIMITS.new)
+        more = missed(
+            lines, best.refined, sets=search.sets, decay=search.decay, most=LIMITS.new
+        )
         if not more.pole.size:
             break
         both = best.candidates.at(best.refined).joined(more)
@@ -371,7 +394,8 @@ def _fit(
         ):
             break
         best = new
-    if best.refined.outcome is Outcome.MAX_ITERATIONS:  # modes that overlap take their time
+    # modes that overlap take their time
+    if best.refined.outcome is Outcome.MAX_ITERATIONS:
         r = best.refined
         last = refine(lines, r.poles, r.participation, iterations=LIMITS.iterations)
         best = replace(best, refined=united(lines, last, search.points))
@@ -470,12 +494,18 @@ def _by_hand(
         both = fit.candidates.at(fit.refined).joined(hand.added)
         keep = np.append(hand.keep, np.ones(hand.added.pole.size, dtype=bool))
         if not keep.any():
-            raise DataError(f"{search.source}: the choice {choice.source} leaves no mode")
+            raise DataError(
+                f"{search.source}: the choice {choice.source} leaves no mode"
+            )
         fit = search.assessed(search.refined(both.take(keep)), strict=True)
     each = zip(hand.said, fit.assessment.reason, strict=True)
     reasons = tuple(with_evidence(said, evidence) for said, evidence in each)
     left = [d for k, d in enumerate(doubtful) if k not in hand.taken]
-    return replace(fit, assessment=replace(fit.assessment, reason=reasons)), left, hand.notes
+    return (
+        replace(fit, assessment=replace(fit.assessment, reason=reasons)),
+        left,
+        hand.notes,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -498,7 +528,12 @@ def _reported(
     points = search.points
     refined = fit.refined
     model = lsfd(
-        frfs, lines, refined.poles, refined.participation, shapes=refined.shapes, points=points
+        frfs,
+        lines,
+        refined.poles,
+        refined.participation,
+        shapes=refined.shapes,
+        points=points,
     )
     f = model.frequencies
     order = np.argsort(f, kind="stable")
@@ -515,20 +550,26 @@ def _reported(
     )
     heard, driven = blow_factors(lines, refined.poles)
     own = replace(
-        refined, shapes=refined.shapes / heard, participation=refined.participation / driven
+        refined,
+        shapes=refined.shapes / heard,
+        participation=refined.participation / driven,
     )
     size = np.abs(shapes)
     deviation = shape_deviations(lines, own, points) * size
     repeated = twins(refined.poles)
     for i, j in repeated:  # any turn in their plane is as good
-        deviation[:, [i, j]] = np.hypot(deviation[:, [i, j]], size[:, [j, i]] / np.sqrt(2))
+        deviation[:, [i, j]] = np.hypot(
+            deviation[:, [i, j]], size[:, [j, i]] / np.sqrt(2)
+        )
     fitted = synthesise_windowed(model, lines)
     scale, scale_note = scale_deviations(frfs, fitted, own, points)
     deviation = np.hypot(deviation, size * scale)
     std = Uncertainty(own.std_frequency, own.std_damping, deviation, own.factor)
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     measured = np.linalg.norm(frfs.data[at], axis=0)
-    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(measured, 1e-300)
+    error = np.linalg.norm(frfs.data[at] - fitted[at], axis=0) / np.maximum(
+        measured, 1e-300
+    )
     pairs_of_modes = {k for both in repeated for k in both}
     reasons = []
     for k in inside.tolist():

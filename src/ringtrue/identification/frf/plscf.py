@@ -24,7 +24,12 @@ from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.channels import POWER
 from ringtrue.core.signals import FrfSet
 from ringtrue.errors import InputError
-from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, check_orders, unit
+from ringtrue.identification.common.stabilisation import (
+    PoleSet,
+    StableDiagram,
+    check_orders,
+    unit,
+)
 from ringtrue.identification.frf.confidence import CandidatePoles
 from ringtrue.identification.frf.lines import Noise, count_peaks
 from ringtrue.shapes import mac
@@ -102,9 +107,16 @@ def plscf(data: Complex, freqs: Float, settings: Plscf) -> PoleSet:
             f"{freqs.size} lines in the band for order {settings.ordmax}: widen it or lower ordmax"
         )
     scale = np.sqrt(np.mean(np.abs(data) ** 2, axis=(0, 1))) + np.finfo(float).tiny
-    factor = _factor(data / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax)
-    found = [_order(factor, n, n_in, freqs) for n in range(settings.ordmin, settings.ordmax + 1)]
-    order = np.repeat(np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found])
+    factor = _factor(
+        data / scale, (freqs - freqs[0]) / (freqs[-1] - freqs[0]), settings.ordmax
+    )
+    found = [
+        _order(factor, n, n_in, freqs)
+        for n in range(settings.ordmin, settings.ordmax + 1)
+    ]
+    order = np.repeat(
+        np.arange(settings.ordmin, settings.ordmax + 1), [p.size for p, _ in found]
+    )
     poles = np.concatenate([p for p, _ in found])
     part = unit(np.concatenate([v for _, v in found], axis=1) * scale[:, None])
     unknown = np.full(poles.size, np.nan)
@@ -172,7 +184,8 @@ def _order(factor: Float, n: int, m: int, freqs: Float) -> tuple[Complex, Comple
 def order_range(n_in: int, peaks: int, lines: int) -> tuple[int, int]:
     """Lowest and highest order for a band with about `peaks` modes."""
     top = int(np.clip(np.ceil((4 * peaks + 24) / n_in), 10, 60))
-    most = 130 // n_in  # the eigenvalue problems grow with the cube of order times inputs
+    # the eigenvalue problems grow with the cube of order times inputs
+    most = 130 // n_in
     top = max(min(top + 8, most, lines // 3), 3)
     return max(2, min(top // 3, int(np.ceil(2 * peaks / n_in)))), top
 
@@ -216,7 +229,9 @@ def pole_shapes(poles: PoleSet, data: Complex, freqs: Float, power: int) -> Comp
     """
     s = 2j * np.pi * freqs
     kind = (s / s[-1]) ** power
-    terms = np.linalg.qr(kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1))[0]
+    terms = np.linalg.qr(
+        kind[:, None] * np.stack([(s[0] / s) ** 2, np.ones(s.size)], axis=1)
+    )[0]
     q = kind[:, None] / (s[:, None] - poles.pole)
     q -= terms @ (terms.conj().T @ q)
     part = poles.shape
@@ -292,7 +307,9 @@ def _summary(poles: PoleSet, g: Int) -> tuple[complex, Complex, float, float]:
     late = g[poles.order[g] >= np.median(poles.order[g])]
     pole = complex(np.median(poles.pole[late].real), np.median(poles.pole[late].imag))
     parts = poles.shape[:, late]
-    u = np.linalg.svd(parts / np.linalg.norm(parts, axis=0), full_matrices=False)[0][:, 0]
+    u = np.linalg.svd(parts / np.linalg.norm(parts, axis=0), full_matrices=False)[0][
+        :, 0
+    ]
     here = np.unique(poles.order[g])
     support = here.size / np.count_nonzero(poles.orders >= here[0])
     scatter = float(np.median(np.abs(poles.pole[late] - pole)) / max(-pole.real, 1e-12))
@@ -363,17 +380,25 @@ def line_steps(freqs: Float, at: Complex) -> Float:
 
 
 def band_candidates(
-    frfs: FrfSet, sigma: Noise, curve: Float, band: tuple[float, float], damping_max: float
+    frfs: FrfSet,
+    sigma: Noise,
+    curve: Float,
+    band: tuple[float, float],
+    damping_max: float,
 ) -> tuple[Clusters, StableDiagram]:
     """Poles of a band (Hz) that stay in place over the orders, damped up to a ratio, and the
     diagram of all poles.
     """
     at = (frfs.freqs >= band[0]) & (frfs.freqs <= band[1])
     most = damping_max + frfs.window_decay / (2 * np.pi * band[0])
-    white = frfs.data[at] / (np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input)
+    white = frfs.data[at] / (
+        np.median(sigma.line[at]) * sigma.response[:, None] * sigma.input
+    )
     strong, driven = few_inputs(white)
     strong = principal(strong)
-    lowest, highest = order_range(strong.shape[2], count_peaks(curve[at]).size, int(at.sum()))
+    lowest, highest = order_range(
+        strong.shape[2], count_peaks(curve[at]).size, int(at.sum())
+    )
     poles = plscf(strong, frfs.freqs[at], Plscf(lowest, highest, most))
     poles = replace(poles, shape=driven @ poles.shape)
     poles, clusters = grouped(poles, strong, sigma=sigma, frfs=frfs, at=at)
@@ -396,9 +421,13 @@ def grouped(
     With one input the responses separate the modes.
     """
     alone = white.shape[2] == 1 and white.shape[1] > 1 and len(poles) > 0
-    responses = pole_shapes(poles, white, frfs.freqs[at], POWER[frfs.kind]) if alone else None
+    responses = (
+        pole_shapes(poles, white, frfs.freqs[at], POWER[frfs.kind]) if alone else None
+    )
     poles = replace(poles, shape=poles.shape * sigma.input[:, None])
-    return poles, cluster_poles(poles, line_steps(frfs.freqs, poles.pole), responses=responses)
+    return poles, cluster_poles(
+        poles, line_steps(frfs.freqs, poles.pole), responses=responses
+    )
 
 
 def few_inputs(data: Complex) -> tuple[Complex, Float]:
@@ -428,7 +457,11 @@ def principal(data: Complex) -> Complex:
 
 def _stacked(data: Complex) -> Float:
     """(n, 2k) real and imaginary parts of `data` (freq, n, m), side by side."""
-    return np.ascontiguousarray(data.transpose(1, 0, 2)).view(np.float64).reshape(data.shape[1], -1)
+    return (
+        np.ascontiguousarray(data.transpose(1, 0, 2))
+        .view(np.float64)
+        .reshape(data.shape[1], -1)
+    )
 
 
 def _directions(rows: Float, most: int) -> Float:

@@ -20,7 +20,12 @@ from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
-from ringtrue.identification.frf.lines import Lines, augment, condensed, functions_slopes
+from ringtrue.identification.frf.lines import (
+    Lines,
+    augment,
+    condensed,
+    functions_slopes,
+)
 from ringtrue.identification.frf.residues import DrivingPoints, weighted_rest
 
 
@@ -53,7 +58,9 @@ LIMITS = RefinementLimits()
 
 def real_form(v: Complex, w: Complex) -> Float:
     """(2 k, 2 k) form in (Re x, Im x) of the blocks (k, k) at (x, x) and (x, conj x)."""
-    return np.block([[v.real + w.real, w.imag - v.imag], [w.imag + v.imag, v.real - w.real]])
+    return np.block(
+        [[v.real + w.real, w.imag - v.imag], [w.imag + v.imag, v.real - w.real]]
+    )
 
 
 def augmented_form(c: Float) -> tuple[Complex, Complex]:
@@ -157,7 +164,8 @@ class FitState:
     conjugate: Complex  # at (x, conj x)
     gradient: Complex
     shape_var: Float
-    slope: Complex  # of the augmented shapes by each parameter, times the shape of its mode
+    # of the augmented shapes by each parameter, times the shape of its mode
+    slope: Complex
     free: Int  # positions among the values
 
 
@@ -289,12 +297,17 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     # what the shapes do as well: a turn of two modes of one pole
     void = core[each, own].real < LIMITS.flat * gg[each, own].real
     w2 = lines.response**2
-    weighted = psi[:m].conj() * w2  # the shapes of all parameters of a mode are the same
+    # the shapes of all parameters of a mode are the same
+    weighted = psi[:m].conj() * w2
     common = (weighted @ psi.T).reshape(m, 1, 2, m)
     hessian = core.reshape(1 + n_in, m, 1 + n_in, 2, m) * common
     gy = np.concatenate([(l[:, :m].conj() * dy[:, :m]).sum(axis=0), *cy[:, :m]])
     rest = (gy - gx @ psi).reshape(1 + n_in, m, -1)
-    cost = float((w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)).sum())
+    cost = float(
+        (
+            w2 * np.maximum(lines.power - 0.5 * (psi.conj() * xy).sum(axis=0).real, 0)
+        ).sum()
+    )
     var = 2 * np.diag(inverse).real[:m]
     shape_var = np.maximum(var, 0) / w2[:, None]
     return FitState(
@@ -311,7 +324,9 @@ def _evaluate(lines: Lines, poles: Complex, part: Complex) -> FitState:
     )
 
 
-def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, Complex, Complex]:
+def _products(
+    lines: Lines, poles: Complex
+) -> tuple[Complex, Complex, Complex, Complex, Complex]:
     """Products of the functions and slopes, and of both with the data, over lines and their mirror
     images.
 
@@ -321,7 +336,8 @@ def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, 
     m = poles.size
     both = functions_slopes(lines, poles)
     parts = np.concatenate(
-        [x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))], axis=1
+        [x for f in both for x in (f[:, :m] + f[:, m:], 1j * (f[:, :m] - f[:, m:]))],
+        axis=1,
     )
     z = np.concatenate([parts.real, parts.imag])
     y = np.concatenate([lines.y.real, lines.y.imag], axis=1)
@@ -329,7 +345,9 @@ def _products(lines: Lines, poles: Complex) -> tuple[Complex, Complex, Complex, 
     data = 2 * (z.T @ y).reshape(y.shape[0], 2, 2 * m, -1)
     cc, cd, dd = (_augmented_gram(gram[i, :, k]) for i, k in ((0, 0), (0, 1), (1, 1)))
     real, imaginary = data.reshape(len(data), 2, 2, m, -1).transpose(2, 1, 0, 3, 4)
-    cy, dy = 0.5 * np.concatenate([real + 1j * imaginary, real - 1j * imaginary], axis=2)
+    cy, dy = 0.5 * np.concatenate(
+        [real + 1j * imaginary, real - 1j * imaginary], axis=2
+    )
     return cc, cd, dd, cy, dy
 
 
@@ -337,7 +355,9 @@ def _augmented_gram(g: Float) -> Complex:
     """Of products (2 m, 2 m) by the real and imaginary parts of residues, those by the residues and
     their conjugates.
     """
-    a, b, c, d = (x for row in g.reshape(2, len(g) // 2, 2, -1).transpose(0, 2, 1, 3) for x in row)
+    a, b, c, d = (
+        x for row in g.reshape(2, len(g) // 2, 2, -1).transpose(0, 2, 1, 3) for x in row
+    )
     value = 0.25 * (a + d + 1j * (c - b))
     conjugate = 0.25 * (a - d + 1j * (b + c))
     return np.block([[value, conjugate], [conjugate.conj(), value.conj()]])
@@ -406,7 +426,10 @@ def _covariance(
     value = free + free // state.poles.size * state.poles.size
     conjugate = value + state.poles.size
     cov[np.ix_(value, value)], cov[np.ix_(value, conjugate)] = inner, turned
-    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, value)] = inner.conj(), turned.conj()
+    cov[np.ix_(conjugate, conjugate)], cov[np.ix_(conjugate, value)] = (
+        inner.conj(),
+        turned.conj(),
+    )
     everywhere = np.full(state.shapes.shape, error2), np.full(state.poles.size, error2)
     own, shared = everywhere if rest is None else _local_error(lines, state, rest)
     each = np.tile(np.sqrt(shared), size // shared.size)
@@ -426,15 +449,20 @@ def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, F
     m = state.poles.size
     n_out = state.shapes.shape[0]
     part = (np.abs(state.part) ** 2).T[:, None]
-    by_shape, by_pole = (part * np.abs(q[:, :m]) ** 2 for q in functions_slopes(lines, state.poles))
-    by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))  # (in, freq, mode)
+    by_shape, by_pole = (
+        part * np.abs(q[:, :m]) ** 2 for q in functions_slopes(lines, state.poles)
+    )
+    # (in, freq, mode)
+    by_shape, by_pole = (w / w.sum(axis=(0, 1)) for w in (by_shape, by_pole))
     early = _early(lines, rest, state.poles)
     seen = state.shapes * lines.response[:, None]
     seen = seen / np.linalg.norm(seen, axis=0)
 
     def left(weight: Float, responses: int) -> Float:
         return np.asarray(
-            np.maximum((weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1)
+            np.maximum(
+                (weight * (1 - by_shape - by_pole / responses)).sum(axis=(0, 1)), 0.1
+            )
         )
 
     power = 0.5 * np.abs(rest) ** 2
@@ -443,7 +471,11 @@ def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, F
     own = own * early[0] * few**2
     separate = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
     separate = (separate * np.abs(seen) ** 2).sum(axis=0)
-    together = 0.5 * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1)) / left(by_pole, 1)
+    together = (
+        0.5
+        * (by_pole * np.abs(rest @ seen.conj()) ** 2).sum(axis=(0, 1))
+        / left(by_pole, 1)
+    )
     return own, np.maximum(separate, together) * early[1]
 
 
@@ -489,14 +521,17 @@ def shape_deviations(lines: Lines, fit: Refined, points: DrivingPoints | None) -
     own = state.shape_var * fit.known.own
     psi = np.where(state.shapes == 0, np.finfo(float).tiny, state.shapes)
     out = np.empty(psi.shape)
-    for k in range(fit.poles.size):  # (out, parameter) arrays of all modes at once would not fit
+    # (out, parameter) arrays of all modes at once would not fit
+    for k in range(fit.poles.size):
         g = tile * state.slope[k] / psi[:, k, None]
         common, noise = _scale_slope(fit, lines, points=points, g=g, psi=psi[:, k], k=k)
         g = g + common
         half = g.reshape(g.shape[0], -1, 2, fit.poles.size)
         g = 0.5 * (half + half[:, :, ::-1].conj()).reshape(g.shape)
         shared = (np.abs(noise) ** 2 * own[:, k]).sum()
-        alone = own[:, k] * (np.abs(1 / psi[:, k]) ** 2 + 2 * (noise.conj() / psi[:, k]).real)
+        alone = own[:, k] * (
+            np.abs(1 / psi[:, k]) ** 2 + 2 * (noise.conj() / psi[:, k]).real
+        )
         out[:, k] = ((g @ cov) * g.conj()).real.sum(axis=1) + 0.5 * (shared + alone)
     return np.sqrt(np.maximum(out, 0))
 
@@ -528,9 +563,13 @@ def _scale_slope(
     overlap = overlap if overlap != 0 else size * np.finfo(float).tiny
     share = -0.5 * part.conj() * driven / overlap
     np.add.at(noise, o, share / psi[o])
-    common = np.zeros((1 + fit.participation.shape[1], 2, fit.poles.size), dtype=np.complex128)
+    common = np.zeros(
+        (1 + fit.participation.shape[1], 2, fit.poles.size), dtype=np.complex128
+    )
     np.add.at(common[1:, 0, k], i, 0.5 * part.conj() / size / lines.input[i])
-    np.add.at(common[1:, 1, k], i, 0.5 * (part / size - driven / overlap) / lines.input[i])
+    np.add.at(
+        common[1:, 1, k], i, 0.5 * (part / size - driven / overlap) / lines.input[i]
+    )
     common[0, :, k] = np.array([1, -1]) / (4j * fit.poles[k].imag)
     return common.ravel() + share @ g[o], noise
 

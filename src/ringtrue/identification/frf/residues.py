@@ -118,7 +118,9 @@ def solve_shapes(lines: Lines, poles: Complex, participation: Complex) -> Comple
     b = mirrored_rows(qh @ lines.y)
     rhs = (d.conj() * b).sum(axis=0)
     scale = 1 / np.sqrt(np.maximum(np.diag(n).real, np.finfo(float).tiny))
-    psi = scale[:, None] * np.linalg.solve(scale[:, None] * n * scale, scale[:, None] * rhs)
+    psi = scale[:, None] * np.linalg.solve(
+        scale[:, None] * n * scale, scale[:, None] * rhs
+    )
     return np.asarray(psi[: poles.size].T, dtype=np.complex128)
 
 
@@ -154,7 +156,8 @@ def lsfd(
     terms = np.stack([(lines.s[0] / lines.s) ** 2, np.ones(lines.s.size)], axis=1)
     q, r = np.linalg.qr(lines.weight[:, None] * (lines.kind[:, None] * terms))
     y = lines.weight[:, None] * rest.transpose(2, 0, 1)
-    residuals = np.asarray(np.linalg.solve(r, q.conj().T @ y), dtype=np.complex128)  # (in, 2, out)
+    # (in, 2, out)
+    residuals = np.asarray(np.linalg.solve(r, q.conj().T @ y), dtype=np.complex128)
     shape, part = blow_factors(lines, poles)
     model = ModalModel(
         poles=poles,
@@ -179,7 +182,9 @@ def blow_factors(lines: Lines, poles: Complex) -> tuple[Complex, Complex]:
     return lines.impacts.factors(poles)
 
 
-def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Complex) -> Complex:
+def modal_part(
+    lines: Lines, poles: Complex, shapes: Complex, participation: Complex
+) -> Complex:
     """(freq, out, in) what the modes contribute, at the lines and in the kind of the data."""
     residue = (shapes.T[:, :, None] * participation[:, None, :]).reshape(poles.size, -1)
     both = np.concatenate([residue, residue.conj()])
@@ -187,7 +192,9 @@ def modal_part(lines: Lines, poles: Complex, shapes: Complex, participation: Com
     return np.asarray(h.reshape(lines.s.size, shapes.shape[0], participation.shape[1]))
 
 
-def weighted_rest(lines: Lines, poles: Complex, participation: Complex, shapes: Complex) -> Complex:
+def weighted_rest(
+    lines: Lines, poles: Complex, participation: Complex, shapes: Complex
+) -> Complex:
     """(in, freq, out) what modes and residual terms leave of the data, in units of the noise.
 
     `participation` is that of the weighted data.

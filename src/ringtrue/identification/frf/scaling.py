@@ -64,7 +64,9 @@ def mode_scale(model: ModalModel) -> Complex:
     """(m,) factors to unit modal mass from unit modal A, or to a largest component of 1 from
     unscaled shapes.
     """
-    largest = np.take_along_axis(model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0)[0]
+    largest = np.take_along_axis(
+        model.shapes, np.abs(model.shapes).argmax(axis=0)[None], axis=0
+    )[0]
     if model.norm is Norm.UNSCALED:
         return np.asarray(1 / largest)
     alpha = np.sqrt(2j * model.poles.imag)
@@ -90,7 +92,9 @@ def scale_deviations(
         return np.zeros(fit.shapes.shape), ""
     weight = np.abs(fit.participation[:, points.input]) ** 2
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, points.input]).sum(axis=1)
+    shared = 0.25 * (weight**2 * _shared(frfs, fitted, fit.poles)[:, points.input]).sum(
+        axis=1
+    )
     disagreement, error = _disagreement(fit, points)
     noise = _of_the_force(frfs, fit.frequencies, weight, points)
     std = np.sqrt(shared + disagreement**2 + noise + _by_a_node(fit, points))
@@ -118,7 +122,9 @@ def _driven(fit: Refined, points: DrivingPoints) -> tuple[Complex, Complex, Floa
     return points.shapes(fit.shapes).T, fit.participation[:, points.input], variance
 
 
-def _of_the_force(frfs: FrfSet, frequencies: Float, weight: Float, points: DrivingPoints) -> Float:
+def _of_the_force(
+    frfs: FrfSet, frequencies: Float, weight: Float, points: DrivingPoints
+) -> Float:
     """(out, m) relative variance of the shapes by the noise on the force of each impact, known from
     the records.
 
@@ -128,7 +134,10 @@ def _of_the_force(frfs: FrfSet, frequencies: Float, weight: Float, points: Drivi
     if frfs.impacts is None:
         return np.zeros((1, frequencies.size))
     of_all = frfs.impacts.weight
-    share = of_all[:, :, points.input] - 0.5 * of_all[:, points.output, points.input][:, None]
+    share = (
+        of_all[:, :, points.input]
+        - 0.5 * of_all[:, points.output, points.input][:, None]
+    )
     noise = frfs.impacts.noise_at(frequencies)
     return np.asarray((0.5 * noise[:, None] * (share @ weight.T) ** 2).sum(axis=0))
 
@@ -141,7 +150,9 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         return out
     far = np.abs(2 * np.pi * frfs.freqs[:, None] - poles.imag)
     near = far <= np.maximum(far.min(axis=0), np.abs(poles.real) + frfs.window_decay)
-    explained = frfs.impacts.scatter(poles) if frfs.impacts else np.zeros((poles.size, 1, 1))
+    explained = (
+        frfs.impacts.scatter(poles) if frfs.impacts else np.zeros((poles.size, 1, 1))
+    )
     for k, at in enumerate(near.T):  # a few dozen modes, each with its own lines
         g = np.clip(frfs.coherence[at], 1e-3, 1.0)
         power = np.abs(frfs.data[at]) ** 2
@@ -151,7 +162,9 @@ def _shared(frfs: FrfSet, fitted: Complex, poles: Complex) -> Float:
         left = (np.abs(frfs.data[at] - fitted[at]) ** 2).sum(axis=0) / size
         due = np.median(due, axis=0)
         left = np.median(left, axis=0)
-        out[k] = np.where((due > LIMITS.shared * left) & (n > 1), 0.5 * (due - left), 0.0)
+        out[k] = np.where(
+            (due > LIMITS.shared * left) & (n > 1), 0.5 * (due - left), 0.0
+        )
     return out
 
 
@@ -179,7 +192,9 @@ def _disagreement(fit: Refined, points: DrivingPoints) -> tuple[Float, float]:
         return np.zeros(psi.shape[0]), 0.0
     error2 = float((found - due) / max(float((free * typical).sum()), 1e-300))
     total = np.maximum((size**2).sum(axis=1), 1e-300)
-    return 0.5 * np.sqrt(error2 * (size**2 * typical).sum(axis=1)) / total, float(np.sqrt(error2))
+    return 0.5 * np.sqrt(error2 * (size**2 * typical).sum(axis=1)) / total, float(
+        np.sqrt(error2)
+    )
 
 
 def _note(frfs: FrfSet, points: DrivingPoints, error: float) -> str:
@@ -238,7 +253,9 @@ def reciprocity_note(model: ModalModel, sound: DrivingPoints) -> str:
     if best > limits.good:
         return f"{finding}, {100 * best:.0f} % without: {why}"
     if now < limits.poor:
-        return f"{finding}: a point or direction is wrong, or the structure is not linear"
+        return (
+            f"{finding}: a point or direction is wrong, or the structure is not linear"
+        )
     return ""
 
 

@@ -103,13 +103,21 @@ def _inseparable(fit: Refined) -> list[tuple[int, int]]:
     """Pairs of poles nearer to each other than the data tell, each pole in one pair at most."""
     p = fit.poles
     half = np.abs(p.real)
-    std = 2 * np.pi * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
+    std = (
+        2
+        * np.pi
+        * np.hypot(fit.std_frequency, np.abs(p) / (2 * np.pi) * fit.std_damping)
+    )
     far = np.abs(p[:, None] - p)
     width = np.minimum(half[:, None], half)
     near = far < np.clip(
-        ADDED.deviations * np.hypot(std[:, None], std), ADDED.least * width, ADDED.most * width
+        ADDED.deviations * np.hypot(std[:, None], std),
+        ADDED.least * width,
+        ADDED.most * width,
     )
-    rank = [(float(far[i, j]), int(i), int(j)) for i, j in np.argwhere(np.triu(near, 1))]
+    rank = [
+        (float(far[i, j]), int(i), int(j)) for i, j in np.argwhere(np.triu(near, 1))
+    ]
     out: list[tuple[int, int]] = []
     for _, i, j in sorted(rank):
         if all(i not in known and j not in known for known in out):
@@ -122,12 +130,16 @@ def _plane(part: Complex) -> Float | None:
     real ones.
     """
     v = part / np.linalg.norm(part, axis=1, keepdims=True)
-    size, basis = np.linalg.svd(np.concatenate([v.real, v.imag]), full_matrices=False)[1:]
+    size, basis = np.linalg.svd(np.concatenate([v.real, v.imag]), full_matrices=False)[
+        1:
+    ]
     flat = size.size < 3 or size[2] < ADDED.flat * size[1]
     return np.asarray(basis[:2]) if flat and size[1] > 1e-3 * size[0] else None
 
 
-def _orthogonal(psi: Complex, basis: Complex, points: DrivingPoints, response: Float) -> Complex:
+def _orthogonal(
+    psi: Complex, basis: Complex, points: DrivingPoints, response: Float
+) -> Complex:
     """(2, in) participation vectors in the plane `basis` whose shapes are orthogonal.
 
     `psi` (out, 2) are the shapes of the vectors of the basis. With two driving points they are
@@ -170,7 +182,9 @@ def missed(
         # the participation vector that carries most of the error there
         a = rest[:, max(k - 1, 0) : k + 2].reshape(rest.shape[0], -1)
         part[row] = np.linalg.eigh(a @ a.conj().T)[1][:, -1] / lines.input
-    return CandidatePoles(pole, part, support(pole, part, sets, decay), np.zeros(at.size))
+    return CandidatePoles(
+        pole, part, support(pole, part, sets, decay), np.zeros(at.size)
+    )
 
 
 def _peaks(rest: Complex, lines: Lines, fit: Refined) -> Int:
@@ -198,11 +212,15 @@ def _usual(share: Float, lines: Lines, fit: Refined) -> Float:
     if fit.poles.size > 1:
         far = np.abs(lines.s.imag[:, None] - fit.poles.imag)
         flank = (far < 2 * np.abs(fit.poles.real)).any(axis=1)
-        usual[flank] = min(ADDED.share**2, ADDED.worse**2 * np.median(share[far.argmin(axis=0)]))
+        usual[flank] = min(
+            ADDED.share**2, ADDED.worse**2 * np.median(share[far.argmin(axis=0)])
+        )
     return usual
 
 
-def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float) -> Float:
+def support(
+    pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float
+) -> Float:
     """Share of the orders that hold each pole, in the band that knows it best."""
     best = np.zeros(pole.size)
     for s in sets:  # a few bands
@@ -215,7 +233,9 @@ def support(pole: Complex, part: Complex, sets: Sequence[PoleSet], decay: float)
         similarity = np.abs(v.conj().T @ u) ** 2
         for i, j in twins(pole):  # any vector in the plane of both
             q = np.linalg.qr(u[:, [i, j]])[0]
-            similarity[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(axis=1, keepdims=True)
+            similarity[:, [i, j]] = (np.abs(v.conj().T @ q) ** 2).sum(
+                axis=1, keepdims=True
+            )
         near &= similarity > 0.6
         upper = s.order >= np.median(s.orders)
         held = np.array([np.unique(s.order[upper & n]).size for n in near.T])
@@ -303,8 +323,17 @@ def split_modes(lines: Lines, fit: Refined) -> list[SplitMode]:
     order = np.argsort(fit.poles.imag, kind="stable")
     poles = fit.poles[order]
     half = np.abs(poles.real)
-    ends = np.flatnonzero(np.diff(poles.imag) > SPLIT.near * np.maximum(half[1:], half[:-1])) + 1
-    return [m for run in np.split(order, ends) for m in _split(lines, fit, tuple(run.tolist()))]
+    ends = (
+        np.flatnonzero(
+            np.diff(poles.imag) > SPLIT.near * np.maximum(half[1:], half[:-1])
+        )
+        + 1
+    )
+    return [
+        m
+        for run in np.split(order, ends)
+        for m in _split(lines, fit, tuple(run.tolist()))
+    ]
 
 
 def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
@@ -322,7 +351,9 @@ def _split(lines: Lines, fit: Refined, run: tuple[int, ...]) -> list[SplitMode]:
     return []
 
 
-def joined(lines: Lines, candidates: CandidatePoles, split: Sequence[SplitMode]) -> CandidatePoles:
+def joined(
+    lines: Lines, candidates: CandidatePoles, split: Sequence[SplitMode]
+) -> CandidatePoles:
     """The candidates with one in place of each split mode, these last."""
     c = candidates
     parts = [m for s in split for m in s.at]
@@ -343,14 +374,21 @@ def levelled(lines: Lines, split: Sequence[SplitMode]) -> Lines:
     for mode in (s.mode for s in split):
         pole = _mean(mode)[0]
         mean = resonances(lines, np.array([pole]))[0] * (mode.poles.imag / pole.imag)
-        change = lines.weight[:, None] * (resonances(lines, mode.poles)[0] - mean) * mode.residues
+        change = (
+            lines.weight[:, None]
+            * (resonances(lines, mode.poles)[0] - mean)
+            * mode.residues
+        )
         change = without(lines.terms, without(lines.smooth, change))
-        for i, part in enumerate(mode.participation):  # all inputs at once would not fit
+        # all inputs at once would not fit
+        for i, part in enumerate(mode.participation):
             y[i] -= part * change
     return replace(lines, y=y, power=_squares(y).sum(axis=0))
 
 
-def scattered(lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMode]) -> Refined:
+def scattered(
+    lines: Lines, fit: Refined, new: Refined, split: Sequence[SplitMode]
+) -> Refined:
     """`new`, of `joined` modes, with deviations that hold the scatter between the responses in
     `fit`.
 
@@ -391,7 +429,11 @@ def _mean(mode: LocalPoles) -> tuple[complex, float, float]:
     zeta = -mode.poles.real / np.abs(mode.poles)
     mean, spread = _random_effects(omega, mode.variance)
     damping, damping_spread = _random_effects(zeta, mode.variance / omega**2)
-    return mean * complex(-damping, np.sqrt(1 - damping**2)), spread / (2 * np.pi), damping_spread
+    return (
+        mean * complex(-damping, np.sqrt(1 - damping**2)),
+        spread / (2 * np.pi),
+        damping_spread,
+    )
 
 
 def _random_effects(x: Float, variance: Float) -> tuple[float, float]:
@@ -429,7 +471,9 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
     q, r, cost = band.residues(p)
     for _ in range(SPLIT.turns):
         slope = band.slopes(p, q, r)
-        step = (slope.conj() * (z - q * r)).sum(axis=0) / np.maximum(_squares(slope), 1e-300)
+        step = (slope.conj() * (z - q * r)).sum(axis=0) / np.maximum(
+            _squares(slope), 1e-300
+        )
         away = p + step - centre
         new = centre + away * np.minimum(1, reach / np.maximum(np.abs(away), 1e-300))
         new = np.minimum(new.real, -SPLIT.damping * half) + 1j * new.imag
@@ -437,12 +481,19 @@ def local_poles(lines: Lines, fit: Refined, at: Sequence[int]) -> LocalPoles:
         better = trial[2] < cost
         gain = (cost - trial[2])[better].sum()
         p, q, r, cost = (
-            np.where(better, x, y) for x, y in zip((new, *trial), (p, q, r, cost), strict=True)
+            np.where(better, x, y)
+            for x, y in zip((new, *trial), (p, q, r, cost), strict=True)
         )
         if gain <= SPLIT.converged * cost.sum():
             break
-    free = z.shape[0] - band.neighbours.shape[1]  # of each response, to one participation vector
-    variance = 0.5 * cost / max(free - 2, 1) / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
+    # of each response, to one participation vector
+    free = z.shape[0] - band.neighbours.shape[1]
+    variance = (
+        0.5
+        * cost
+        / max(free - 2, 1)
+        / np.maximum(_squares(band.slopes(p, q, r)), 1e-300)
+    )
     values = free * band.part.size
     left = (band.across + cost.sum()) / max(values - 2, 1)
     share = left * max(values - len(at), 1) / band.left
@@ -474,14 +525,17 @@ class _Band:
 
     def residues(self, p: Complex) -> tuple[Complex, Complex, Float]:
         """Functions of the poles, residues, and the squares left of each response."""
-        q = without(self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[0])
+        q = without(
+            self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[0]
+        )
         r = (q.conj() * self.along).sum(axis=0) / _squares(q)
         return q, r, _squares(self.along - q * r)
 
     def slopes(self, p: Complex, q: Complex, r: Complex) -> Complex:
         """Derivatives of the fit by the poles, without their part along the functions."""
         slope = without(
-            self.neighbours, self.lines.weight[:, None] * resonances(self.lines, p)[1] * r
+            self.neighbours,
+            self.lines.weight[:, None] * resonances(self.lines, p)[1] * r,
         )
         return np.asarray(slope - q * ((q.conj() * slope).sum(axis=0) / _squares(q)))
 
@@ -491,13 +545,15 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     part = fit.known.state.part[at]
     half = np.abs(poles.real).max()
     reach = (
-        max(SPLIT.band * half, SPLIT.lines * np.diff(lines.s.imag).mean()) + np.ptp(poles.imag) / 2
+        max(SPLIT.band * half, SPLIT.lines * np.diff(lines.s.imag).mean())
+        + np.ptp(poles.imag) / 2
     )
     near = np.abs(lines.s.imag - poles.imag.mean()) < reach
     band = replace(lines, s=lines.s[near], weight=lines.weight[near])
     far = np.abs(fit.poles.imag[:, None] - poles.imag).min(axis=1)
     others = fit.poles[
-        (far > SPLIT.near * np.maximum(half, np.abs(fit.poles.real))) & (far < 2 * reach)
+        (far > SPLIT.near * np.maximum(half, np.abs(fit.poles.real)))
+        & (far < 2 * reach)
     ]
     flat, size, _ = np.linalg.svd(lines.smooth[near], full_matrices=False)
     columns = [
@@ -509,7 +565,9 @@ def _band(lines: Lines, fit: Refined, at: list[int]) -> _Band:
     left = without(basis, fit.known.rest[:, near])
     own = band.weight[:, None] * resonances(band, poles)[0]
     y = left + without(basis, own) @ (part.T[:, :, None] * shapes.T)
-    vector = np.linalg.svd(part.T * np.linalg.norm(shapes, axis=0), full_matrices=False)[0][:, 0]
+    vector = np.linalg.svd(
+        part.T * np.linalg.norm(shapes, axis=0), full_matrices=False
+    )[0][:, 0]
     z = np.tensordot(vector.conj(), y, 1)
     across = float(_squares(y).sum() - _squares(z).sum())
     return _Band(

@@ -32,7 +32,8 @@ _SAME_FILE = "."  # the name that a virtual data set has for its own file
 # bytes up to which a data set is read whole; the samples of larger ones lie in plain blocks
 _WHOLE = 1 << 26
 _NUMBER = 8  # bytes that a number takes once it is read, however small it is stored
-_LATER = 5  # seconds that the parent's clock has to stop this process before its own does
+# seconds that the parent's clock has to stop this process before its own does
+_LATER = 5
 
 
 class _Damaged(RuntimeError):
@@ -43,7 +44,8 @@ def serve() -> None:
     """Read what the parent asks for, until it closes the pipe."""
     asked = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a parser prints is no answer
+    # what a parser prints is no answer
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     answers.write(b".")
     answers.flush()
     while True:
@@ -59,7 +61,10 @@ def serve() -> None:
         try:
             answer: tuple[str, Any] = ("done", parse(path))
         except DAMAGE as exc:
-            answer = ("failed", f"{type(exc).__name__}: {' '.join(str(exc).split())[:200]}")
+            answer = (
+                "failed",
+                f"{type(exc).__name__}: {' '.join(str(exc).split())[:200]}",
+            )
         _limit(0, 0)
         pickle.dump(answer, answers, protocol=5)
         answers.flush()
@@ -95,7 +100,11 @@ def _matlab(path: str) -> dict[str, Any]:
 
     # mat_dtype=True drops imaginary parts
     found = io.loadmat(path, spmatrix=False, appendmat=False)
-    plain = {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
+    plain = {
+        name: _plain(value)
+        for name, value in found.items()
+        if not name.startswith("__")
+    }
     return {name: value for name, value in plain.items() if value is not None}
 
 
@@ -109,8 +118,13 @@ def _plain(value: Any) -> Any:
         return None
     if value.dtype.names and value.size <= 1:
         only = value.reshape(-1)
-        return {name: _plain(only[0][name]) for name in value.dtype.names} if value.size else None
-    if value.dtype.names:  # of several structures, each field as an object array of its values
+        return (
+            {name: _plain(only[0][name]) for name in value.dtype.names}
+            if value.size
+            else None
+        )
+    # of several structures, each field as an object array of its values
+    if value.dtype.names:
         return {name: _plain(value[name].ravel()) for name in value.dtype.names}
     if value.dtype.kind == "O":
         cells = np.empty(value.shape, dtype=object)
@@ -219,7 +233,9 @@ def _stored_elsewhere(data: h5py.Dataset) -> list[str]:
         return [os.fsdecode(made.get_external(0)[0])]
     if made.get_layout() == h5py.h5d.VIRTUAL:
         return [
-            source.file_name for source in data.virtual_sources() if source.file_name != _SAME_FILE
+            source.file_name
+            for source in data.virtual_sources()
+            if source.file_name != _SAME_FILE
         ]
     return []
 

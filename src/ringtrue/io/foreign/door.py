@@ -60,7 +60,10 @@ _SHOWN = 200  # characters of what the parser says
 
 @contextmanager
 def door(
-    path: str | Path, kind: str, error: type[InputError] = DataError, advice: str = EXPORT_AGAIN
+    path: str | Path,
+    kind: str,
+    error: type[InputError] = DataError,
+    advice: str = EXPORT_AGAIN,
 ) -> Iterator[None]:
     """What is raised within, as `error`: "`path`: not a readable `kind`, or damaged (what the
     parser said): `advice`".
@@ -79,7 +82,9 @@ def door(
         said = " ".join(str(exc).split())
         said = said if len(said) <= _SHOWN else f"{said[:_SHOWN]} ..."
         cause = f"{type(exc).__name__}: {said}" if said else type(exc).__name__
-        raise error(f"{path}: not a readable {kind}, or damaged ({cause}): {advice}") from exc
+        raise error(
+            f"{path}: not a readable {kind}, or damaged ({cause}): {advice}"
+        ) from exc
 
 
 _SECONDS = 5.0  # for any file
@@ -87,7 +92,8 @@ _RATE = 5 * MEGABYTE  # bytes a second that a parser reads at least
 _MEMORY = 512 * MEGABYTE  # for any file
 _TIMES = 16  # and that many times its size
 _START = (
-    "import sys; sys.path[:] = sys.argv[1:]; from ringtrue.io.foreign.child import serve; serve()"
+    "import sys; sys.path[:] = sys.argv[1:]; from "
+    "ringtrue.io.foreign.child import serve; serve()"
 )
 
 
@@ -107,13 +113,17 @@ class _Child:
         assert self.process.stdout is not None
         self.process.stdout.read(1)  # it is there: its start is no time of a parser
 
-    def ask(self, parser: str, path: Path, seconds: float, memory: int) -> tuple[str, Any]:
+    def ask(
+        self, parser: str, path: Path, seconds: float, memory: int
+    ) -> tuple[str, Any]:
         """`done` with the value, else `failed` with why not, in words."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         watch = threading.Timer(seconds, self._stop)
         try:
-            pickle.dump((parser, str(path.absolute()), seconds, memory), self.process.stdin)
+            pickle.dump(
+                (parser, str(path.absolute()), seconds, memory), self.process.stdin
+            )
             self.process.stdin.flush()
             self.process.stdout.read(1)  # the parser is imported
             watch.start()
@@ -143,7 +153,8 @@ class _Child:
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                with suppress(BrokenPipeError):  # what was not sent is lost with the process
+                # what was not sent is lost with the process
+                with suppress(BrokenPipeError):
                     pipe.close()
 
 
@@ -152,7 +163,9 @@ _choose = threading.Lock()
 _tried: dict[tuple[str, tuple[int, int, int, int]], Any] = {}
 
 
-def read_apart(parser: str, path: str | Path, kind: str, advice: str = EXPORT_AGAIN) -> Any:
+def read_apart(
+    parser: str, path: str | Path, kind: str, advice: str = EXPORT_AGAIN
+) -> Any:
     """What `child.PARSERS[parser]` makes of a file.
 
     Raises
@@ -201,7 +214,11 @@ def _running() -> _Child:
     """
     global _child
     with _choose:
-        if _child is None or _child.owner != os.getpid() or _child.process.poll() is not None:
+        if (
+            _child is None
+            or _child.owner != os.getpid()
+            or _child.process.poll() is not None
+        ):
             _close()
             _child = _Child()
         return _child

@@ -32,7 +32,13 @@ from scipy import sparse
 from ringtrue.core.arrays import Any_
 from ringtrue.errors import DataError, InputError, did_you_mean
 from ringtrue.io.files import existing, read_text
-from ringtrue.io.foreign.door import EXPORT_AGAIN, MEGABYTE, door, need_not_try, tried_apart
+from ringtrue.io.foreign.door import (
+    EXPORT_AGAIN,
+    MEGABYTE,
+    door,
+    need_not_try,
+    tried_apart,
+)
 
 if TYPE_CHECKING:
     from nptdms import TdmsFile
@@ -106,7 +112,9 @@ def read_toml(path: str | Path, error: type[InputError] = DataError) -> dict[str
     return toml_value(_limited_text(path, error), path, error)
 
 
-def toml_value(text: str, path: str | Path, error: type[InputError] = DataError) -> dict[str, Any]:
+def toml_value(
+    text: str, path: str | Path, error: type[InputError] = DataError
+) -> dict[str, Any]:
     """The tables of a TOML text; `path` names it in errors, as `read_json` has them."""
     table: dict[str, Any] = _value(tomllib.loads, "TOML", text, path, error)
     return table
@@ -123,7 +131,11 @@ def _limited_text(path: str | Path, error: type[InputError]) -> str:
 
 
 def _value(
-    parse: Callable[[str], Any], kind: str, text: str, path: str | Path, error: type[InputError]
+    parse: Callable[[str], Any],
+    kind: str,
+    text: str,
+    path: str | Path,
+    error: type[InputError],
 ) -> Any:
     """What a parser makes of a text, if it is not too deep and its integers are not too wide."""
     deep = error(
@@ -184,7 +196,9 @@ def read_sheet(path: str | Path, sheet: str | None = None) -> list[list[object]]
     """
     with _opened(path) as book:
         if sheet is not None and sheet not in book.sheetnames:
-            raise DataError(f"{path}: no sheet {sheet!r}{did_you_mean(sheet, book.sheetnames)}")
+            raise DataError(
+                f"{path}: no sheet {sheet!r}{did_you_mean(sheet, book.sheetnames)}"
+            )
         if not book.worksheets:
             raise DataError(f"{path}: a workbook without a sheet of cells")
         page = book[sheet] if sheet is not None else book.worksheets[0]
@@ -212,7 +226,10 @@ def _opened(path: str | Path) -> Iterator[Any]:
     with door(path, "Excel workbook", advice=_SAVE_AGAIN):
         with zipfile.ZipFile(path) as archive:
             for part in archive.infolist():
-                if part.filename.lower().endswith((".xml", ".rels")) and part.file_size > _UNPACKED:
+                if (
+                    part.filename.lower().endswith((".xml", ".rels"))
+                    and part.file_size > _UNPACKED
+                ):
                     raise DataError(
                         f"{path}: {part.filename} unfolds to {part.file_size / MEGABYTE:.0f} MB, "
                         f"the file {path.stat().st_size / MEGABYTE:.1f} MB: {_SAVE_AGAIN}"
@@ -376,7 +393,9 @@ def read_npz(path: str | Path) -> dict[str, Any_]:
             )
         with np.load(path, allow_pickle=False) as found:
             parts = {name: found[name] for name in found.files}
-        arrays = {name: part for name, part in parts.items() if isinstance(part, np.ndarray)}
+        arrays = {
+            name: part for name, part in parts.items() if isinstance(part, np.ndarray)
+        }
         for part in arrays.values():
             if part.dtype.kind == "U":
                 # Python ends in a SystemError on characters that there are not, wherever shown
@@ -403,7 +422,9 @@ def compressed_matrix(
     _check_rows(shape, data.size)
     made: dict[str, Any] = {"csr": sparse.csr_array, "csc": sparse.csc_array}
     return sparse.csr_array(
-        made[kind]((data, indices.astype(np.int64), starts.astype(np.int64)), shape=shape)
+        made[kind](
+            (data, indices.astype(np.int64), starts.astype(np.int64)), shape=shape
+        )
     )
 
 
@@ -426,7 +447,9 @@ def check_compressed(
             f"{starts.size} starts, {indices.size} indices and {data.size} values for {shape}"
         )
     if starts[0] != 0 or starts[-1] != data.size or (starts[1:] < starts[:-1]).any():
-        raise DataError(f"the starts of rows or columns do not rise from 0 to {data.size}")
+        raise DataError(
+            f"the starts of rows or columns do not rise from 0 to {data.size}"
+        )
     _check_range(indices, across, shape)
 
 
@@ -442,17 +465,25 @@ def triplet_matrix(
     """
     data, rows, columns = (np.ravel(part) for part in (data, rows, columns))
     if not rows.size == columns.size == data.size or (shape is None and not data.size):
-        raise DataError(f"{rows.size} rows, {columns.size} columns and {data.size} values")
+        raise DataError(
+            f"{rows.size} rows, {columns.size} columns and {data.size} values"
+        )
     shape = shape or (int(rows.max()) + 1, int(columns.max()) + 1)
     _check_parts(data, (rows, columns), shape)
     _check_rows(shape, data.size)
     _check_range(rows, shape[0], shape)
     _check_range(columns, shape[1], shape)
-    return sparse.csr_array((data, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape)
+    return sparse.csr_array(
+        (data, (rows.astype(np.int64), columns.astype(np.int64))), shape=shape
+    )
 
 
-def _check_parts(data: Any_, indices: tuple[Any_, Any_], shape: tuple[int, int]) -> None:
-    if data.dtype.kind not in "fciub" or any(part.dtype.kind not in "iu" for part in indices):
+def _check_parts(
+    data: Any_, indices: tuple[Any_, Any_], shape: tuple[int, int]
+) -> None:
+    if data.dtype.kind not in "fciub" or any(
+        part.dtype.kind not in "iu" for part in indices
+    ):
         raise DataError(
             f"indices of {indices[0].dtype}, values of {data.dtype}: a sparse matrix has integers "
             "and numbers"

@@ -67,7 +67,9 @@ def reals(text: bytes, widths: Sequence[int], count: int) -> Float:
             return values[:count]
     lines = text.decode("latin-1").splitlines()
     # a loop over fields: only files whose columns touch come here, 1 µs a field
-    values = np.array([parse_real(x) for line in lines for x in words(line, widths) if x], float)
+    values = np.array(
+        [parse_real(x) for line in lines for x in words(line, widths) if x], float
+    )
     if values.size < count:
         raise DataError(
             f"{values.size} numbers where {count} are announced; the file is cut or damaged"
@@ -90,14 +92,19 @@ def numbers(line: str, widths: Sequence[int]) -> list[float]:
     columns.
     """
     free = line.split()
-    return [parse_real(x) for x in (free if len(free) == len(widths) else words(line, widths))]
+    return [
+        parse_real(x)
+        for x in (free if len(free) == len(widths) else words(line, widths))
+    ]
 
 
 def integers(lines: Sequence[str], width: int = 10) -> Int:
     """(n,) int64 integers of lines of equal columns, or divided by blanks."""
     words = " ".join(lines).split()
     if any(len(w.lstrip("+-")) > width - 1 for w in words):
-        words = [x[a : a + width] for x in lines for a in range(0, len(x.rstrip()), width)]
+        words = [
+            x[a : a + width] for x in lines for a in range(0, len(x.rstrip()), width)
+        ]
     return np.array([parse_int(w) for w in words], dtype=np.int64)
 
 
@@ -224,7 +231,9 @@ def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[DataSet, int]
     """A 58b and the place after it; a wrong count of bytes is replaced by that of its points, or
     the next mark.
     """
-    fields = re.findall(rb"\d{1,18}", raw[start:end].replace(b"b", b" ").replace(b"B", b" "))
+    fields = re.findall(
+        rb"\d{1,18}", raw[start:end].replace(b"b", b" ").replace(b"B", b" ")
+    )
     order, form = (int(x) for x in (*fields[1:3], b"1", b"2")[:2])
     if form != 2:
         raise DataError(
@@ -234,10 +243,14 @@ def _binary(raw: bytes, start: int, end: int, path: Path) -> tuple[DataSet, int]
     for _ in range(11):  # of the header of data set 58
         body = _next_line(raw, body)
     counts = [int(fields[4]) if len(fields) > 4 else 0, *_counts(raw[end:body])]
-    closings = ((n, _END.match(raw, body + n)) for n in counts if 0 < n <= len(raw) - body)
+    closings = (
+        (n, _END.match(raw, body + n)) for n in counts if 0 < n <= len(raw) - body
+    )
     count, close = next(((n, m) for n, m in closings if m), (0, None))
     if close is None:
-        close = next((m for m in _END.finditer(raw, body) if _opens(raw, m.end())), None)
+        close = next(
+            (m for m in _END.finditer(raw, body) if _opens(raw, m.end())), None
+        )
         count = (close.start() if close else len(raw)) - body
     block = DataSet(58, raw[end:body], raw[body : body + count], order == 2, start)
     return block, close.end() if close else len(raw)

@@ -51,8 +51,16 @@ _ENDS = {  # fields of line 6 and their columns
     "reference node": 10,
     "reference direction": 4,
 }
-_FORM = {"ordinate": 10, "count": 10, "even": 10, "first": 13, "step": 13, "z": 13}  # line 7
-_AXIS = {"data type": 10, "length": 5, "force": 5, "temperature": 5, "label": 21, "unit": 21}
+# line 7
+_FORM = {"ordinate": 10, "count": 10, "even": 10, "first": 13, "step": 13, "z": 13}
+_AXIS = {
+    "data type": 10,
+    "length": 5,
+    "force": 5,
+    "temperature": 5,
+    "label": 21,
+    "unit": 21,
+}
 
 
 _ORDINATES = {  # by the ordinate type of line 7: whether they are complex, and double
@@ -129,7 +137,9 @@ def read_function(block: DataSet) -> UffFunction:
     kind, response, reference, names = _ends(head[5])
     values = numbers(head[6], tuple(_FORM.values()))
     if not np.isfinite(values).all():
-        raise DataError(f"the line of the form has values that are not finite: {head[6].strip()!r}")
+        raise DataError(
+            f"the line of the form has values that are not finite: {head[6].strip()!r}"
+        )
     form = dict(zip(_FORM, values, strict=True))
     count = int(form["count"])
     even = form["even"] != 0
@@ -181,14 +191,17 @@ def _split_lines(text: bytes, count: int) -> tuple[list[bytes], bytes]:
     return lines, text[at:]
 
 
-def _stored(block: DataSet, is_double: bool, even: bool, count: int, size: int) -> Float:
+def _stored(
+    block: DataSet, is_double: bool, even: bool, count: int, size: int
+) -> Float:
     """The numbers of a 58b, (count, size)."""
     raw = block.binary or b""
     order = ">" if block.big_endian else "<"
     number = np.dtype(f"{order}f{8 if is_double else 4}")
     abscissa = number
     if is_double and not even and len(raw) < count * size * 8:
-        abscissa = np.dtype(f"{order}f4")  # the abscissa of uneven double data is single
+        # the abscissa of uneven double data is single
+        abscissa = np.dtype(f"{order}f4")
     point = np.dtype([("first", abscissa), ("others", number, (size - 1,))])
     if len(raw) < count * point.itemsize:
         raise DataError(
@@ -205,7 +218,8 @@ def _ends(line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, 
     texts = words(line, tuple(_ENDS.values()))
     try:
         return _parsed_ends(texts)
-    except DataError:  # columns shifted by the vendor: names without blanks, divided by blanks
+    # columns shifted by the vendor: names without blanks, divided by blanks
+    except DataError:
         if len(free) != len(_ENDS):
             raise
         return _parsed_ends(free)
@@ -214,9 +228,12 @@ def _ends(line: str) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, 
 def _parsed_ends(
     texts: Sequence[str],
 ) -> tuple[int, tuple[int, int], tuple[int, int], tuple[str, str]]:
-    number = {n: parse_int(t) for n, t in zip(_ENDS, texts, strict=True) if "name" not in n}
+    number = {
+        n: parse_int(t) for n, t in zip(_ENDS, texts, strict=True) if "name" not in n
+    }
     response, reference = (
-        (number[f"{end} node"], number[f"{end} direction"]) for end in ("response", "reference")
+        (number[f"{end} node"], number[f"{end} direction"])
+        for end in ("response", "reference")
     )
     return number["kind"], response, reference, (texts[4], texts[7])
 
@@ -243,22 +260,34 @@ def write_frf_sets(path: str | Path, frfs: FrfSet) -> None:
     outputs = DofSet.parse(c.id for c in frfs.outputs)
     inputs = DofSet.parse(c.id for c in frfs.inputs)
     ends = [
-        [f"{'NONE':<10}{n:10d}{d:4d}" for n, d in zip(dofs.node, dofs.direction, strict=True)]
+        [
+            f"{'NONE':<10}{n:10d}{d:4d}"
+            for n, d in zip(dofs.node, dofs.direction, strict=True)
+        ]
         for dofs in (outputs, inputs)
     ]
     with atomic_write(path) as part, part.open("wb") as file:
         for j, reference in enumerate(ends[1]):
-            for i, (channel, response) in enumerate(zip(frfs.outputs, ends[0], strict=True)):
+            for i, (channel, response) in enumerate(
+                zip(frfs.outputs, ends[0], strict=True)
+            ):
                 # a motion about an axis has the code of one along it: the direction says which
                 motion = _CODE.get(LINEAR.get(channel.quantity, channel.quantity), 0)
                 h = frfs.data[:, i, j]
                 coherence = frfs.coherence[:, i, j]
                 sets: list[tuple[str, int, tuple[int, ...], Any_]] = [
-                    ("FRF", FunctionType.FRF, (AxisType.FREQUENCY, motion, _CODE["force"], 0), h)
+                    (
+                        "FRF",
+                        FunctionType.FRF,
+                        (AxisType.FREQUENCY, motion, _CODE["force"], 0),
+                        h,
+                    )
                 ]
                 if np.isfinite(coherence).all():
                     unitless = (AxisType.FREQUENCY, 0, 0, 0)
-                    sets.append(("Coherence", FunctionType.COHERENCE, unitless, coherence))
+                    sets.append(
+                        ("Coherence", FunctionType.COHERENCE, unitless, coherence)
+                    )
                 for title, kind, codes, y in sets:
                     points = f"{kind:5d}{0:10d}{0:5d}{0:10d} {response} {reference}"
                     head = [title, *("NONE",) * 4, points]
@@ -290,6 +319,9 @@ def _data_set(head: Sequence[str], codes: Sequence[int], x: Float, y: Any_) -> b
         table = np.column_stack([x, table])
         points_a_line = 2 // (len(cells) - 1)
     points = [("".join(cells)) % tuple(values) for values in table.tolist()]
-    lines = ["".join(points[k : k + points_a_line]) for k in range(0, len(points), points_a_line)]
+    lines = [
+        "".join(points[k : k + points_a_line])
+        for k in range(0, len(points), points_a_line)
+    ]
     text = "\n".join(["    -1", f"{58:6d}", *head, form, *axes, *lines, "    -1", ""])
     return text.encode("latin-1", "replace")

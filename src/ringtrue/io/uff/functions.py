@@ -14,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.channels import ANGULAR, FORCES, FRF_KIND, LINEAR, SI_UNIT, UNIT, as_motion
+from ringtrue.core.channels import (
+    ANGULAR,
+    FORCES,
+    FRF_KIND,
+    LINEAR,
+    SI_UNIT,
+    UNIT,
+    as_motion,
+)
 from ringtrue.core.dofs import NAMES
 from ringtrue.core.signals import FrfSet, Quantity, shared_lines
 from ringtrue.core.testmodel import TestModel
@@ -50,7 +58,9 @@ def read_units(block: DataSet) -> Units:
     values = [parse_real(w) for w in " ".join(lines[1:3]).split()]
     length, force = ([*values, 1.0, 1.0])[:2]
     if not (length > 0 and force > 0):
-        raise DataError(f"data set 164: factors of length {length} and force {force} must be > 0")
+        raise DataError(
+            f"data set 164: factors of length {length} and force {force} must be > 0"
+        )
     return Units(length, force)
 
 
@@ -73,7 +83,9 @@ def test_model_sets(path: str | Path, test: TestModel) -> list[dict[str, object]
     """The data sets of units, points and lines that `write_test_model` writes."""
     largest = 9_999_999_999  # ten columns
     if not test.points.size or test.points.max() > largest or test.points.min() < 1:
-        raise DataError(f"{path}: {test.points.size} points; their numbers must be 1 to {largest}")
+        raise DataError(
+            f"{path}: {test.points.size} points; their numbers must be 1 to {largest}"
+        )
     x, y, z = test.xyz.T
     units: dict[str, object] = {
         "type": 164,
@@ -91,8 +103,12 @@ def test_model_sets(path: str | Path, test: TestModel) -> list[dict[str, object]
     ]
     if len(test.lines):
         # 0 lifts the pen
-        trace = np.column_stack([test.lines, np.zeros(len(test.lines), dtype=np.int64)]).ravel()
-        sets.append({"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace})
+        trace = np.column_stack(
+            [test.lines, np.zeros(len(test.lines), dtype=np.int64)]
+        ).ravel()
+        sets.append(
+            {"type": 82, "trace_num": 1, "id": "measuring points", "nodes": trace}
+        )
     return sets
 
 
@@ -171,19 +187,27 @@ def _time_functions(path: Path) -> tuple[list[UffFunction], Units | None]:
         if f.kind == FunctionType.TIME or (f.kind, f.axes[0].data_type) == unstated
     ]
     if not found:
-        raise DataError(f"{path}: no time records; {functions_held(f.kind for f in functions)}")
+        raise DataError(
+            f"{path}: no time records; {functions_held(f.kind for f in functions)}"
+        )
     return found, units
 
 
-def _time_table(found: Sequence[UffFunction], units: Units | None, path: Path) -> RawTable:
+def _time_table(
+    found: Sequence[UffFunction], units: Units | None, path: Path
+) -> RawTable:
     rates = [_rate(f, path) for f in found]
     low = min(rates)
     high = max(rates)
     if high - low > 1e-4 * high:
-        raise DataError(f"{path}: different rates, {low:g} to {high:g} Hz; split the file")
+        raise DataError(
+            f"{path}: different rates, {low:g} to {high:g} Hz; split the file"
+        )
     length = min(f.y.size for f in found)
     kinds, factors = zip(*(_signal(f, units) for f in found), strict=True)
-    data = np.stack([np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)])
+    data = np.stack(
+        [np.real(f.y[:length]) * x for f, x in zip(found, factors, strict=True)]
+    )
     names = _names(found, kinds)
     return RawTable(data, rates[0], names, tuple(UNIT.get(k, "") for k in kinds), kinds)
 
@@ -219,7 +243,10 @@ def _names(functions: Sequence[UffFunction], kinds: Sequence[str]) -> tuple[str,
     if titles := _titles(functions):
         return tuple(titles)
     # a skewed sensor, for which there is no code, has its name as first line of text
-    names = [f.ids[0] if _SKEWED.fullmatch(f.ids[0]) else label(*f.response) for f in functions]
+    names = [
+        f.ids[0] if _SKEWED.fullmatch(f.ids[0]) else label(*f.response)
+        for f in functions
+    ]
     marked = [f"F:{n}" if k in FORCES else n for n, k in zip(names, kinds, strict=True)]
     for tried in (names, marked):
         if len(set(tried)) == len(tried):
@@ -233,7 +260,9 @@ def _titles(functions: Sequence[UffFunction]) -> list[str]:
     """
     if any(f.response[0] for f in functions):
         return []
-    for texts in zip(*((f.names[0], f.axes[1].label, f.ids[0]) for f in functions), strict=True):
+    for texts in zip(
+        *((f.names[0], f.axes[1].label, f.ids[0]) for f in functions), strict=True
+    ):
         if len(set(texts)) == len(texts) and not _unnamed(texts):
             return list(texts)
     return []
@@ -384,7 +413,9 @@ def _on_base(f: UffFunction) -> bool:
     return f.kind == FunctionType.TRANSMISSIBILITY or reference in FRF_KIND
 
 
-def _motion(axis: Axis, unit: str, units: Units | None, about: bool) -> tuple[Quantity, float]:
+def _motion(
+    axis: Axis, unit: str, units: Units | None, about: bool
+) -> tuple[Quantity, float]:
     """Quantity of an axis and its factor to SI; the unit counts where it is known and not another
     quantity's.
     """
@@ -415,7 +446,9 @@ def _ends(functions: Sequence[UffFunction]) -> list[tuple[str, str]]:
     return list(zip(responses, _references(functions, responses), strict=True))
 
 
-def _references(functions: Sequence[UffFunction], responses: Sequence[str]) -> list[str]:
+def _references(
+    functions: Sequence[UffFunction], responses: Sequence[str]
+) -> list[str]:
     """The point of each reference; where none has one, what else distinguishes them: the entity, or
     the direction.
     """
@@ -445,12 +478,16 @@ def _on_shared_lines(
         usual = frfs[sizes.index(max(dict.fromkeys(sizes), key=sizes.count))]
         other = (k for k, f in enumerate(frfs) if shared_lines([f.x, usual.x]) is None)
         odd = next(other, sizes.index(min(sizes)))
-        raise DataError(f"{path}: function {'/'.join(ends[odd])} has other frequency lines")
+        raise DataError(
+            f"{path}: function {'/'.join(ends[odd])} has other frequency lines"
+        )
     if all(a.size == f.x.size for a, f in zip(at, frfs, strict=True)):
         return frfs
     out = [replace(f, x=f.x[a], y=f.y[a]) for f, a in zip(frfs, at, strict=True)]
     counts = out[0].x.size, min(f.x.size for f in frfs), max(f.x.size for f in frfs)
-    log.warning("%s: the functions share %d lines of %d to %d, which are used", path, *counts)
+    log.warning(
+        "%s: the functions share %d lines of %d to %d, which are used", path, *counts
+    )
     return out
 
 

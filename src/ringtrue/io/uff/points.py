@@ -22,7 +22,15 @@ from ringtrue.errors import DataError, about
 from ringtrue.io.files import atomic_write, refuse_large, sets_held
 from ringtrue.io.foreign.door import door
 from ringtrue.io.foreign.parsers import write_sets
-from ringtrue.io.uff.datasets import DataSet, integers, numbers, parse_real, reals, row, scan
+from ringtrue.io.uff.datasets import (
+    DataSet,
+    integers,
+    numbers,
+    parse_real,
+    reals,
+    row,
+    scan,
+)
 from ringtrue.io.uff.function58 import FunctionType, read_function
 from ringtrue.io.uff.functions import label, read_units, test_model_sets
 
@@ -76,9 +84,13 @@ def read_geometry(path: str | Path) -> TestModel:
                 nodes |= _nodes(block)
         if not nodes:
             held = sets_held(b.kind for b in blocks)
-            raise DataError(f"{path}: no nodes (data set 15 or 2411), so no geometry; {held}")
+            raise DataError(
+                f"{path}: no nodes (data set 15 or 2411), so no geometry; {held}"
+            )
         scale = next((1 / read_units(b).length for b in blocks if b.kind == 164), 1.0)
-        frames = dict(pair for b in blocks if b.kind in (18, 2420) for pair in _frames(b))
+        frames = dict(
+            pair for b in blocks if b.kind in (18, 2420) for pair in _frames(b)
+        )
         place = []
         for node in nodes.values():
             frame = _frame(node.definition, frames, f"the point {node.xyz.tolist()}")
@@ -111,7 +123,9 @@ def _nodes(block: DataSet) -> Iterator[tuple[int, _Node]]:
     lines = block.lines()
     if block.kind == 15:
         for line in lines:
-            n, definition, displacement, _, *place = numbers(line, (10,) * 4 + (13,) * 3)
+            n, definition, displacement, _, *place = numbers(
+                line, (10,) * 4 + (13,) * 3
+            )
             yield int(n), _Node(int(definition), int(displacement), np.array(place))
         return
     for at in range(0, len(lines), 2):
@@ -119,7 +133,8 @@ def _nodes(block: DataSet) -> Iterator[tuple[int, _Node]]:
         if len(head) < 3:
             raise DataError(f"data set 2411: {lines[at].strip()[:40]!r} must be a node")
         xyz = reals(row(lines, at + 1).encode("latin-1", "replace"), (25,) * 3, 3)
-        yield head[0], _Node(0, head[2], xyz)  # coordinates of 2411 are those of the part
+        # coordinates of 2411 are those of the part
+        yield head[0], _Node(0, head[2], xyz)
 
 
 def _frames(block: DataSet) -> Iterator[tuple[int, _Frame]]:
@@ -139,7 +154,9 @@ def _frames(block: DataSet) -> Iterator[tuple[int, _Frame]]:
         x = along - origin
         y = np.cross(across - origin, x)
         if not (np.linalg.norm(x) > 0 and np.linalg.norm(y) > 0):
-            raise DataError(f"data set 18: the three points of frame {number} are on one line")
+            raise DataError(
+                f"data set 18: the three points of frame {number} are on one line"
+            )
         x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
         yield number, _Frame(kind, origin, np.stack([x, y, np.cross(x, y)]))
 
@@ -157,13 +174,17 @@ def _frame(number: int, frames: Mapping[int, _Frame], what: str) -> _Frame:
     return found
 
 
-def _axis(node: _Node, direction: int, frames: Mapping[int, _Frame], number: int) -> Float:
+def _axis(
+    node: _Node, direction: int, frames: Mapping[int, _Frame], number: int
+) -> Float:
     frame = _frame(node.displacement, frames, f"the motion of point {number}")
     axis = frame.axes[abs(direction) - 1]
     return np.asarray(np.sign(direction) * axis / np.linalg.norm(axis))
 
 
-def _lines(blocks: Sequence[DataSet], nodes: Mapping[int, _Node]) -> list[tuple[int, int]]:
+def _lines(
+    blocks: Sequence[DataSet], nodes: Mapping[int, _Node]
+) -> list[tuple[int, int]]:
     """Pairs of points to draw, each once."""
     pairs = [pair for b in blocks if b.kind == 82 for pair in _trace(b)]
     pairs += [pair for b in blocks if b.kind == 2412 for pair in _edges(b)]
@@ -186,7 +207,9 @@ def _edges(block: DataSet) -> Iterator[tuple[int, int]]:
     while at < len(lines):
         head = integers([lines[at]]).tolist()
         if len(head) < 6 or head[5] < 1:
-            raise DataError(f"data set 2412: {lines[at].strip()[:40]!r} must be an element")
+            raise DataError(
+                f"data set 2412: {lines[at].strip()[:40]!r} must be an element"
+            )
         descriptor, count = head[1], head[5]
         at += 2 if descriptor in _BEAMS else 1
         end = at - (-count // 8)
@@ -203,7 +226,9 @@ def _edges(block: DataSet) -> Iterator[tuple[int, int]]:
 End = tuple[int, int]  # node and direction
 
 
-def _ends(blocks: Sequence[DataSet], nodes: Mapping[int, _Node]) -> tuple[list[End], list[End]]:
+def _ends(
+    blocks: Sequence[DataSet], nodes: Mapping[int, _Node]
+) -> tuple[list[End], list[End]]:
     """Responses of the functions and references of the FRFs that are translations of the nodes."""
     functions = [read_function(b) for b in blocks if b.kind == 58]
     sides = (
@@ -211,7 +236,8 @@ def _ends(blocks: Sequence[DataSet], nodes: Mapping[int, _Node]) -> tuple[list[E
         (f.reference for f in functions if f.kind == FunctionType.FRF),
     )
     responses, references = (
-        [e for e in dict.fromkeys(side) if e[0] in nodes and 1 <= abs(e[1]) <= 3] for side in sides
+        [e for e in dict.fromkeys(side) if e[0] in nodes and 1 <= abs(e[1]) <= 3]
+        for side in sides
     )
     return responses, references
 
@@ -305,7 +331,9 @@ def _line_reals(lines: Sequence[str], count: int) -> list[float]:
     words = " ".join(lines).split()
     if len(words) == count:
         return [parse_real(w) for w in words]
-    return list(reals("\n".join(lines).encode("latin-1", "replace"), (13,) * 6, count).tolist())
+    return list(
+        reals("\n".join(lines).encode("latin-1", "replace"), (13,) * 6, count).tolist()
+    )
 
 
 def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, Any_]:
@@ -324,7 +352,9 @@ def _values(lines: Sequence[str], width: int, is_complex: bool) -> tuple[Int, An
         if not found.size:
             raise DataError(f"line {line.strip()[:40]!r} must be the number of a node")
     nodes = np.array([found[0] for found in numbers], dtype=np.int64)
-    text = "\n".join(x for i, x in enumerate(lines) if i % size).encode("latin-1", "replace")
+    text = "\n".join(x for i, x in enumerate(lines) if i % size).encode(
+        "latin-1", "replace"
+    )
     values = reals(text, (13,) * 6, nodes.size * count).reshape(nodes.size, count)
     return nodes, (values[:, ::2] + 1j * values[:, 1::2] if is_complex else values)
 
@@ -333,7 +363,9 @@ def read_shape2414(block: DataSet) -> StoredShape | None:
     """Data set 2414 at nodes; None where it is at elements or points."""
     lines = block.lines()
     if not _NODE.match(row(lines, 0)):
-        raise DataError(f"data set 2414: {row(lines, 0).strip()[:40]!r} must be its label")
+        raise DataError(
+            f"data set 2414: {row(lines, 0).strip()[:40]!r} must be its label"
+        )
     location = integers([row(lines, 2)])
     if location.size and location[0] != AT_NODES:
         return None
@@ -393,11 +425,18 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     """
     sets = [s for s in read_shapes(path) if s.analysis in tuple(AnalysisType)]
     if not sets:
-        raise DataError(f"{path}: no normal or complex modes (analysis type 2 or 3) in the file")
+        raise DataError(
+            f"{path}: no normal or complex modes (analysis type 2 or 3) in the file"
+        )
     first = sets[0]
     for s in sets:
-        if not np.array_equal(s.nodes, first.nodes) or s.values.shape != first.values.shape:
-            raise DataError(f"{path}: mode {s.number} is given at other nodes than the first one")
+        if (
+            not np.array_equal(s.nodes, first.nodes)
+            or s.values.shape != first.values.shape
+        ):
+            raise DataError(
+                f"{path}: mode {s.number} is given at other nodes than the first one"
+            )
     width = first.values.shape[1]
     if width > 6:
         raise DataError(f"{path}: {width} values at a node; modes have 1 to 6")
@@ -421,7 +460,9 @@ def read_mode_sets(path: str | Path) -> ModeSet:
     )
 
 
-def write_mode_sets(path: str | Path, modes: ModeSet, geometry: TestModel | None = None) -> None:
+def write_mode_sets(
+    path: str | Path, modes: ModeSet, geometry: TestModel | None = None
+) -> None:
     """Write the modes as data sets 55, three translations a node; directions without a channel are
     0.
 
@@ -432,12 +473,16 @@ def write_mode_sets(path: str | Path, modes: ModeSet, geometry: TestModel | None
     DataError
         If a row is not a translation of a point such as `101+Z`.
     """
-    dofs = modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    dofs = (
+        modes.labels if isinstance(modes.labels, DofSet) else DofSet.parse(modes.labels)
+    )
     if ((np.abs(dofs.direction) > 3) | (dofs.direction == 0)).any():
         raise DataError("only translations such as 101+Z can be written to data set 55")
     nodes, row = np.unique(dofs.node, return_inverse=True)
     full = np.zeros((nodes.size, 3, len(modes)), dtype=modes.shapes.dtype)
-    full[row, np.abs(dofs.direction) - 1] = modes.shapes * np.sign(dofs.direction)[:, None]
+    full[row, np.abs(dofs.direction) - 1] = (
+        modes.shapes * np.sign(dofs.direction)[:, None]
+    )
     first = test_model_sets(path, geometry) if geometry is not None else []
     shapes = (_set55(modes, k, nodes, full[:, :, k]) for k in range(len(modes)))
     with atomic_write(path) as part:
@@ -472,4 +517,9 @@ def _set55(modes: ModeSet, k: int, nodes: Any_, shape: Any_) -> dict[str, Any]:
             "modal_b": 0j,
         }
     mass = 1.0 if modes.norm is Norm.MASS else 0.0
-    return common | {"freq": f, "modal_m": mass, "modal_damp_vis": zeta, "modal_damp_his": 0.0}
+    return common | {
+        "freq": f,
+        "modal_m": mass,
+        "modal_damp_vis": zeta,
+        "modal_damp_his": 0.0,
+    }

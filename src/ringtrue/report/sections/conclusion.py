@@ -88,7 +88,10 @@ def section(data: Stages) -> Section | None:
     c = data.conclusion
     if c is None:
         return None
-    blocks: list[Block] = [Text(_verdict(data, c), f"verdict {_tone(c)}"), Text(_what(data, c))]
+    blocks: list[Block] = [
+        Text(_verdict(data, c), f"verdict {_tone(c)}"),
+        Text(_what(data, c)),
+    ]
     if c.unseen is not None:
         blocks.append(_unseen(c.unseen, c.level))
     blocks += _checks(c)
@@ -103,7 +106,9 @@ def section(data: Stages) -> Section | None:
     rows = [_question(q) for q in c.questions]
     caption = "Open questions, each with the measurement that settles it."
     blocks += [Heading("What the test does not prove, and what to do next")]
-    blocks += [ReportTable(heads, rows, caption)] if rows else [Text("No question is open.")]
+    blocks += (
+        [ReportTable(heads, rows, caption)] if rows else [Text("No question is open.")]
+    )
     return Section("conclusion", "Conclusion", [*blocks, *_signatures(data)])
 
 
@@ -149,7 +154,9 @@ def _what(data: Stages, c: Conclusion) -> str:
     if not data.info.use:
         text += " The study does not say what the model is for ([study] use)."
     if c.verdict is Validation.NOT_JUDGED:
-        text += " Limits are set under [correlate]: accept_percent, accept_mac and others."
+        text += (
+            " Limits are set under [correlate]: accept_percent, accept_mac and others."
+        )
     return text
 
 
@@ -167,7 +174,9 @@ def _unseen(u: Unseen, level: float) -> Facts:
         Fact(kind.capitalize(), str(u.count)),
     ]
     if u.inside is not None:
-        facts.append(Fact(f"In their {100 * level:g} % bands", f"{u.inside} of {u.count}"))
+        facts.append(
+            Fact(f"In their {100 * level:g} % bands", f"{u.inside} of {u.count}")
+        )
     return Facts(facts)
 
 
@@ -178,7 +187,11 @@ def _checks(c: Conclusion) -> list[Block]:
         if found := [check for check in c.checks if check.required is required]:
             named = [replace(x, name=x.name[:1].upper() + x.name[1:]) for x in found]
             columns.append([Heading(title), Checks(named)])
-    return [Columns(columns)] if len(columns) > 1 else [b for column in columns for b in column]
+    return (
+        [Columns(columns)]
+        if len(columns) > 1
+        else [b for column in columns for b in column]
+    )
 
 
 def _failure(check: AcceptanceCheck) -> str:
@@ -203,7 +216,9 @@ def _changes(c: Conclusion) -> list[Block]:
     rows = [_change(x) for x in c.changes]
     return [
         *out,
-        ReportTable(heads, rows, "The factors, updated over initial; ±: one standard deviation."),
+        ReportTable(
+            heads, rows, "The factors, updated over initial; ±: one standard deviation."
+        ),
     ]
 
 
@@ -247,7 +262,11 @@ def _question(q: Question) -> tuple[str, str]:
 
 def _signatures(data: Stages) -> list[Block]:
     info = data.info
-    signed = (("Author", info.author), ("Checked", info.checked_by), ("Approved", info.approved_by))
+    signed = (
+        ("Author", info.author),
+        ("Checked", info.checked_by),
+        ("Approved", info.approved_by),
+    )
     if not any(name for _, name in signed):
         return []
     rows = [(role, name, Cell("", "signature")) for role, name in signed]

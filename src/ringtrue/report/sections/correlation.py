@@ -48,7 +48,13 @@ from ringtrue.study.results import (
 )
 
 FOLDED = "Orthogonality, channels and close modes"
-QUALITY = ("Pairs", "Mean |Δf|, %", "Max |Δf|, %", "Mean MAC, %", "Mean subspace MAC, %")
+QUALITY = (
+    "Pairs",
+    "Mean |Δf|, %",
+    "Max |Δf|, %",
+    "Mean MAC, %",
+    "Mean subspace MAC, %",
+)
 FEW = 8  # modes above the other set's band that are still listed one by one
 
 
@@ -76,7 +82,9 @@ def pairs(
     rows = [_row(i, r, data, updating, s) for i, (r, s) in enumerate(every, start=1)]
     _, deviation, _, *macs = _means(table)
     foot = ["Mean, of |Δf|", deviation, "", *macs, *[""] * (len(heads) - 9)]
-    text = f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations, floor)}"
+    text = (
+        f"{caption} Accepted: {data.acceptance.words()}.{_scatter(deviations, floor)}"
+    )
     lead = 5
     names = [data.names.get(r.test_hz, "") for r in table.rows()]
     if any(names):
@@ -105,9 +113,15 @@ def _scatter(deviations: Significance, repeats: float) -> str:
 
 
 def _row(
-    number: int, r: CorrelationRow, data: Stages, updating: bool, scatter: tuple[float, bool]
+    number: int,
+    r: CorrelationRow,
+    data: Stages,
+    updating: bool,
+    scatter: tuple[float, bool],
 ) -> list[str | Cell]:
-    ok = data.acceptance.holds(r.deviation_percent, r.deviation_hz, r.subspace_mac_percent)
+    ok = data.acceptance.holds(
+        r.deviation_percent, r.deviation_hz, r.subspace_mac_percent
+    )
     row: list[str | Cell] = [
         str(number),
         str(r.test),
@@ -126,7 +140,9 @@ def _row(
     row.append(Cell("accepted", "good") if ok else Cell("outside", "bad"))
     if updating:
         row.append("used" if r.used else Cell("left out", "chip"))
-    flag: str | Cell = Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""
+    flag: str | Cell = (
+        Cell("close modes", "chip", "compared as a subspace") if r.subspace else ""
+    )
     if r.beyond:
         why = "beyond the frequency gate, with similar shapes, and like no other mode"
         flag = Cell("beyond the gate", "chip", why)
@@ -193,16 +209,24 @@ def initial(data: Stages) -> Section | None:
         return None
     body: list[Block] = [Text(sentence(m.text)) for m in c.sensors.mendings]
     body += [
-        Text(f"Channel {s.channel} looks {s.fault} in the rigid-body modes: {s.message}.")
+        Text(
+            f"Channel {s.channel} looks {s.fault} in the rigid-body modes: {s.message}."
+        )
         for s in c.sensors.rigid
     ]
     if c.sensors.alignment:
         body.append(Text(sentence(c.sensors.alignment)))
     if c.notes:
-        body.append(Items([sentence(n) for n in c.notes], f"Notes on the test ({len(c.notes)})"))
+        body.append(
+            Items([sentence(n) for n in c.notes], f"Notes on the test ({len(c.notes)})")
+        )
     if read := c.sensors.seats:
-        body.append(Fold(f"Where the sensors are read ({len(read)} channels)", [seats(read)]))
-    body += blocks(c.initial, data, "The initial model against the test.", updating=True)
+        body.append(
+            Fold(f"Where the sensors are read ({len(read)} channels)", [seats(read)])
+        )
+    body += blocks(
+        c.initial, data, "The initial model against the test.", updating=True
+    )
     body += brief(c.evidence_initial, c.initial, FOLDED)
     return Section("initial", "Initial correlation", body)
 
@@ -236,7 +260,9 @@ def remodelled(data: Stages) -> Section | None:
     body: list[Block] = [Text(sentence(r.reason))] if r.reason else []
     body += [_history(r.history)] if len(r.history) > 2 else []
     body += [Diff(r.diff, "The remodelling as a change of the deck.")] if r.diff else []
-    body += blocks(c.remodelled, data, "The remodelled deck against the test.", updating=True)
+    body += blocks(
+        c.remodelled, data, "The remodelled deck against the test.", updating=True
+    )
     body += brief(c.evidence, c.remodelled, FOLDED)
     return Section("remodelled", "Remodelling", body)
 
@@ -266,11 +292,15 @@ def final(data: Stages) -> Section | None:
     if f is None:
         return None
     body: list[Block] = [
-        Text("The final model is the delivered deck, read back from its files after all changes.")
+        Text(
+            "The final model is the delivered deck, read back from its files after all changes."
+        )
     ]
     body += blocks(f.table, data, "The final model against the test.", updating=True)
     if len(f.rigid):
-        body.append(pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False))
+        body.append(
+            pairs(f.rigid, data, "Rigid-body modes of the final model.", updating=False)
+        )
     body += whole(f.evidence, f.table)
     if deck := changes(f.files, f.changes):
         body += [Heading("Changes of the deck"), *deck]
@@ -287,8 +317,12 @@ def changes(files: Sequence[str], lines: Sequence[str]) -> list[Block]:
             for place, card, ident, field, old, _, new in parts
         ]
         heads: tuple[str, ...] = ("|File:line", "|Card", "|Field", "Initial", "Updated")
-        return [ReportTable(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
-    return [ReportTable(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)]
+        return (
+            [ReportTable(heads, rows, caption, scroll=len(rows) > 20)] if rows else []
+        )
+    return [
+        ReportTable(("|Change",), [(signs(x),) for x in lines], caption, scroll=True)
+    ]
 
 
 def configurations(data: Stages) -> Section | None:
@@ -312,7 +346,9 @@ def configurations(data: Stages) -> Section | None:
 
 
 def _configuration_table(
-    data: Stages, items: tuple[ConfiguredTest, ...], after: dict[str, DeliveredConfiguration]
+    data: Stages,
+    items: tuple[ConfiguredTest, ...],
+    after: dict[str, DeliveredConfiguration],
 ) -> ReportTable:
     rows = []
     if (c := data.correlate) is not None:
@@ -354,7 +390,11 @@ def _configuration(
     before = blocks(c.initial, data, caption, updating=True)
     out: list[Block] = [Heading(c.name)]
     out += [Text(sentence(m.text)) for m in c.sensors.mendings]
-    out += [Items([sentence(n) for n in c.notes], "Where its deck differs")] if c.notes else []
+    out += (
+        [Items([sentence(n) for n in c.notes], "Where its deck differs")]
+        if c.notes
+        else []
+    )
     if after is None:
         return [*out, *before]
     caption = f"{c.name}: the delivered deck against its test."
@@ -363,9 +403,14 @@ def _configuration(
     return [*out, *changes(after.files, after.changes)]
 
 
-WHOSE = {"model": "the model's own modes", "self": "test modes", "cross": "test against model"}
+WHOSE = {
+    "model": "the model's own modes",
+    "self": "test modes",
+    "cross": "test against model",
+}
 MOST = 6  # entries beyond the gate that are named
-TURNED = math.radians(30)  # angle from which two spaces of close modes are called different
+# angle from which two spaces of close modes are called different
+TURNED = math.radians(30)
 
 
 def brief(e: Evidence | None, table: CorrelationTable, title: str) -> list[Block]:
@@ -393,7 +438,10 @@ def whole(e: Evidence | None, table: CorrelationTable) -> list[Block]:
             "test. Grey: no partner; dotted: the shapes have less than 60 % MAC, the mode may be "
             "another one."
         )
-        out += [Heading("Modes followed"), Plot(plots.followed(e.tracks, table), caption)]
+        out += [
+            Heading("Modes followed"),
+            Plot(plots.followed(e.tracks, table), caption),
+        ]
     return out + _notes(e.measures)
 
 
@@ -414,11 +462,24 @@ def orthogonality(e: Evidence, table: CorrelationTable) -> list[Block]:
             " A mass that does not distinguish the model's own modes, read with an error "
             "of 2 %, is not fit to judge by."
         )
-    heads = ("|Mass", "|Of", "Least pair, %", "Largest other, %", "|Verdict", "|Beyond the gate")
-    out: list[Block] = [ReportTable(heads, [_check(c, e.measures) for c in checks], caption)]
-    side = plots.MatrixSide(plots.labels(table.all_test_hz), f"{table.names[0]} mode, Hz")
+    heads = (
+        "|Mass",
+        "|Of",
+        "Least pair, %",
+        "Largest other, %",
+        "|Verdict",
+        "|Beyond the gate",
+    )
+    out: list[Block] = [
+        ReportTable(heads, [_check(c, e.measures) for c in checks], caption)
+    ]
+    side = plots.MatrixSide(
+        plots.labels(table.all_test_hz), f"{table.names[0]} mode, Hz"
+    )
     auto = plots.matrix(e.auto_mac, side, side, height=440, diagonal=False)
-    left: list[Block] = [Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")]
+    left: list[Block] = [
+        Plot(auto, f"Auto-MAC of the {table.names[0]} shapes; numbers from 10 %.")
+    ]
     shown = e.measures.cross or checks[0]
     what = f"{shown.name[:1].upper()}{shown.name[1:]}; outlined: beyond the gate."
     return [*out, Columns([left, [Plot(plots.orthogonality(shown, table, 440), what)]])]
@@ -430,9 +491,12 @@ def _check(c: OrthogonalityCheck, measures: CompleteCorrelation) -> list[str | C
     most = fixed(100 * v.largest_off_diagonal, 1)
     # the worst first; those of a symmetric matrix once
     once = [f for f in v.failures if c.kind == "cross" or f.a < f.b]
-    left, right = {"model": ("FE ", "FE "), "self": ("", ""), "cross": ("", "FE ")}[c.kind]
+    left, right = {"model": ("FE ", "FE "), "self": ("", ""), "cross": ("", "FE ")}[
+        c.kind
+    ]
     named = ", ".join(
-        f"{left}{f.a + 1} – {right}{f.b + 1}: {100 * f.value:.0f} %" for f in once[:MOST]
+        f"{left}{f.a + 1} – {right}{f.b + 1}: {100 * f.value:.0f} %"
+        for f in once[:MOST]
     )
     if len(once) > MOST:
         named += f" and {len(once) - MOST} more"
@@ -495,7 +559,9 @@ def channels(c: CompleteCorrelation) -> list[Block]:
         "All channels, the worst first. The contributions add up to the mean MAC; a negative "
         "one works against it."
     )
-    every = Fold(f"All {len(rows)} channels", [ReportTable(heads, rows, text, scroll=True)])
+    every = Fold(
+        f"All {len(rows)} channels", [ReportTable(heads, rows, text, scroll=True)]
+    )
     return [Plot(plots.channels(c), caption), every]
 
 
@@ -504,7 +570,13 @@ def close(c: CompleteCorrelation, table: CorrelationTable) -> list[Block]:
     if not c.subspaces:
         return []
     a, b = table.names
-    heads = (f"|{a} modes", f"|f {a}, Hz", f"|{b} modes", f"|f {b}, Hz", "|Principal angles, °")
+    heads = (
+        f"|{a} modes",
+        f"|f {a}, Hz",
+        f"|{b} modes",
+        f"|f {b}, Hz",
+        "|Principal angles, °",
+    )
     caption = (
         "Close modes compared as spaces: principal angles, 0° where one set can be turned into "
         "the other; a large one "

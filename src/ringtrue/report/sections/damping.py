@@ -35,12 +35,23 @@ def response(data: Stages) -> Section | None:
     f = data.final
     if f is None:
         return None
-    blocks: list[Block] = [Heading("Damping"), _damping_plot(data), _damping_table(data)]
+    blocks: list[Block] = [
+        Heading("Damping"),
+        _damping_plot(data),
+        _damping_table(data),
+    ]
     if not _has_damping(data):
         taken = " and ".join(dict.fromkeys(f.damping_from)) or "none"
-        blocks = [Text(f"The test has no damping ratios. Damping of the final model: {taken}.")]
+        blocks = [
+            Text(
+                f"The test has no damping ratios. Damping of the final model: {taken}."
+            )
+        ]
     if f.evidence is not None and f.evidence.frfs is not None:
-        blocks += [Heading("Measured against computed responses"), *_agreement(f.evidence.frfs)]
+        blocks += [
+            Heading("Measured against computed responses"),
+            *_agreement(f.evidence.frfs),
+        ]
     if f.frfs is not None:
         measured = data.identify.frfs if data.identify is not None else None
         unit = signals.frf_unit(measured) if measured is not None else "(m/s²)/N"
@@ -64,7 +75,10 @@ def _has_damping(data: Stages) -> bool:
 def _agreement(e: FrfEvidence) -> list[Block]:
     """FRFs reference by reference, over frequency, and line against line."""
     span = f"{number(e.final.freqs[0], 3)} to {number(e.final.freqs[-1], 3)} Hz"
-    rows = [_reference(a, b) for a, b in zip(e.initial.by_input(), e.final.by_input(), strict=True)]
+    rows = [
+        _reference(a, b)
+        for a, b in zip(e.initial.by_input(), e.final.by_input(), strict=True)
+    ]
     heads = (
         "|Reference",
         "FRAC, %",
@@ -96,12 +110,20 @@ def _agreement(e: FrfEvidence) -> list[Block]:
     both = (("initial", e.fdac_initial), ("final", e.fdac_final))
     out.append(
         Columns(
-            [[Plot(correlation.fdac(v, e.lines, f"{k} model"), ridge.format(k))] for k, v in both]
+            [
+                [Plot(correlation.fdac(v, e.lines, f"{k} model"), ridge.format(k))]
+                for k, v in both
+            ]
         )
     )
-    each = [(o.name, fixed(100 * o.frac, 1), fixed(o.deviation, 1)) for o in e.final.by_output()]
+    each = [
+        (o.name, fixed(100 * o.frac, 1), fixed(o.deviation, 1))
+        for o in e.final.by_output()
+    ]
     text = "Responses of the final model, the worst first: medians over the references."
-    table = ReportTable(("|Response", "FRAC, %", "Level difference, dB"), each, text, scroll=True)
+    table = ReportTable(
+        ("|Response", "FRAC, %", "Level difference, dB"), each, text, scroll=True
+    )
     return [*out, Fold(f"All {len(each)} responses", [table])]
 
 
@@ -113,7 +135,9 @@ def _at_points(e: FrfEvidence) -> dict[str, str]:
             frac = e.initial.frac[i, j], e.final.frac[i, j]
             level = e.initial.deviation[i, j], e.final.deviation[i, j]
             better = frac[1] >= frac[0], level[1] <= level[0]
-            verdict = "better" if all(better) else "in part worse" if any(better) else "worse"
+            verdict = (
+                "better" if all(better) else "in part worse" if any(better) else "worse"
+            )
             percent = " → ".join(fixed(100 * x, 1) for x in frac)
             decibel = " → ".join(fixed(x, 1) for x in level)
             out[f"{response} / {force}"] = (
@@ -129,7 +153,9 @@ def _reference(before: InputSummary, after: InputSummary) -> tuple[str | Cell, .
     worse = after.worse_than(before)
     verdict = Cell("better", "good")
     if worse:
-        verdict = Cell(f"worse: {', '.join(worse)}", "warn" if len(worse) < 4 else "bad")
+        verdict = Cell(
+            f"worse: {', '.join(worse)}", "warn" if len(worse) < 4 else "bad"
+        )
     return (
         before.name,
         both(100 * before.frac, 100 * after.frac),
@@ -153,7 +179,8 @@ def _damping_plot(data: Stages) -> Plot:
     assert data.final is not None
     used = (data.final.modes.frequencies, data.final.damping)
     text = (
-        "Damping ratios identified, with one standard deviation, and those the final model carries."
+        "Damping ratios identified, with one standard deviation, and those the "
+        "final model carries."
     )
     return Plot(diagram.damping(sets, used), text)
 
@@ -228,10 +255,18 @@ def _lead(d: DampingStage, modes: DampedModes) -> str:
 
 def _regions(r: DampedRegions) -> ReportTable:
     heads = ("|Region", "|Fields", "|", "Value", "σ", "Expected", "σ after / before")
-    unit = {"material": "loss\u00a0factor", "joint": "loss\u00a0factor", "dashpot": "dashpot"}
+    unit = {
+        "material": "loss\u00a0factor",
+        "joint": "loss\u00a0factor",
+        "dashpot": "dashpot",
+    }
     rows = []
     for i, name in enumerate(r.names):
-        ratio = float(r.std[i] / r.expected_std[i]) if math.isfinite(r.expected_std[i]) else 0.0
+        ratio = (
+            float(r.std[i] / r.expected_std[i])
+            if math.isfinite(r.expected_std[i])
+            else 0.0
+        )
         described = (
             Cell(fixed(ratio, 2), "warn", "the test says little about it")
             if ratio > TOLD
@@ -240,7 +275,14 @@ def _regions(r: DampedRegions) -> ReportTable:
         known = plus_minus(r.expected[i], r.expected_std[i])
         values = with_error(r.coefficients[i], r.std[i])
         rows.append(
-            [name, Cell(r.targets[i], "muted"), unit[r.natures[i]], *values, known, described]
+            [
+                name,
+                Cell(r.targets[i], "muted"),
+                unit[r.natures[i]],
+                *values,
+                known,
+                described,
+            ]
         )
     text = (
         "Regions; loss factors are 2ζ of a mode that had all its strain there, dashpots in "
@@ -286,9 +328,17 @@ def _modes(d: DampingStage, m: DampedModes) -> list[Block]:
         "sharper a resonance, the more it shows."
     )
     out: list[Block] = [
-        Plot(plots.modes(m), "Damping ratios by mode; open marks were left out of the fit.")
+        Plot(
+            plots.modes(m),
+            "Damping ratios by mode; open marks were left out of the fit.",
+        )
     ]
     out.append(ReportTable(heads, rows, text, scroll=len(rows) > 16))
     if np.isfinite(m.frf_after).any():
-        out.append(Plot(plots.frfs(m), "Error of the FRFs around each resonance before and after."))
+        out.append(
+            Plot(
+                plots.frfs(m),
+                "Error of the FRFs around each resonance before and after.",
+            )
+        )
     return out

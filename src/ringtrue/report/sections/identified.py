@@ -9,7 +9,10 @@ import numpy as np
 
 from ringtrue.core.display import with_error
 from ringtrue.core.notes import sentence as note_sentence
-from ringtrue.identification.common.diagram import IdentificationDiagram, SpectrumAccount
+from ringtrue.identification.common.diagram import (
+    IdentificationDiagram,
+    SpectrumAccount,
+)
 from ringtrue.plots import diagram as plots
 from ringtrue.report.parts import (
     Block,
@@ -39,10 +42,15 @@ def section(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    blocks = [b for caption, found in _tests(ident) for b in _modes(found, caption, data)]
+    blocks = [
+        b for caption, found in _tests(ident) for b in _modes(found, caption, data)
+    ]
     if ident.merge_notes:
         blocks.append(
-            Items([sentence(n) for n in ident.merge_notes], "Channels undone before merging")
+            Items(
+                [sentence(n) for n in ident.merge_notes],
+                "Channels undone before merging",
+            )
         )
     if len(ident.ambient_records) > 1:
         blocks.append(_by_record(data))
@@ -68,7 +76,9 @@ def diagrams(data: Stages) -> Section | None:
     ident = data.identify
     if ident is None:
         return None
-    records: list[tuple[str, IdentifiedModes]] = [(r.record, r) for r in ident.ambient_records]
+    records: list[tuple[str, IdentifiedModes]] = [
+        (r.record, r) for r in ident.ambient_records
+    ]
     if ident.hammer is not None:
         records.append((ident.source.removesuffix(" test"), ident.hammer))
     tabs = [(name, _diagram(name, found)) for name, found in records if found.diagrams]
@@ -113,13 +123,19 @@ def _account(account: SpectrumAccount) -> list[Block]:
     peaks = sorted(account.unexplained, key=lambda p: -p.prominence)
     if peaks:
         cells = [
-            (number(p.frequency, 5), number(p.prominence, 2), str(p.value)) for p in peaks[:PEAKS]
+            (number(p.frequency, 5), number(p.prominence, 2), str(p.value))
+            for p in peaks[:PEAKS]
         ]
         lower = len(peaks) - len(cells)
         rest = f"; {lower} lower ones are not listed" if lower else ""
-        caption = f"Peaks of the spectrum that nothing explains, the highest first{rest}."
+        caption = (
+            f"Peaks of the spectrum that nothing explains, the highest first{rest}."
+        )
         table = ReportTable(
-            ("Frequency, Hz", "Height, dB", "Singular value"), cells, caption, scroll=True
+            ("Frequency, Hz", "Height, dB", "Singular value"),
+            cells,
+            caption,
+            scroll=True,
         )
         out.append(Fold(f"Unexplained peaks ({len(peaks)})", [table]))
     return out
@@ -138,8 +154,20 @@ def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     for k, kind in enumerate(shown.classes):
         count, why = next(natural) if kind == "natural" else ("–", "")
         mark = Cell(f"{plots.GLYPHS[kind]} {kind}", TONES[kind])
-        rows.append((str(count), *_numbers(shown, k, why, repeats), mark, shown.remarks[k]))
-    heads = ("#", "f, Hz", "σ, Hz", "ζ, %", "σ, %", "MPC", "Confidence, %", "|Class", "|Remark")
+        rows.append(
+            (str(count), *_numbers(shown, k, why, repeats), mark, shown.remarks[k])
+        )
+    heads = (
+        "#",
+        "f, Hz",
+        "σ, Hz",
+        "ζ, %",
+        "σ, %",
+        "MPC",
+        "Confidence, %",
+        "|Class",
+        "|Remark",
+    )
     text = f"{caption}. {_scatter(found, repeats)}"
     table = ReportTable(heads, rows, text.strip())
     if not any(shown.remarks) and not len(found.others):
@@ -147,7 +175,9 @@ def _modes(found: IdentifiedModes, caption: str, data: Stages) -> list[Block]:
     names = data.names
     words = [names.get(f, "") for f in shown.modes.frequencies.tolist()]
     if any(words):
-        named = [[r[0], word, *r[1:]] for r, word in zip(table.rows, words, strict=True)]
+        named = [
+            [r[0], word, *r[1:]] for r, word in zip(table.rows, words, strict=True)
+        ]
         table = replace(table, heads=["#", "|Mode", *table.heads[1:]], rows=named)
     for head in ("σ", "ζ", "MPC"):  # of a file of frequencies alone
         table = table.without_blank(head)
@@ -163,19 +193,25 @@ def _scatter(found: IdentifiedModes, repeats: float) -> str:
     """What the standard deviations of the frequencies hold."""
     if np.isfinite(repeats):
         least = number(100 * repeats, 2)
-        return f"σ of a frequency is at least {least} %: so far the two tests repeat it."
+        return (
+            f"σ of a frequency is at least {least} %: so far the two tests repeat it."
+        )
     if np.isfinite(found.uncertainty.frequency).any():
         return "σ is the scatter inside this test; another test, day or level may differ by more."
     return ""
 
 
-def _numbers(shown: IdentificationDiagram, k: int, why: str, repeats: float) -> list[str | Cell]:
+def _numbers(
+    shown: IdentificationDiagram, k: int, why: str, repeats: float
+) -> list[str | Cell]:
     modes = shown.modes
     std = shown.uncertainty
     confidence = float(modes.confidence[k])
     frequency = float(modes.frequencies[k])
     return [
-        *with_error(frequency, float(np.fmax(std.frequency[k], repeats * frequency)), 5),
+        *with_error(
+            frequency, float(np.fmax(std.frequency[k], repeats * frequency)), 5
+        ),
         *with_error(100 * float(modes.damping[k]), 100 * float(std.damping[k]), 3),
         fixed(None if modes.frequency_only else float(shown.mpc[k]), 2),
         Cell(fixed(100 * confidence, 0), "warn" if confidence < 0.5 else "", why),

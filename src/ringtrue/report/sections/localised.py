@@ -104,7 +104,8 @@ def _form(s: LocaliseStage) -> list[Block]:
     blocks: list[Block] = [Heading("What the deviations follow")]
     if not said:
         why = (
-            "No single cause stands out: the deviations are those of several parameters, or noise."
+            "No single cause stands out: the deviations are those of several "
+            "parameters, or noise."
         )
         return [*blocks, Text(why), Fold("What was compared", [table])]
     return [*blocks, Items(said), table]
@@ -114,7 +115,9 @@ def _members(s: LocaliseStage, model: ModelStage | None) -> list[Block]:
     """Braces, joints and supports that the deck may lack, a sentence each."""
     if not s.members:
         return []
-    unit = CandidateSettings(units="" if model is None else model.units).unit("stiffness")
+    unit = CandidateSettings(units="" if model is None else model.units).unit(
+        "stiffness"
+    )
     return [Items([sentence(m.text(unit)) for m in s.members], MEMBERS)]
 
 
@@ -151,12 +154,18 @@ def _regions(s: LocaliseStage) -> ReportTable:
 
 def _proposal(s: LocaliseStage) -> list[Block]:
     p = s.proposal
-    origin = f"{len(s.candidates.what)} candidates are given." if not s.pool.made else _made(s)
+    origin = (
+        f"{len(s.candidates.what)} candidates are given."
+        if not s.pool.made
+        else _made(s)
+    )
     if s.proposal_basis:
         origin += f" The proposal rests on {s.proposal_basis}, too."
     if not p.members:
         return [
-            Text(f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"),
+            Text(
+                f"{origin} {sentence(f'no parameter is proposed: {p.unexplained()}')}"
+            ),
             _candidates(s),
         ]
     before, after = (100 * x for x in p.mac)
@@ -206,7 +215,9 @@ def _proposal(s: LocaliseStage) -> list[Block]:
         ReportTable(heads, rows, caption),
         Items(reasons, "Why"),
     ]
-    orders = [(rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()]
+    orders = [
+        (rule, ", ".join(names[: len(p.members)])) for rule, names in p.orders.items()
+    ]
     others = ReportTable(
         ("|Rule", "|First candidates"),
         orders,
@@ -222,7 +233,9 @@ def _made(s: LocaliseStage) -> str:
         "most of the deviations, each in a way of its own, are looked at closely."
     )
     if lost := len(s.pool.dropped):
-        text += f" {_count(lost).capitalize()} change{'s' if lost == 1 else ''} no mode."
+        text += (
+            f" {_count(lost).capitalize()} change{'s' if lost == 1 else ''} no mode."
+        )
     return text
 
 
@@ -237,11 +250,26 @@ def _row(s: LocaliseStage, rank: int, m: Proposed) -> list[str | Cell]:
     low, high = (x[0] for x in own.bounds())
     x = own.vector(np.array([m.factor]))[0]
     factor, _ = m.digits()
-    shown = Cell(factor, "warn", "at its bound") if min(x - low, high - x) < 1e-6 else factor
+    shown = (
+        Cell(factor, "warn", "at its bound")
+        if min(x - low, high - x) < 1e-6
+        else factor
+    )
     lost = ", ".join((*m.collinear, *m.rivals)) or "–"
-    what = Cell(s.candidates.what[m.index], "muted", _few(s.candidates.elements[m.index]))
+    what = Cell(
+        s.candidates.what[m.index], "muted", _few(s.candidates.elements[m.index])
+    )
     where = [_few(s.candidates.elements[m.index])] if s.pool.made else []
-    return [str(rank), m.name, *where, what, shown, number(100 * m.std, 2), fixed(m.worth, 1), lost]
+    return [
+        str(rank),
+        m.name,
+        *where,
+        what,
+        shown,
+        number(100 * m.std, 2),
+        fixed(m.worth, 1),
+        lost,
+    ]
 
 
 def _few(regions: str) -> str:
@@ -257,7 +285,9 @@ def _candidates(s: LocaliseStage) -> Block:
     verdict: dict[str, str | Cell] = {}
     for m in p.members:
         verdict |= dict.fromkeys(m.collinear, f"same effect as {m.name}")
-        verdict |= {n: f"as good in place of {m.name}" for n in m.rivals if n not in verdict}
+        verdict |= {
+            n: f"as good in place of {m.name}" for n in m.rivals if n not in verdict
+        }
     verdict |= {m.name: Cell("proposed", "good") for m in p.members}
     verdict |= {n: Cell("no effect on the data", "muted") for n in p.insensitive}
     heads = (

@@ -51,25 +51,38 @@ def section(data: Stages) -> Section | None:
         references += " All are channels, too: each pair of them checks reciprocity."
     blocks: list[Block] = [
         Facts(facts),
-        Text(f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {references}"),
+        Text(
+            f"{sentence(plan.rule)} {sentence(lost_points_sentence(plan))} {references}"
+        ),
     ]
     blocks += [
-        Text(sentence(n)) for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
+        Text(sentence(n))
+        for n in (*setup_sentences(plan), *plan.notes, *missed_modes(plan))
     ]
     side = correlation.MatrixSide([str(i + 1) for i in plan.target_modes], "FE mode")
-    auto = correlation.matrix(plan.sensors.auto_mac, side, side, height=430, diagonal=False)
-    left: list[Block] = [Plot(auto, "Auto-MAC of the target modes at the chosen channels.")]
+    auto = correlation.matrix(
+        plan.sensors.auto_mac, side, side, height=430, diagonal=False
+    )
+    left: list[Block] = [
+        Plot(auto, "Auto-MAC of the target modes at the chosen channels.")
+    ]
     right = _precision(data, plan)
     blocks += [Columns([left, right])] if right else left
     if plan.suspension is not None:
         blocks.append(Text(_hung(plan.suspension)))
     if plan.virtual_test is not None:
         blocks += _foreseen(
-            plan.target_modes, plan.virtual_test, "Virtual test of the plan", "target modes"
+            plan.target_modes,
+            plan.virtual_test,
+            "Virtual test of the plan",
+            "target modes",
         )
     if (r := plan.virtual_ambient_test) is not None:
         blocks += _foreseen(
-            plan.acquisition.modes, r, "Virtual ambient test", "modes of the ambient plan"
+            plan.acquisition.modes,
+            r,
+            "Virtual ambient test",
+            "modes of the ambient plan",
         )
     if plan.excitation.sets:
         blocks.append(_ranked(plan))
@@ -101,16 +114,25 @@ def _precision(data: Stages, plan: PlanStage) -> list[Block]:
     if data.model is None or not plan.acquisition.modes.size:
         return []
     modes = data.model.modes.take(plan.acquisition.modes)
-    fig = diagram.precision(modes, plan.acquisition.std_frequency, plan.acquisition.std_damping)
+    fig = diagram.precision(
+        modes, plan.acquisition.std_frequency, plan.acquisition.std_damping
+    )
     fig.update_layout(height=430)
     return [
-        Plot(fig, "Standard deviations to expect from the planned length of the ambient record.")
+        Plot(
+            fig,
+            "Standard deviations to expect from the planned length of the ambient record.",
+        )
     ]
 
 
 def _hung(found: SuspensionPlan) -> str:
     nodes = ", ".join(map(str, found.nodes))
-    steady = "between them" if found.steady else "not between them: the structure needs a guy"
+    steady = (
+        "between them"
+        if found.steady
+        else "not between them: the structure needs a guy"
+    )
     return (
         f"Suspension at nodes {nodes}, whose RMS motion is at most "
         f"{number(100 * math.sqrt(found.motion), 2)} % of the largest vertical motion "
@@ -142,7 +164,9 @@ def _targets(plan: PlanStage) -> ReportTable:
         [fixed(f, 3) for f in plan.target_frequencies],
         [
             Cell(fixed(100 * r, 0), "bad" if lost else "")
-            for r, lost in zip(plan.excitation.reach, plan.excitation.missed, strict=True)
+            for r, lost in zip(
+                plan.excitation.reach, plan.excitation.missed, strict=True
+            )
         ],
     ]
     if plan.sensors.shown.size:
@@ -235,7 +259,9 @@ def _ranked(plan: PlanStage) -> ReportTable:
         "reach: what fewer and "
         "more of them reach."
     )
-    return ReportTable(("points", "|strike", "least reach, %", "|modes missed"), rows, caption)
+    return ReportTable(
+        ("points", "|strike", "least reach, %", "|modes missed"), rows, caption
+    )
 
 
 def _points(plan: PlanStage) -> ReportTable:
@@ -247,7 +273,9 @@ def _points(plan: PlanStage) -> ReportTable:
         read.setdefault(p, []).append(name.removeprefix(str(p)))
     there = {}
     if setups:
-        there = {p: str(k + 1) for k in range(setups.count) for p in plan.sensors.roving(k)}
+        there = {
+            p: str(k + 1) for k in range(setups.count) for p in plan.sensors.roving(k)
+        }
     parts = any(test.groups)
     rows: list[tuple[str, ...]] = []
     for p, xyz, group in zip(test.points, test.xyz, test.groups, strict=True):
@@ -256,12 +284,16 @@ def _points(plan: PlanStage) -> ReportTable:
         place = (fixed(v, 3) for v in xyz)
         ends = (f"{p}+", f"{p}-")
         struck = [r for r in plan.excitation.references if r.startswith(ends)]
-        rows.append((str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck)))
+        rows.append(
+            (str(p), *part, *place, " ".join(read.get(p, [])), *setup, " ".join(struck))
+        )
     rows.sort(key=lambda row: not row[-1])
     part = ("|part",) if parts else ()
     setup = ("setup",) if setups else ()
     heads = ("point", *part, "x, m", "y, m", "z, m", "|channels", *setup, "|strike")
-    return ReportTable(heads, rows, "Measuring points, on nodes of the model.", scroll=True)
+    return ReportTable(
+        heads, rows, "Measuring points, on nodes of the model.", scroll=True
+    )
 
 
 def _verified(plan: PlanStage, found: IdentifyStage) -> ReportTable:

@@ -39,25 +39,39 @@ def uncertainty(data: Stages) -> Section | None:
     if s is None:
         return None
     percent = f"{100 * s.level:g} %"
-    blocks: list[Block] = [_facts(s), Text(_lead(s), "lead"), Heading("Predicted frequencies")]
+    blocks: list[Block] = [
+        _facts(s),
+        Text(_lead(s), "lead"),
+        Heading("Predicted frequencies"),
+    ]
     caption = (
         f"Deviation of the final model from the test, with the {percent} band of the prediction: "
         "the parameters, "
         "the model and the test. A band that reaches the zero line holds the measured frequency."
     )
-    blocks += [Plot(updating.bands(s), caption), Fold("The bands mode by mode", [_modes(s)])]
+    blocks += [
+        Plot(updating.bands(s), caption),
+        Fold("The bands mode by mode", [_modes(s)]),
+    ]
     blocks += [Heading("Modes left out in turn"), _folds(s), Heading("Parameters")]
     band_plot = Plot(
-        updating.parameters(s), f"The parameters before and after the test, {percent} intervals."
+        updating.parameters(s),
+        f"The parameters before and after the test, {percent} intervals.",
     )
     trade = Plot(
         updating.correlation(s),
         "Correlation of the parameters: near ±1 two of them trade for each other.",
     )
-    blocks.append(Columns([[band_plot], [trade]]) if len(s.posterior.parameters) > 1 else band_plot)
+    blocks.append(
+        Columns([[band_plot], [trade]])
+        if len(s.posterior.parameters) > 1
+        else band_plot
+    )
     blocks.append(_parameters(s))
     if s.flags:
-        blocks.append(Items([sentence(f.text) for f in s.flags], "To be looked at by an engineer"))
+        blocks.append(
+            Items([sentence(f.text) for f in s.flags], "To be looked at by an engineer")
+        )
     return Section("uncertainty", "Uncertainty and left-out modes", blocks)
 
 
@@ -68,7 +82,9 @@ def _share(inside: Bool, which: Bool) -> str:
 def _facts(s: UncertaintyStage) -> Facts:
     there = np.isfinite(s.bands.predicted)
     percent = f"{100 * s.level:g} %"
-    facts = [Fact("Model discrepancy, frequency", fixed(100 * s.discrepancy[0], 2), "%")]
+    facts = [
+        Fact("Model discrepancy, frequency", fixed(100 * s.discrepancy[0], 2), "%")
+    ]
     left_out = there & ~s.bands.used
     if left_out.any():
         inside = _share(s.bands.inside, left_out)
@@ -86,7 +102,9 @@ def _lead(s: UncertaintyStage) -> str:
     scatter = 100 * float(np.median(s.bands.parts[:, 1]))
     exact = ""
     if 0 < 2 * scatter < f:  # a test without standard deviations says nothing of it
-        exact = f"; the test is about {float(f'{f / scatter:.1g}'):.0f} times more exact"
+        exact = (
+            f"; the test is about {float(f'{f / scatter:.1g}'):.0f} times more exact"
+        )
     found = f"{fixed(f, 2)} % of a frequency"
     before = number(assumed[0], 2)
     if np.isfinite(m):
@@ -149,7 +167,16 @@ def _folds(s: UncertaintyStage) -> ReportTable:
                 Cell("inside", "good") if inside[i] else Cell("outside", "bad"),
             ]
             rows.append(row)
-    heads = ("Fold", "Test #", "f test, Hz", "Predicted, Hz", "Δf, %", "Band, ± %", "MAC, %", "|")
+    heads = (
+        "Fold",
+        "Test #",
+        "f test, Hz",
+        "Predicted, Hz",
+        "Δf, %",
+        "Band, ± %",
+        "MAC, %",
+        "|",
+    )
     seen = h.in_turn
     off = fixed(100 * float(np.abs(h.error[seen]).mean()), 2)
     text = (
@@ -181,7 +208,9 @@ def _parameters(s: UncertaintyStage) -> ReportTable:
         ]
         row += [_span(s.chains.sampled[i])] if sampled else []
         chip: str | Cell = Cell("not proven", "warn") if s.unproven[i] else ""
-        rows.append([*row, chip if p.moved[i] else Cell("the test says little", "warn")])
+        rows.append(
+            [*row, chip if p.moved[i] else Cell("the test says little", "warn")]
+        )
     text = (
         "Intervals of the factors, around the final values, with the discrepancy of the model as "
         "the error and the "
@@ -207,7 +236,8 @@ def _parameters(s: UncertaintyStage) -> ReportTable:
 
 def _span(low_high: np.ndarray) -> str:
     low, high = low_high
-    narrow = 0 < high - low < 0.02 * abs(high)  # three digits would not distinguish the ends
+    # three digits would not distinguish the ends
+    narrow = 0 < high - low < 0.02 * abs(high)
     digits = 1 + math.ceil(math.log10(abs(high) / (high - low))) if narrow else 3
     return f"{number(low, digits)} to {number(high, digits)}"
 
@@ -218,7 +248,8 @@ def prediction(data: Stages) -> Section | None:
     if p is None:
         return None
     blocks: list[Block] = [Text(_run_up_lead(p), "lead"), _peaks(p)]
-    groups: dict[str, list[int]] = {}  # outputs of the rotor, and of each group of springs
+    # outputs of the rotor, and of each group of springs
+    groups: dict[str, list[int]] = {}
     for i, name in enumerate(p.run_up.names):
         groups.setdefault(name.rpartition(", ")[0], []).append(i)
     tabs = [(name, [_curves(p, name, at)]) for name, at in groups.items()]
@@ -244,7 +275,9 @@ def _peaks(p: PredictStage) -> ReportTable:
     at = int(np.argmin(np.abs(r.freqs - p.unbalance.service)))
     band = f"{level} band"
     served_at = r.validated[0] <= p.unbalance.service <= r.validated[1]
-    service = f"At {number(p.unbalance.service, 3)} Hz" + ("" if served_at else ", beyond")
+    service = f"At {number(p.unbalance.service, 3)} Hz" + (
+        "" if served_at else ", beyond"
+    )
     heads = ("|Quantity", "|Unit", "Peak", band, "Speed, Hz", band, "|", service, band)
     rows: list[list[str | Cell]] = []
     for i, name in enumerate(r.names):
@@ -256,9 +289,20 @@ def _peaks(p: PredictStage) -> ReportTable:
             r.amplitude.high[:, at],
             r.amplitude.level,
         )
-        served = _banded(now, i, factor) if r.freqs[-1] >= p.unbalance.service else ["–", "–"]
+        served = (
+            _banded(now, i, factor)
+            if r.freqs[-1] >= p.unbalance.service
+            else ["–", "–"]
+        )
         rows.append(
-            [name, unit, *_banded(r.peak, i, factor), *_banded(r.peak_speed, i, 1.0), mark, *served]
+            [
+                name,
+                unit,
+                *_banded(r.peak, i, factor),
+                *_banded(r.peak_speed, i, 1.0),
+                mark,
+                *served,
+            ]
         )
     return ReportTable(
         heads,
@@ -273,13 +317,17 @@ def _mark(r: RunUp, i: int) -> Cell:
     if r.checked_peaks[i]:
         return Cell("validated", "good")
     if r.validated[0] <= r.peak_speed.median[i] <= r.validated[1]:
-        return Cell("may be beyond", "warn", "the band of its speed leaves the validated band")
+        return Cell(
+            "may be beyond", "warn", "the band of its speed leaves the validated band"
+        )
     return Cell("beyond", "warn", "no test has checked the model there")
 
 
 def _banded(values: Bands, i: int, factor: float) -> list[str]:
     """Median and band."""
-    low, median, high = (number(factor * x[i]) for x in (values.low, values.median, values.high))
+    low, median, high = (
+        number(factor * x[i]) for x in (values.low, values.median, values.high)
+    )
     return [median, f"{low} to {high}"]
 
 

@@ -19,7 +19,9 @@ def section(data: Stages) -> Section | None:
         text += ": the model's skin, coloured by its displacement"
     if data.test is not None:
         text += "; the test's wireframe in orange"
-        text += ", turned and scaled onto the model's shape" if scene is not None else ""
+        text += (
+            ", turned and scaled onto the model's shape" if scene is not None else ""
+        )
     view = Scene3D(modes(scene, data.test, shown), f"{text}.", 540)
     return Section("shapes", "Mode shapes", [view])
 
@@ -59,7 +61,9 @@ def _paired(
             out += [Shown(stage, label, info, fe, None)] if fe else []
             continue
         info += f", MAC {fixed(r.mac_percent, 1)} %"
-        info += f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
+        info += (
+            f", subspace MAC {fixed(r.subspace_mac_percent, 1)} %" if r.subspace else ""
+        )
         out.append(
             Shown(
                 stage,
@@ -104,7 +108,9 @@ def _expanded(data: Stages) -> list[Shown]:
         return []
     test = data.correlate.reference.elastic
     out = []
-    for k, (f, misfit) in enumerate(zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)):
+    for k, (f, misfit) in enumerate(
+        zip(test.frequencies.tolist(), e.misfit.tolist(), strict=True)
+    ):
         info = f"{fixed(f, 3)} Hz, expanded ({e.method}), misses the readings by "
         info += f"{fixed(100 * misfit, 1)} %"
         label = f"mode {k + 1} · {fixed(f, 2)} Hz"
@@ -141,9 +147,15 @@ def _test_only(data: Stages) -> list[Shown]:
 
 
 def _alone(
-    stage: str, m: ModeSet, k: int, fe: tuple[ModeSet, int] | None, test: tuple[ModeSet, int] | None
+    stage: str,
+    m: ModeSet,
+    k: int,
+    fe: tuple[ModeSet, int] | None,
+    test: tuple[ModeSet, int] | None,
 ) -> Shown:
     f = float(m.frequencies[k])
     zeta = float(m.damping[k])
-    info = f"{fixed(f, 3)} Hz" + (f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else "")
+    info = f"{fixed(f, 3)} Hz" + (
+        f", damping {fixed(100 * zeta, 2)} %" if zeta > 0 else ""
+    )
     return Shown(stage, f"mode {k + 1} · {fixed(f, 2)} Hz", info, fe, test)

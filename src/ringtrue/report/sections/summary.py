@@ -50,7 +50,10 @@ def _inventory(data: Stages) -> list[Fact]:
     facts: list[Fact] = []
     if data.model is not None:
         mass, unit = system.weight(data.model)
-        facts += [Fact("Total mass", number(mass, 4), unit), Fact("DOF", f"{data.model.dof:,}")]
+        facts += [
+            Fact("Total mass", number(mass, 4), unit),
+            Fact("DOF", f"{data.model.dof:,}"),
+        ]
         facts += [Fact("Modes of the model", str(len(data.model.modes)))]
     if data.identify is not None:
         facts += [Fact("Records", str(len(data.identify.records)))]
@@ -76,7 +79,11 @@ def _facts(now: CorrelationTable, before: CorrelationTable | None) -> Facts:
     )
     both = zip(labels, _figures(now), old, strict=True)
     return Facts(
-        [Fact(label, value, unit, was) for (label, unit), value, was in both if value != MISSING]
+        [
+            Fact(label, value, unit, was)
+            for (label, unit), value, was in both
+            if value != MISSING
+        ]
     )
 
 
@@ -143,13 +150,20 @@ def _evidence(data: Stages) -> list[Block]:
     rows += [_orthogonality(e.cross, e)] if e.cross else []
     names = ", ".join(dict.fromkeys(s.channel for s in e.suspects))
     rows.append(
-        ("Channels that look faulty", names or "none", Cell("look", "warn") if names else GOOD)
+        (
+            "Channels that look faulty",
+            names or "none",
+            Cell("look", "warn") if names else GOOD,
+        )
     )
     if (frfs := final.evidence.frfs) is not None:
         change = f"{100 * frfs.initial.shape.mean():.0f} → {100 * frfs.final.shape.mean():.0f} %"
         rows.append(("Shape correlation of the FRFs, mean of the lines", change, ""))
     caption = "The evidence of the final correlation, in short."
-    return [Heading("What it rests on"), ReportTable(("|Evidence", "|Found", "|"), rows, caption)]
+    return [
+        Heading("What it rests on"),
+        ReportTable(("|Evidence", "|Found", "|"), rows, caption),
+    ]
 
 
 def _orthogonality(
@@ -172,7 +186,11 @@ def stages_table(data: Stages) -> ReportTable:
     named = _tables(data)
     used, out = (in_both(*(t for _, t in named), used=u) for u in (True, False))
     for (name, table), seen, unseen in zip(named, used, out, strict=True):
-        for label, which in (("all", None), ("used in the updating", seen), ("left out", unseen)):
+        for label, which in (
+            ("all", None),
+            ("used in the updating", seen),
+            ("left out", unseen),
+        ):
             count = len(table) if which is None else int(which.sum())
             if not count:
                 continue
@@ -213,12 +231,20 @@ def provenance(data: Stages) -> Section | None:
     if p is None:
         return None
     run = [("ringtrue", p.version), ("Python", p.python), ("Platform", p.platform)]
-    run += [("Seed", str(p.seed)), ("Started", p.started.replace("T", " ")), *p.packages.items()]
+    run += [
+        ("Seed", str(p.seed)),
+        ("Started", p.started.replace("T", " ")),
+        *p.packages.items(),
+    ]
     spent = [(k, fixed(v, 1)) for k, v in p.timings.items()]
     total = ("total", fixed(sum(p.timings.values()), 1))
     inputs = [(name, Cell(sha, "mono")) for name, sha in p.inputs.items()]
     versions = ReportTable(("|What", "|Version or value"), run, "The run.")
     timings = ReportTable(("|Stage", "Time, s"), spent, "Timings.", total)
-    files = ReportTable(("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16)
+    files = ReportTable(
+        ("|Input", "|SHA-256"), inputs, "The input files.", scroll=len(inputs) > 16
+    )
     settings = Code("Resolved settings", _shortened(p.settings))
-    return Section("provenance", "Provenance", [Columns([[versions], [timings]]), files, settings])
+    return Section(
+        "provenance", "Provenance", [Columns([[versions], [timings]]), files, settings]
+    )

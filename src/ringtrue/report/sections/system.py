@@ -44,7 +44,9 @@ from ringtrue.study.results import ModelStage, RecordSummary
 
 def survey(data: Stages) -> Section | None:
     """The system in words and numbers, the tests in a table."""
-    blocks: list[Block] = [Text(p.strip()) for p in data.info.system.split("\n\n") if p.strip()]
+    blocks: list[Block] = [
+        Text(p.strip()) for p in data.info.system.split("\n\n") if p.strip()
+    ]
     if data.model is not None:
         blocks.append(_system(data.model, data.computed))
     if data.identify is not None and data.identify.records:
@@ -56,7 +58,13 @@ def survey(data: Stages) -> Section | None:
 
 
 def _instruments(listed: Sequence[InstrumentSection]) -> ReportTable:
-    heads = ("|Instrument", "|Serial number", "|Channels", "|Sensitivity", "|Calibrated")
+    heads = (
+        "|Instrument",
+        "|Serial number",
+        "|Channels",
+        "|Sensitivity",
+        "|Calibrated",
+    )
     rows: list[list[str | Cell]] = [
         [
             i.name,
@@ -67,7 +75,9 @@ def _instruments(listed: Sequence[InstrumentSection]) -> ReportTable:
         ]
         for i in listed
     ]
-    return ReportTable(heads, rows, "The instruments of the tests and their calibration.")
+    return ReportTable(
+        heads, rows, "The instruments of the tests and their calibration."
+    )
 
 
 def _system(model: ModelStage, computed: Float) -> ReportTable:
@@ -87,10 +97,16 @@ def _system(model: ModelStage, computed: Float) -> ReportTable:
             ", ".join(number(v, 4) for v in inertia),
             f"{unit}·m²",
         ),
-        ("Nodes; degrees of freedom", f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"), ""),
+        (
+            "Nodes; degrees of freedom",
+            f"{model.nodes:,}; {model.dof:,}".replace(",", "\u202f"),
+            "",
+        ),
         ("Modes computed", span, "Hz"),
     ]
-    return ReportTable(("|Quantity", "|Value", "|Unit"), rows, "The system as modelled.")
+    return ReportTable(
+        ("|Quantity", "|Value", "|Unit"), rows, "The system as modelled."
+    )
 
 
 def weight(model: ModelStage) -> tuple[float, str]:
@@ -100,7 +116,15 @@ def weight(model: ModelStage) -> tuple[float, str]:
 
 
 DRAWN = 4  # records of one test
-HEADS = ("|Test", "|Record", "|Excitation", "Channels", "Rate, Hz", "Length, min", "Hits kept")
+HEADS = (
+    "|Test",
+    "|Record",
+    "|Excitation",
+    "Channels",
+    "Rate, Hz",
+    "Length, min",
+    "Hits kept",
+)
 FEW = 3  # channels with the same note that have a line each
 
 
@@ -164,7 +188,11 @@ def _test_row(mine: list[RecordSummary]) -> tuple[str, ...]:
 
 
 def _name(mine: list[RecordSummary]) -> str:
-    name = mine[0].name if len(mine) == 1 else f"setup {mine[0].setup}, {len(mine)} records"
+    name = (
+        mine[0].name
+        if len(mine) == 1
+        else f"setup {mine[0].setup}, {len(mine)} records"
+    )
     return name.replace("-", "\u2011")
 
 
@@ -176,17 +204,25 @@ def model(data: Stages) -> Section | None:
     test = data.test
     kinds = {}
     if data.plan is not None:
-        kinds = scene.channel_kinds(data.plan.excitation.references, data.plan.sensors.ambient)
+        kinds = scene.channel_kinds(
+            data.plan.excitation.references, data.plan.sensors.ambient
+        )
     blocks: list[Block] = [Scene3D(scene.model(m.scene, test, kinds), _caption(test))]
     counts = [(k, str(v)) for k, v in sorted(m.cards.items())]
     cards = ReportTable(("|Card", "Count"), counts, "Cards of the deck.", scroll=True)
     blocks.append(Columns([[_mode_table(data.computed, m.residuals)], [cards]]))
     files = ", ".join(Path(f).name for f in m.files)
-    blocks.append(Text(f"Files: {files} (units {m.units}). {sentence(m.proof)}", "note"))
+    blocks.append(
+        Text(f"Files: {files} (units {m.units}). {sentence(m.proof)}", "note")
+    )
     if m.findings:
         findings = [_by_name(f, m.files) for f in m.findings]
         blocks.append(Items(findings, "Findings of the deck check"))
-    title = "Finite element model and sensors" if test is not None else "Finite element model"
+    title = (
+        "Finite element model and sensors"
+        if test is not None
+        else "Finite element model"
+    )
     return Section("model", title, blocks)
 
 
@@ -294,5 +330,7 @@ def frf_section(data: Stages) -> Section | None:
         )
         blocks.append(Text(text))
     if hits := rejected_hits(ident.hits):
-        blocks.append(Fold(f"Rejected hits ({len(hits)})", [Items([signs(h) for h in hits])]))
+        blocks.append(
+            Fold(f"Rejected hits ({len(hits)})", [Items([signs(h) for h in hits])])
+        )
     return Section("frfs", "Frequency response functions", blocks)

@@ -58,7 +58,10 @@ def choice(data: Stages) -> Section | None:
             caption.format("MAC with the paired test shape"),
         )
         blocks = [Tabs([("Frequencies", [frequencies]), ("Mode shapes", [two])])]
-    rows = [(k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, ""))) for k, v in s.sets.items()]
+    rows = [
+        (k, str(len(v)), ", ".join(v), sentence(s.rules.get(k, "")))
+        for k, v in s.sets.items()
+    ]
     blocks.append(
         ReportTable(
             ("|Set", "Size", "|Parameters", "|Rule"),
@@ -66,7 +69,9 @@ def choice(data: Stages) -> Section | None:
             "Parameter sets and how each was chosen.",
         )
     )
-    held = dict.fromkeys(line for found in s.held.values() for line in held_sentences(found))
+    held = dict.fromkeys(
+        line for found in s.held.values() for line in held_sentences(found)
+    )
     if held:
         blocks.append(Items(tuple(held), "Held at the deck's values"))
     if s.clusters:
@@ -97,12 +102,17 @@ def updating(data: Stages) -> Section | None:
     text = f"Parameters of {best.name} by iteration; bars: one standard deviation of the result. "
     text += f"Outcome: {best.outcome}."
     text += (
-        f" {sentence(line)}" if (line := discrepancy_sentence(best.discrepancy.tolist())) else ""
+        f" {sentence(line)}"
+        if (line := discrepancy_sentence(best.discrepancy.tolist()))
+        else ""
     )
     blocks.append(Plot(plots.path(best), text))
     blocks += [_measured(d) for d in u.data]
     if data.model is not None and u.regions:
-        notes = {p: f"× {number(f, 3)}" for p, f in zip(best.parameters, best.factor, strict=True)}
+        notes = {
+            p: f"× {number(f, 3)}"
+            for p, f in zip(best.parameters, best.factor, strict=True)
+        }
         view = scene.regions(data.model.scene, u.regions, notes)
         blocks.append(
             Scene3D(
@@ -146,12 +156,27 @@ def _measured(d: DataResult) -> ReportTable:
     if np.isnan(d.measured).any():
         text += " Before and after are deviations from the measured curve."
     text += "".join(f" {sentence(line)}" for line in seat_words(d.seats))
-    return ReportTable(("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text)
+    return ReportTable(
+        ("|What", "|Unit", "Measured", "Before", "After", "Error"), rows, text
+    )
 
 
 def _compared(u: UpdateStage) -> ReportTable:
-    quality = ("Mean |Δf|, %", "Max |Δf|, %", "Mean subspace MAC, %", "Left out: mean |Δf|, %")
-    heads = ("|Set", "Parameters", *quality, "Condition", "AICc", "Iterations", "|Outcome")
+    quality = (
+        "Mean |Δf|, %",
+        "Max |Δf|, %",
+        "Mean subspace MAC, %",
+        "Left out: mean |Δf|, %",
+    )
+    heads = (
+        "|Set",
+        "Parameters",
+        *quality,
+        "Condition",
+        "AICc",
+        "Iterations",
+        "|Outcome",
+    )
     rows = []
     for i, s in enumerate(u.sets):
         name = Cell(s.name, "chosen", "chosen") if i == u.chosen else s.name
@@ -174,7 +199,15 @@ def _compared(u: UpdateStage) -> ReportTable:
 
 
 def _parameters(u: UpdateStage, s: SetResult, std: Float) -> ReportTable:
-    heads = ("|Parameter", "Initial", "Updated", "Factor", "σ, %", "Bounds", "σ after / before")
+    heads = (
+        "|Parameter",
+        "Initial",
+        "Updated",
+        "Factor",
+        "σ, %",
+        "Bounds",
+        "σ after / before",
+    )
     rows = []
     for j, name in enumerate(s.parameters):
         low, high = (float(x) for x in s.bounds[j])
@@ -211,13 +244,19 @@ def suspension(data: Stages) -> Section | None:
     ]
     for o in t.others:
         blocks += [
-            pairs(table, data, f"{o.name}: rigid-body modes {when} tuning.", updating=False)
+            pairs(
+                table,
+                data,
+                f"{o.name}: rigid-body modes {when} tuning.",
+                updating=False,
+            )
             for table, when in ((o.before, "before"), (o.after, "after"))
         ]
     heads = ("|Suspension parameter", "Factor", "σ, %")
     known = {k: t.std.get(k, np.nan) for k in t.factors}
     rows = [
-        (k, with_error(v, v * known[k])[0], number(100 * known[k], 2)) for k, v in t.factors.items()
+        (k, with_error(v, v * known[k])[0], number(100 * known[k], 2))
+        for k, v in t.factors.items()
     ]
     blocks.append(ReportTable(heads, rows, "Tuned stiffnesses of the suspension."))
     blocks += [Text(f"The pairing is not certain. {v}.") for v in t.ambiguity]

@@ -35,7 +35,9 @@ class Screen:
     @property
     def build(self) -> Callable[[StudioSession], object]:
         """What fills the page; imported when it is shown first."""
-        function: Callable[[StudioSession], object] = import_module(f"{__name__}.{self.name}").build
+        function: Callable[[StudioSession], object] = import_module(
+            f"{__name__}.{self.name}"
+        ).build
         return function
 
 
@@ -46,9 +48,22 @@ SCREENS = (
     Screen("signals", "Signals and impacts", "graphic_eq", ("identify",), figures=True),
     Screen("poles", "Poles", "scatter_plot", ("identify",), figures=True),
     Screen("frfs", "FRFs", "show_chart", figures=True),
-    Screen("correlation", "Correlation", "grid_on", ("compare", "correlate"), figures=True),
+    Screen(
+        "correlation", "Correlation", "grid_on", ("compare", "correlate"), figures=True
+    ),
     Screen("where", "Where it is wrong", "my_location", ("localise",)),
-    Screen("update", "Update", "tune", ("sensitivity", "update", "tune", "final"), figures=True),
-    Screen("verdict", "Verdict and report", "fact_check", ("uncertainty", "damping", "predict")),
+    Screen(
+        "update",
+        "Update",
+        "tune",
+        ("sensitivity", "update", "tune", "final"),
+        figures=True,
+    ),
+    Screen(
+        "verdict",
+        "Verdict and report",
+        "fact_check",
+        ("uncertainty", "damping", "predict"),
+    ),
 )
 BEGIN = Screen("begin", "A new study", "add")  # where there is no study.toml yet

@@ -49,7 +49,9 @@ def candidates(folder: Path) -> dict[str, list[str]]:
     """Files of a folder and those below it by what inspection finds in them, seen from there."""
     found: dict[str, list[str]] = {}
     files = [*folder.glob("*.*"), *folder.glob("*/*.*")]
-    for path in sorted(p for p in files if p.is_file() and not p.name.startswith("."))[:MOST_FILES]:
+    for path in sorted(p for p in files if p.is_file() and not p.name.startswith("."))[
+        :MOST_FILES
+    ]:
         try:
             parts = rt.inspect_file(path).parts
         except RingtrueError:
@@ -63,7 +65,9 @@ async def build(session: StudioSession) -> None:
     """Fill the page."""
     with ui.column().classes("w-full max-w-2xl p-6 gap-3"):
         ui.label("A new study").classes("text-xl")
-        ui.label(f"It begins as {session.path}, from files in its folder.").classes("opacity-70")
+        ui.label(f"It begins as {session.path}, from files in its folder.").classes(
+            "opacity-70"
+        )
         spinner = ui.spinner()
         found = await run.io_bound(candidates, session.path.parent)
         if spinner.is_deleted:  # the page was left meanwhile
@@ -89,9 +93,9 @@ async def build(session: StudioSession) -> None:
         def begin() -> None:
             session.edit("begun", new_study({r: n for r, n in chosen.items() if n}))
 
-        ui.button("Begin the study", icon="add", on_click=begin).props("no-caps unelevated").mark(
-            "begin"
-        )
+        ui.button("Begin the study", icon="add", on_click=begin).props(
+            "no-caps unelevated"
+        ).mark("begin")
     if session.source is not None:
         with inspector():
             _source(session.source)

@@ -38,7 +38,9 @@ MATRICES = ("MAC", "subspace MAC")  # whose cells can be selected
 DECISIONS = ("lock", "forbid")
 
 
-def states(session: StudioSession) -> dict[str, tuple[CorrelationTable, Evidence | None]]:
+def states(
+    session: StudioSession,
+) -> dict[str, tuple[CorrelationTable, Evidence | None]]:
     """The correlations that are stored, by what is compared."""
     found: dict[str, tuple[CorrelationTable, Evidence | None]] = {}
     stage: CorrelateStage | None = session.stage("correlate")
@@ -97,8 +99,12 @@ class _CorrelationScreen:
             self._bar()
             with ui.row().classes("w-full no-wrap gap-3 items-start"):
                 with ui.column().classes("grow min-w-0 gap-0"):
-                    self.plot = ui.plotly(self._figure()).classes("w-full").style("height:58vh")
-                    self.plot.on("plotly_click", self._clicked, ["points"]).mark("matrix")
+                    self.plot = (
+                        ui.plotly(self._figure()).classes("w-full").style("height:58vh")
+                    )
+                    self.plot.on("plotly_click", self._clicked, ["points"]).mark(
+                        "matrix"
+                    )
                 self._shapes()
             self.pairs()
         self.inspected()
@@ -108,7 +114,9 @@ class _CorrelationScreen:
         keys["accept"] = partial(self._ask, "lock")
         keys["reject"] = partial(self._ask, "forbid")
         keys["play"] = self._toggle
-        frame().follow(self._update, session.on_documents, session.on_results, session.on_theme)
+        frame().follow(
+            self._update, session.on_documents, session.on_results, session.on_theme
+        )
         frame().follow(self._selected, session.on_selection)
 
     def _update(self) -> None:
@@ -141,7 +149,9 @@ class _CorrelationScreen:
                 on_change=lambda e: self._show(state=e.value),
             ).props("dense no-caps unelevated").mark("state")
             ui.select(
-                self.kinds, value=self.kind, on_change=lambda e: self._show(kind=e.value)
+                self.kinds,
+                value=self.kind,
+                on_change=lambda e: self._show(kind=e.value),
             ).props(SELECT).classes("min-w-40").mark("kind")
             ui.space()
             run_button(self.session, "correlate", "Correlate anew")
@@ -196,7 +206,11 @@ class _CorrelationScreen:
         if not a.size:
             return
         pair = self.session.selection.pair
-        now = np.flatnonzero(a == pair[0]) if pair is not None else np.zeros(0, dtype=np.int64)
+        now = (
+            np.flatnonzero(a == pair[0])
+            if pair is not None
+            else np.zeros(0, dtype=np.int64)
+        )
         k = (int(now[0]) + by) % a.size if now.size else 0
         self.select(int(a[k]), int(b[k]))
 
@@ -274,7 +288,9 @@ class _CorrelationScreen:
         heading("Pairs")
         table(names, rows).on("rowClick", self._row).mark("pairs")
         without = [
-            *zip(found.pairing.unpaired_a.tolist(), found.pairing.reasons_a, strict=True),
+            *zip(
+                found.pairing.unpaired_a.tolist(), found.pairing.reasons_a, strict=True
+            ),
         ]
         if without:
             heading(f"{one.capitalize()} modes without a pair")
@@ -301,7 +317,11 @@ class _CorrelationScreen:
         pair = self.session.selection.pair
         found = self.table
         heading("Cell")
-        if pair is None or pair[0] >= found.mac.shape[0] or pair[1] >= found.mac.shape[1]:
+        if (
+            pair is None
+            or pair[0] >= found.mac.shape[0]
+            or pair[1] >= found.mac.shape[1]
+        ):
             ui.label("Select a cell of the matrix.").classes("text-sm opacity-70")
             return
         test, fe = pair
@@ -323,15 +343,19 @@ class _CorrelationScreen:
             ui.button("Lock", icon="lock", on_click=partial(self._ask, "lock")).props(
                 "dense no-caps unelevated"
             ).mark("lock")
-            ui.button("Forbid", icon="block", on_click=partial(self._ask, "forbid")).props(
-                "dense no-caps outline"
-            ).mark("forbid")
-        ui.label("FE modes are counted on the initial deck.").classes("text-xs opacity-70")
+            ui.button(
+                "Forbid", icon="block", on_click=partial(self._ask, "forbid")
+            ).props("dense no-caps outline").mark("forbid")
+        ui.label("FE modes are counted on the initial deck.").classes(
+            "text-xs opacity-70"
+        )
 
     def _ask(self, decision: str) -> None:
         pair = self.session.selection.pair
         if pair is None or self.state != "initial":
-            ui.notify("Select a cell of the initial deck: its modes are what study.toml names.")
+            ui.notify(
+                "Select a cell of the initial deck: its modes are what study.toml names."
+            )
             return
         words = f"{pair[0] + 1}:{pair[1] + 1}"
         title = f"{decision.capitalize()} the pair {words}"
@@ -339,7 +363,9 @@ class _CorrelationScreen:
 
     def decide(self, decision: str, pair: str, reason: str) -> None:
         """Lock or forbid a pair."""
-        self.session.edit(f"{decision} {pair}", edits.decide_pair(decision, pair, reason))
+        self.session.edit(
+            f"{decision} {pair}", edits.decide_pair(decision, pair, reason)
+        )
 
     def _decisions(self) -> None:
         text = self.session.documents.text(self.session.documents.name)
@@ -351,12 +377,14 @@ class _CorrelationScreen:
                 with ui.row().classes("w-full items-center no-wrap gap-2"):
                     ui.label(pair).classes("rt-value text-sm")
                     ui.label(reason or "no reason").classes("text-xs opacity-70 grow")
-                    ui.button(icon="close", on_click=partial(self._release, decision, pair)).props(
-                        "flat dense round size=sm"
-                    ).tooltip("Take it out")
+                    ui.button(
+                        icon="close", on_click=partial(self._release, decision, pair)
+                    ).props("flat dense round size=sm").tooltip("Take it out")
 
     def _release(self, decision: str, pair: str) -> None:
-        self.session.edit(f"{decision} {pair} taken out", edits.undecide_pair(decision, pair))
+        self.session.edit(
+            f"{decision} {pair} taken out", edits.undecide_pair(decision, pair)
+        )
 
     def _gates(self) -> None:
         config = self.session.config
@@ -367,18 +395,24 @@ class _CorrelationScreen:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             ui.label("MAC").classes("text-sm w-20")
             slider = ui.slider(min=0.05, max=0.95, step=0.05, value=gate).props("label")
-            slider.on("change", lambda e: self._set_gate("mac_gate", float(e.args))).mark(
-                "mac-gate"
-            )
+            slider.on(
+                "change", lambda e: self._set_gate("mac_gate", float(e.args))
+            ).mark("mac-gate")
             ui.label(f"{gate:.2f}").classes("text-sm rt-value w-12 text-right")
         wide = config.correlate.frequency_gate
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             ui.label("frequency").classes("text-sm w-20")
-            slider = ui.slider(min=0.05, max=1.0, step=0.05, value=wide or 0.4).props("label")
-            slider.on("change", lambda e: self._set_gate("frequency_gate", float(e.args)))
+            slider = ui.slider(min=0.05, max=1.0, step=0.05, value=wide or 0.4).props(
+                "label"
+            )
+            slider.on(
+                "change", lambda e: self._set_gate("frequency_gate", float(e.args))
+            )
             ui.label("open" if wide is None else number(wide, 2)).classes(
                 "text-sm rt-value w-12 text-right"
             )
 
     def _set_gate(self, name: str, value: float) -> None:
-        self.session.edit(f"{name} {value:g}", edits.put(("correlate", name), round(value, 2)))
+        self.session.edit(
+            f"{name} {value:g}", edits.put(("correlate", name), round(value, 2))
+        )

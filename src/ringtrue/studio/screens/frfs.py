@@ -38,7 +38,11 @@ def build(session: StudioSession) -> None:
     """Fill the page."""
     stage: IdentifyStage | None = session.stage("identify")
     if stage is None or stage.frfs is None:
-        nothing_yet(session, "No FRFs are stored: the study has none, or was not run.", "identify")
+        nothing_yet(
+            session,
+            "No FRFs are stored: the study has none, or was not run.",
+            "identify",
+        )
         return
     _FrfsScreen(session, stage, stage.frfs).build()
 
@@ -46,7 +50,9 @@ def build(session: StudioSession) -> None:
 class _FrfsScreen:
     """The screen of one page."""
 
-    def __init__(self, session: StudioSession, stage: IdentifyStage, test: FrfSet) -> None:
+    def __init__(
+        self, session: StudioSession, stage: IdentifyStage, test: FrfSet
+    ) -> None:
         self.session = session
         self.stage = stage
         self.sets: dict[str, FrfSet] = {TEST: test}
@@ -58,7 +64,9 @@ class _FrfsScreen:
         self.state: Stage | None = there[-1] if there else None
 
     def _run_as_far(self, name: Stage) -> bool:
-        return self.session.stage("final" if name == "final" else "correlate") is not None
+        return (
+            self.session.stage("final" if name == "final" else "correlate") is not None
+        )
 
     @property
     def test(self) -> FrfSet:
@@ -130,7 +138,9 @@ class _FrfsScreen:
     def _bar(self) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-2"):
             outputs = [c.id for c in self.test.outputs]
-            self.outputs = output_select(self.session, outputs, self.output).mark("output")
+            self.outputs = output_select(self.session, outputs, self.output).mark(
+                "output"
+            )
             ui.select(
                 [c.id for c in self.test.inputs],
                 value=self.input,
@@ -138,7 +148,9 @@ class _FrfsScreen:
                 on_change=lambda e: self._show(input=e.value),
             ).props(SELECT).classes("w-36").mark("input")
             ui.toggle(
-                [PHASE, PARTS], value=PHASE, on_change=lambda e: self._show(parts=e.value == PARTS)
+                [PHASE, PARTS],
+                value=PHASE,
+                on_change=lambda e: self._show(parts=e.value == PARTS),
             ).props("dense no-caps unelevated").mark("kind")
 
     def _figure(self) -> dict[str, Any]:
@@ -239,9 +251,15 @@ class _FrfsScreen:
                 if found is None:
                     continue
                 comparison, band = found
-                if self.output not in comparison.outputs or self.input not in comparison.inputs:
+                if (
+                    self.output not in comparison.outputs
+                    or self.input not in comparison.inputs
+                ):
                     continue
-                a, b = comparison.outputs.index(self.output), comparison.inputs.index(self.input)
+                a, b = (
+                    comparison.outputs.index(self.output),
+                    comparison.inputs.index(self.input),
+                )
                 heading(title)
                 fact("FRAC", f"{comparison.frac[a, b]:.3f}")
                 fact("Level difference", f"{comparison.deviation[a, b]:.2f} dB")

@@ -63,7 +63,11 @@ class ImpactPanel:
                 self.listed()
                 run_button(session, "identify", "Identify anew")
             with ui.column().classes("grow min-w-0 gap-0"):
-                ids = [c.id for c in self.view.channels if c.quantity in (*MOTIONS, "unknown")]
+                ids = [
+                    c.id
+                    for c in self.view.channels
+                    if c.quantity in (*MOTIONS, "unknown")
+                ]
                 channels_select(
                     "responses", ids, self.responses, self._other_responses, MOST
                 ).classes("w-full").mark("responses")
@@ -91,7 +95,9 @@ class ImpactPanel:
         logged = self.records.logged[self.record]
         shown = [c for c in self.view.channels if c.id in self.responses]
         ids = [c.id for c in shown]
-        seen = await run.io_bound(hit_signals, self.view, logged, self.hits, self.at, ids)
+        seen = await run.io_bound(
+            hit_signals, self.view, logged, self.hits, self.at, ids
+        )
         if seen is None:
             return
         freqs, coherence = await self._coherence(ids)
@@ -117,7 +123,9 @@ class ImpactPanel:
         mine = [h for h in self.records.decisions if self._is_of(h)]
         logged = self.records.logged[self.record]
         try:
-            frfs = await run.io_bound(kept_frfs, logged, sheet, self.records.unused, mine, keep_to)
+            frfs = await run.io_bound(
+                kept_frfs, logged, sheet, self.records.unused, mine, keep_to
+            )
         except RingtrueError as e:
             self.problem = str(e)
             return nothing
@@ -125,7 +133,9 @@ class ImpactPanel:
             return nothing
         here = {c.id: k for k, c in enumerate(frfs.outputs)}
         rows = [
-            frfs.coherence[:, here[i], 0] if i in here else np.full(frfs.freqs.size, np.nan)
+            frfs.coherence[:, here[i], 0]
+            if i in here
+            else np.full(frfs.freqs.size, np.nan)
             for i in ids
         ]
         top = keep_to or float(frfs.freqs[-1])
@@ -172,7 +182,9 @@ class ImpactPanel:
             if not self.records.decisions[k].keep:
                 self._take_back(k)
         elif not hit.accepted:
-            ask_reason(f"Keep the hit at {hit.time:.2f} s", partial(self.decide, hit, True))
+            ask_reason(
+                f"Keep the hit at {hit.time:.2f} s", partial(self.decide, hit, True)
+            )
             return
         self._step(1)
 
@@ -184,14 +196,22 @@ class ImpactPanel:
             if self.records.decisions[k].keep:
                 self._take_back(k)
         elif hit.accepted:
-            ask_reason(f"Leave out the hit at {hit.time:.2f} s", partial(self.decide, hit, False))
+            ask_reason(
+                f"Leave out the hit at {hit.time:.2f} s",
+                partial(self.decide, hit, False),
+            )
             return
         self._step(1)
 
     def decide(self, hit: ImpactReport, keep: bool, reason: str) -> None:
         """Write an entry of the choice, and show the next hit."""
         words = f"{'kept' if keep else 'left out'} the hit of {hit.source} at {hit.time:.2f} s"
-        entry = {"record": hit.source, "time": round(hit.time, 4), "keep": keep, "reason": reason}
+        entry = {
+            "record": hit.source,
+            "time": round(hit.time, 4),
+            "keep": keep,
+            "reason": reason,
+        }
         self.session.edit_choice(words, edits.add_entry("hit", entry))
         self._step(1)
 

@@ -28,7 +28,14 @@ from ringtrue.studio.shown import (
     stored_modes,
 )
 from ringtrue.studio.viewer_element import Viewer
-from ringtrue.studio.views import deck_view, highlighted, length_unit, mass_unit, move, no_deck
+from ringtrue.studio.views import (
+    deck_view,
+    highlighted,
+    length_unit,
+    mass_unit,
+    move,
+    no_deck,
+)
 from ringtrue.study.results import CorrelateStage
 from ringtrue.study.scene import connected
 
@@ -98,7 +105,9 @@ class _ModelScreen:
         self.holder.clear()
         with self.holder:
             self.bar()
-            self.viewer = deck_view(session, {"model": deck.arrays}, ["element"], below=318)
+            self.viewer = deck_view(
+                session, {"model": deck.arrays}, ["element"], below=318
+            )
             self.viewer.show(color=self.coloring)
             self.viewer.on_event("pick", self.picked).on_event("box", self.boxed)
             with ui.row().classes("w-full no-wrap gap-6 items-start"):
@@ -135,19 +144,23 @@ class _ModelScreen:
             ui.space()
             modes = self.modes
             if modes is None:
-                ui.button("Compute modes", icon="play_arrow", on_click=self.solve).props(
-                    "dense no-caps no-wrap outline"
-                ).mark("solve")
+                ui.button(
+                    "Compute modes", icon="play_arrow", on_click=self.solve
+                ).props("dense no-caps no-wrap outline").mark("solve")
             else:
-                names = {k: f"{k + 1}: {f:.5g} Hz" for k, f in enumerate(modes.frequencies)}
+                names = {
+                    k: f"{k + 1}: {f:.5g} Hz" for k, f in enumerate(modes.frequencies)
+                }
                 ui.select(
                     {-1: "at rest", **names},
                     value=-1 if self.mode is None else self.mode,
-                    on_change=lambda e: self.show_mode(None if e.value < 0 else int(e.value)),
+                    on_change=lambda e: self.show_mode(
+                        None if e.value < 0 else int(e.value)
+                    ),
                 ).props(SELECT).classes("min-w-40").mark("mode")
-                ui.button(icon="play_arrow", on_click=self.play).props("flat dense round").tooltip(
-                    "Play or stop, blank"
-                ).mark("play")
+                ui.button(icon="play_arrow", on_click=self.play).props(
+                    "flat dense round"
+                ).tooltip("Play or stop, blank").mark("play")
             run_button(self.session, "model", "Solve the deck")
 
     @property
@@ -213,24 +226,34 @@ class _ModelScreen:
             with ui.scroll_area().style("height:150px").classes("w-full"):
                 for k, f in enumerate(listed):
                     icon, color = SEVERITY.get(f.severity, REMARK)
-                    row = ui.row().classes("w-full no-wrap items-start gap-2 cursor-pointer")
+                    row = ui.row().classes(
+                        "w-full no-wrap items-start gap-2 cursor-pointer"
+                    )
                     row.on("click", partial(self.fly_to, k)).mark(f"finding-{k}")
                     with row:
                         ui.icon(icon, color=color).classes("text-base q-mt-xs")
                         ui.label(f.text).classes("text-sm")
                 if len(self.check.findings) > len(listed):
                     more = len(self.check.findings) - len(listed)
-                    ui.label(f"and {more} more: ringtrue check lists all").classes("text-sm")
+                    ui.label(f"and {more} more: ringtrue check lists all").classes(
+                        "text-sm"
+                    )
 
     def fly_to(self, k: int) -> None:
         """Fly to the nodes or elements of a finding, or to what has its property or material."""
         assert self.check is not None
         finding = self.check.findings[k]
         if self.viewer is None or not finding.ids:
-            place = f"{finding.file}:{finding.line}" if finding.line else "the deck as a whole"
+            place = (
+                f"{finding.file}:{finding.line}"
+                if finding.line
+                else "the deck as a whole"
+            )
             ui.notify(f"The finding is of {place}.")
             return
-        kind = {"G": "node", "P": "property", "M": "material"}.get(finding.card[0], "element")
+        kind = {"G": "node", "P": "property", "M": "material"}.get(
+            finding.card[0], "element"
+        )
         selection = {kind: list(finding.ids)}
         self.viewer.show(select=selection, labels=selection if kind == "node" else None)
         self.viewer.fly(selection)
@@ -257,10 +280,13 @@ class _ModelScreen:
     def _units(self, check: DeckCheck) -> None:
         now = deck_units(self.session)
         names = {
-            name: name + (", not plausible" if check.implausible[name] else ", plausible")
+            name: name
+            + (", not plausible" if check.implausible[name] else ", plausible")
             for name in UNIT_SYSTEMS
         }
-        pick = ui.select(names, value=now, on_change=lambda e: self.set_units(str(e.value)))
+        pick = ui.select(
+            names, value=now, on_change=lambda e: self.set_units(str(e.value))
+        )
         pick.props(SELECT).classes("w-full").mark("units")
         for f in check.implausible[now][:2]:
             ui.label(f.text).classes("text-xs text-accent")
@@ -340,7 +366,11 @@ class _ModelScreen:
             self._moved()
         region = self.session.selection.region
         config = self.session.config
-        entry = next((c for c in config.candidate if c.name == region), None) if config else None
+        entry = (
+            next((c for c in config.candidate if c.name == region), None)
+            if config
+            else None
+        )
         if entry is not None:
             self.chosen = deck.changed(entry.targets)
             self._shown()
@@ -363,7 +393,9 @@ class _ModelScreen:
         heading("Selection")
         count = len(self.chosen)
         if not count:
-            text = "Click an element, with Shift several; drag with Ctrl for a rectangle."
+            text = (
+                "Click an element, with Shift several; drag with Ctrl for a rectangle."
+            )
             ui.label(text).classes("text-sm opacity-70")
         else:
             first = ", ".join(map(str, sorted(self.chosen)[:6]))
@@ -373,9 +405,9 @@ class _ModelScreen:
                 _small("Hide", "visibility_off", self.hide)
                 _small("Isolate", "filter_center_focus", self.isolate)
                 _small("Fly to", "zoom_in", self._fly)
-            ui.button("Candidate region", icon="add_location_alt", on_click=self.ask).props(
-                "dense no-caps unelevated"
-            ).classes("q-mt-xs").mark("candidate")
+            ui.button(
+                "Candidate region", icon="add_location_alt", on_click=self.ask
+            ).props("dense no-caps unelevated").classes("q-mt-xs").mark("candidate")
         if self.hidden:
             with ui.row().classes("w-full items-center justify-between"):
                 ui.label(f"{len(self.hidden)} elements are hidden").classes("text-sm")
@@ -390,10 +422,18 @@ class _ModelScreen:
         assert deck is not None
         heading({"group": "Regions"}.get(self.coloring, f"By {self.coloring}"))
         entries = deck.legend(self.coloring)
-        with ui.column().classes("w-full gap-0").style("max-height:38vh; overflow-y:auto"):
+        with (
+            ui.column()
+            .classes("w-full gap-0")
+            .style("max-height:38vh; overflow-y:auto")
+        ):
             for value, name, color, count in entries:
-                row = ui.row().classes("w-full items-center no-wrap gap-2 cursor-pointer")
-                row.on("click", partial(self.select_number, value)).mark(f"legend-{value}")
+                row = ui.row().classes(
+                    "w-full items-center no-wrap gap-2 cursor-pointer"
+                )
+                row.on("click", partial(self.select_number, value)).mark(
+                    f"legend-{value}"
+                )
                 with row:
                     ui.element("div").style(
                         f"background:{color};width:12px;height:12px;border-radius:2px;flex:none"
@@ -421,7 +461,9 @@ class _ModelScreen:
 
     def remove(self, k: int, name: str) -> None:
         """Take a candidate out of study.toml."""
-        self.session.edit(f"candidate {name} taken out", edits.remove_entry("candidate", k))
+        self.session.edit(
+            f"candidate {name} taken out", edits.remove_entry("candidate", k)
+        )
 
     async def ask(self) -> None:
         """Ask for the name of a candidate region and what of it is uncertain."""
@@ -439,7 +481,12 @@ class _ModelScreen:
         }
         with self.holder, ui.dialog() as dialog, ui.card().style("width:560px"):
             ui.label("Candidate region").classes("text-base")
-            name = ui.input("Name").classes("w-full").props("autofocus").mark("region-name")
+            name = (
+                ui.input("Name")
+                .classes("w-full")
+                .props("autofocus")
+                .mark("region-name")
+            )
             what = ui.select(options, value=[0], multiple=True, label="One factor on")
             what.props("options-dense use-chips").classes("w-full").mark("region-what")
 
@@ -451,7 +498,9 @@ class _ModelScreen:
             name.on("keydown.enter", write)
             with ui.row().classes("w-full justify-end"):
                 ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
-                ui.button("Write", on_click=write).props("no-caps unelevated").mark("write")
+                ui.button("Write", on_click=write).props("no-caps unelevated").mark(
+                    "write"
+                )
         dialog.open()
 
     def add(self, name: str, parameters: list[RegionParameter]) -> None:

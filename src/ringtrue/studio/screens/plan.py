@@ -60,7 +60,9 @@ class PlannedPoints:
     trial: PlanTrial | None
 
 
-_TRIALS: WeakKeyDictionary[StudioSession, tuple[ModelStage, TrialPlan]] = WeakKeyDictionary()
+_TRIALS: WeakKeyDictionary[StudioSession, tuple[ModelStage, TrialPlan]] = (
+    WeakKeyDictionary()
+)
 
 
 def trial_of(session: StudioSession) -> TrialPlan:
@@ -80,7 +82,9 @@ def trial_of(session: StudioSession) -> TrialPlan:
     return known[1].under(session.config.plan)
 
 
-def planned(plan: PlanSection, stored: PlanStage | None, candidates: TrialPlan) -> PlannedPoints:
+def planned(
+    plan: PlanSection, stored: PlanStage | None, candidates: TrialPlan
+) -> PlannedPoints:
     """The points as they stand."""
     allowed = set(candidates.nodes.tolist())
     points: list[int | str] = []
@@ -130,19 +134,26 @@ def _begin(session: StudioSession) -> None:
         ui.icon("edit_location_alt").classes("text-4xl opacity-40")
         ui.label("The study has no plan of a test yet.")
         with ui.row().classes("items-center gap-3"):
-            fmin = ui.number("from, Hz", value=float(f"{low:.4g}"), min=0).props("dense outlined")
-            fmax = ui.number("to, Hz", value=float(f"{high:.4g}"), min=0).props("dense outlined")
+            fmin = ui.number("from, Hz", value=float(f"{low:.4g}"), min=0).props(
+                "dense outlined"
+            )
+            fmax = ui.number("to, Hz", value=float(f"{high:.4g}"), min=0).props(
+                "dense outlined"
+            )
             points = ui.number("points", value=ALONE["sensors"], min=1, precision=0)
             points.props("dense outlined").mark("points")
 
         def write() -> None:
             section = ALONE | {"sensors": int(points.value or 1)}
-            section |= {"fmin": float(fmin.value or 0.0), "fmax": float(fmax.value or 0.0)}
+            section |= {
+                "fmin": float(fmin.value or 0.0),
+                "fmax": float(fmax.value or 0.0),
+            }
             session.edit("a plan begun", edits.put(("plan",), section))
 
-        ui.button("Begin a plan", icon="add", on_click=write).props("no-caps unelevated").mark(
-            "begin-plan"
-        )
+        ui.button("Begin a plan", icon="add", on_click=write).props(
+            "no-caps unelevated"
+        ).mark("begin-plan")
 
 
 class _PlanScreen:
@@ -265,7 +276,9 @@ class _PlanScreen:
         """The target modes, as the points see them; a click moves the deck."""
         trial = self.now.trial if self.now is not None else None
         if trial is None:
-            ui.label("No points yet: choose some, or click nodes.").classes("text-sm opacity-70")
+            ui.label("No points yet: choose some, or click nodes.").classes(
+                "text-sm opacity-70"
+            )
             return
         others = np.array(trial.auto_mac)
         np.fill_diagonal(others, -1.0)
@@ -280,7 +293,9 @@ class _PlanScreen:
             row["f"] = f"{trial.frequencies[k]:.5g}"
             if len(trial.modes) > 1:
                 near = int(np.argmax(others[k]))
-                row["mac"] = f"{100 * others[k, near]:.0f} %, mode {int(trial.modes[near])}"
+                row["mac"] = (
+                    f"{100 * others[k, near]:.0f} %, mode {int(trial.modes[near])}"
+                )
             row["reach"] = f"{100 * trial.reach[k]:.0f}"
             row["found"] = f"{100 * found[mode]:.0f}" if mode in found else ""
             rows.append(row)
@@ -372,7 +387,10 @@ class _PlanScreen:
         node = self.node
         assert node is not None
         here = [n for n in self.plan.strike_at if n != node] + ([node] if on else [])
-        self.set(f"excitation at {node} {'named' if on else 'not named'}", strike_at=here or None)
+        self.set(
+            f"excitation at {node} {'named' if on else 'not named'}",
+            strike_at=here or None,
+        )
 
     def forbid(self, key: str) -> None:
         """Forbid the box around the selected nodes, or measure in it alone."""
@@ -381,12 +399,17 @@ class _PlanScreen:
         here = deck.scene.xyz[np.isin(deck.scene.node, self.boxed_nodes)]
         if not len(here):
             return
-        corners = [*(here.min(axis=0) - MARGIN).tolist(), *(here.max(axis=0) + MARGIN).tolist()]
+        corners = [
+            *(here.min(axis=0) - MARGIN).tolist(),
+            *(here.max(axis=0) + MARGIN).tolist(),
+        ]
         box = [float(f"{x:.4f}") + 0.0 for x in corners]
         count = len(self.boxed_nodes)
         self.boxed_nodes = []
         words = "forbidden" if key == "keep_out" else "measured alone"
-        self.set(f"box of {count} nodes {words}", **{key: [*getattr(self.plan, key), box]})
+        self.set(
+            f"box of {count} nodes {words}", **{key: [*getattr(self.plan, key), box]}
+        )
 
     def unbox(self, key: str, k: int) -> None:
         """Take a box out of [plan]."""
@@ -415,7 +438,9 @@ class _PlanScreen:
         node = self.node
         if node is None and not self.boxed_nodes:
             heading("Node")
-            ui.label("Click a node; drag with Ctrl for a rectangle.").classes("text-sm opacity-70")
+            ui.label("Click a node; drag with Ctrl for a rectangle.").classes(
+                "text-sm opacity-70"
+            )
             return
         if node is None:
             heading("Rectangle")
@@ -436,7 +461,9 @@ class _PlanScreen:
                 _button("Add", "add_location_alt", self.add)
                 _button("Exclude", "block", self.remove)
             else:
-                ui.label("No candidate: held, or in a forbidden box.").classes("text-sm")
+                ui.label("No candidate: held, or in a forbidden box.").classes(
+                    "text-sm"
+                )
             if able:
                 named = node in self.plan.strike_at
                 _button(
@@ -453,7 +480,9 @@ class _PlanScreen:
                 heading(title)
             for k, box in enumerate(boxes):
                 with ui.row().classes("w-full items-center no-wrap gap-2"):
-                    low, high = (" ".join(f"{x:.3g}" for x in b) for b in (box[:3], box[3:]))
+                    low, high = (
+                        " ".join(f"{x:.3g}" for x in b) for b in (box[:3], box[3:])
+                    )
                     ui.label(f"{low} to {high} m").classes("text-xs rt-value grow")
                     ui.button(icon="close", on_click=partial(self.unbox, key, k)).props(
                         "flat dense round size=sm"
@@ -462,13 +491,20 @@ class _PlanScreen:
     def _settings(self) -> None:
         heading("What is asked")
         with ui.row().classes("w-full no-wrap gap-2"):
-            for key, label in (("sensors", "points"), ("references", "excitation points")):
+            for key, label in (
+                ("sensors", "points"),
+                ("references", "excitation points"),
+            ):
                 self._number(key, label, whole=True)
         with ui.row().classes("w-full no-wrap gap-2"):
             for key, label in (("fmin", "from, Hz"), ("fmax", "to, Hz")):
                 self._number(key, label, whole=False)
         ui.select(
-            {"triaxial": "triaxial", "uniaxial": "single axes", "normal": "along normals"},
+            {
+                "triaxial": "triaxial",
+                "uniaxial": "single axes",
+                "normal": "along normals",
+            },
             value=self.plan.directions,
             label="sensors",
             on_change=lambda e: self.set(f"sensors {e.value}", directions=str(e.value)),
@@ -476,7 +512,11 @@ class _PlanScreen:
 
     def _number(self, key: str, label: str, *, whole: bool) -> None:
         value = getattr(self.plan, key)
-        given = ui.number(label, value=value, min=0).props("dense outlined").classes("w-1/2")
+        given = (
+            ui.number(label, value=value, min=0)
+            .props("dense outlined")
+            .classes("w-1/2")
+        )
 
         def write() -> None:
             new = given.value
@@ -502,10 +542,15 @@ class _PlanScreen:
         if stored is None:
             ui.label("No plan is stored yet.").classes("text-sm opacity-70")
         elif self.session.standing("plan") == "stale":
-            ui.label("The stored plan is of other settings.").classes("text-xs opacity-70")
+            ui.label("The stored plan is of other settings.").classes(
+                "text-xs opacity-70"
+            )
         if found is not None:
             fact("Trials", str(found.trials))
-            fact("Modes found in most", f"{int((found.found > 0.5).sum())} of {found.found.size}")
+            fact(
+                "Modes found in most",
+                f"{int((found.found > 0.5).sum())} of {found.found.size}",
+            )
             fact("Invented modes a trial", number(found.invented, 2))
             fact("Largest force", f"{number(found.force, 2)} N")
         _button("Virtual test", "science", self.virtual_test)
@@ -518,6 +563,6 @@ def _figure(name: str, value: str, good: bool = True) -> None:
 
 
 def _button(text: str, icon: str, does: Any) -> None:
-    ui.button(text, icon=icon, on_click=does).props("dense no-caps outline size=sm").mark(
-        text.lower().replace(" ", "-")
-    )
+    ui.button(text, icon=icon, on_click=does).props(
+        "dense no-caps outline size=sm"
+    ).mark(text.lower().replace(" ", "-"))

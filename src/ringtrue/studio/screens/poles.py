@@ -33,7 +33,12 @@ from ringtrue.studio.views import ShapeView
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
 SAME = 0.01  # relative: a frequency of a choice means a mode as near as that
-PICK = {"symbol": "star", "size": 13, "color": "#e69f00", "line": {"width": 1, "color": "#7a5200"}}
+PICK = {
+    "symbol": "star",
+    "size": 13,
+    "color": "#e69f00",
+    "line": {"width": 1, "color": "#7a5200"},
+}
 PICKED = "your pick"  # the name of its marks
 # A mark of a pick or a mode that is drawn onto another one: plotly would take that for a zoom.
 DRAWN = """(e) => {
@@ -102,7 +107,9 @@ class _PolesScreen:
                 lambda e: self.ask_merge(e.args),
                 js_handler=DRAWN.replace("@PICKED@", PICKED),
             )
-            self.synthesis = Synthesis(session, lambda: (self.record, self.found, self.choice))
+            self.synthesis = Synthesis(
+                session, lambda: (self.record, self.found, self.choice)
+            )
             self.synthesis.build()
             with ui.row().classes("w-full no-wrap gap-4 items-start"):
                 self.automatic()
@@ -118,11 +125,17 @@ class _PolesScreen:
         keys["accept"] = self._confirm
         keys["reject"] = self._ask_reject
         keys["play"] = self.view.toggle
-        events = (session.on_documents, session.on_results, session.on_theme, session.on_selection)
+        events = (
+            session.on_documents,
+            session.on_results,
+            session.on_theme,
+            session.on_selection,
+        )
         frame().follow(self._update, *events)
 
     def _update(self) -> None:
-        if self.record not in sources(self.session.stage("identify")):  # a run has begun
+        # a run has begun
+        if self.record not in sources(self.session.stage("identify")):
             frame().rebuild()
             return
         assert self.plot is not None
@@ -138,7 +151,9 @@ class _PolesScreen:
             ui.toggle(
                 names,
                 value=self.record,
-                on_change=lambda e: session.select(record=e.value, frequency=None, order=None),
+                on_change=lambda e: session.select(
+                    record=e.value, frequency=None, order=None
+                ),
             ).props("dense no-caps unelevated toggle-color=primary").mark("record")
             ui.label("Click a pole or a mode; draw one onto another to merge.").classes(
                 "text-sm opacity-70 ellipsis"
@@ -149,7 +164,9 @@ class _PolesScreen:
     def _figure(self) -> dict[str, Any]:
         shown = self.found.diagram
         figure = identification_figure(shown)
-        top = max((int(d.poles.order.max(initial=1)) for d in shown.diagrams), default=1)
+        top = max(
+            (int(d.poles.order.max(initial=1)) for d in shown.diagrams), default=1
+        )
         choice = self.choice
         picked = choice.picks
         hover = "%{x:.5g} Hz<extra>%{fullData.name}</extra>"
@@ -189,7 +206,9 @@ class _PolesScreen:
             return
         if (mode := points[0].get("customdata")) is not None:
             self.view.mode(self.found.diagram.modes, int(np.ravel(mode)[0]))
-        elif (pole := nearest_pole(self.found, points[0]["x"], points[0]["y"])) is not None:
+        elif (
+            pole := nearest_pole(self.found, points[0]["x"], points[0]["y"])
+        ) is not None:
             shape = pole_shape(self.found, pole)
             if shape is not None:
                 self.view.mode(shape, 0)
@@ -211,14 +230,17 @@ class _PolesScreen:
         pole = nearest_pole(self.found, frequency, order)
         if pole is None:
             return
-        self.session.select(record=self.record, frequency=pole.frequency, order=order, mode=None)
+        self.session.select(
+            record=self.record, frequency=pole.frequency, order=order, mode=None
+        )
         number = self._entry("pick", pole.frequency, order)
         if number is not None:
             self._remove("pick", number, pole.frequency)
             return
         entry = {"frequency": pole.frequency, "order": order, "record": self.record}
         self.session.edit_choice(
-            f"picked {pole.frequency:.5g} Hz, order {order}", edits.add_entry("pick", entry)
+            f"picked {pole.frequency:.5g} Hz, order {order}",
+            edits.add_entry("pick", entry),
         )
 
     def _entry(self, kind: str, frequency: float, order: int = 0) -> int | None:
@@ -231,7 +253,11 @@ class _PolesScreen:
         rows: tuple[Any, ...] = whole.picks if kind == "pick" else whole.rejects
         for k, row in enumerate(rows):
             near = abs(row.frequency / frequency - 1) < (1e-9 if order else SAME)
-            if row.record in (self.record, "") and near and getattr(row, "order", 0) == order:
+            if (
+                row.record in (self.record, "")
+                and near
+                and getattr(row, "order", 0) == order
+            ):
                 return k
         return None
 
@@ -242,7 +268,9 @@ class _PolesScreen:
 
     def _select_mode(self, k: int) -> None:
         f = float(self.found.diagram.modes.frequencies[k])
-        self.session.select(record=self.record, frequency=f, order=0, mode=self._number(k))
+        self.session.select(
+            record=self.record, frequency=f, order=0, mode=self._number(k)
+        )
 
     def _number(self, k: int) -> int | None:
         """Position among the natural modes, which all screens count."""
@@ -276,7 +304,9 @@ class _PolesScreen:
             self._remove("pick", number, f)
             return
         entry = {"frequency": f, "record": self.record}
-        self.session.edit_choice(f"confirmed {f:.5g} Hz", edits.add_entry("pick", entry))
+        self.session.edit_choice(
+            f"confirmed {f:.5g} Hz", edits.add_entry("pick", entry)
+        )
 
     def _ask_reject(self) -> None:
         k = self._mode()
@@ -291,7 +321,9 @@ class _PolesScreen:
     def reject(self, frequency: float, reason: str) -> None:
         """Reject an automatic mode."""
         entry = {"frequency": frequency, "reason": reason, "record": self.record}
-        self.session.edit_choice(f"rejected {frequency:.5g} Hz", edits.add_entry("reject", entry))
+        self.session.edit_choice(
+            f"rejected {frequency:.5g} Hz", edits.add_entry("reject", entry)
+        )
 
     def merge(self, low: float, high: float, reason: str) -> None:
         """Say that two modes are one."""
@@ -306,7 +338,9 @@ class _PolesScreen:
         f = float(there[k])
         if (number := self._entry("merge", f)) is not None:
             ui.button(
-                "Take the merge back", icon="call_split", on_click=lambda: self._unmerge(number, f)
+                "Take the merge back",
+                icon="call_split",
+                on_click=lambda: self._unmerge(number, f),
             ).props("dense no-caps outline").mark("unmerge")
             return
         near = [int(j) for j in np.argsort(np.abs(there - f), kind="stable") if j != k]
@@ -382,7 +416,12 @@ class _PolesScreen:
             for k, p in enumerate(choice.picks)
         ]
         rows += [
-            {"id": f"r{k}", "what": "reject", "f": f"{r.frequency:.6g}", "why": r.reason}
+            {
+                "id": f"r{k}",
+                "what": "reject",
+                "f": f"{r.frequency:.6g}",
+                "why": r.reason,
+            }
             for k, r in enumerate(choice.rejects)
         ]
         rows += [
@@ -397,9 +436,13 @@ class _PolesScreen:
         with ui.column().classes("w-80 gap-0"):
             heading(f"Your choice: {self.session.choice_name}")
             if rows:
-                table({"what": "what", "f": "f, Hz", "why": "order or reason"}, rows).mark("own")
+                table(
+                    {"what": "what", "f": "f, Hz", "why": "order or reason"}, rows
+                ).mark("own")
             else:
-                ui.label("Nothing yet: the automatic modes stand.").classes("text-sm opacity-70")
+                ui.label("Nothing yet: the automatic modes stand.").classes(
+                    "text-sm opacity-70"
+                )
 
     def inspected(self) -> None:
         """The evidence of what is selected, and its shape in motion."""
@@ -430,7 +473,10 @@ class _PolesScreen:
                 pole = nearest_pole(self.found, selection.frequency, selection.order)
                 if pole is not None:
                     heading("Pole")
-                    fact("Frequency", f"{plus_minus(pole.frequency, pole.std_frequency, 6)} Hz")
+                    fact(
+                        "Frequency",
+                        f"{plus_minus(pole.frequency, pole.std_frequency, 6)} Hz",
+                    )
                     damping = plus_minus(100 * pole.damping, 100 * pole.std_damping, 3)
                     fact("Damping ratio", f"{damping} %")
                     fact("Model order", str(pole.order))

@@ -21,7 +21,15 @@ from ringtrue.plots.style import QUALITATIVE
 from ringtrue.studio import edits
 from ringtrue.studio.edits import Change
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import SELECT, fact, frame, heading, inspector, run_button, table
+from ringtrue.studio.shell import (
+    SELECT,
+    fact,
+    frame,
+    heading,
+    inspector,
+    run_button,
+    table,
+)
 from ringtrue.studio.shown import DrawnDeck, drawn_deck
 from ringtrue.studio.viewer_element import Viewer
 from ringtrue.studio.views import deck_view
@@ -30,7 +38,11 @@ from ringtrue.viewer.scene import sensor_arrays, test_arrays
 
 FAR, SUSPECT, REST = "far from the deck", "suspect", "sensor"
 COLORS = {REST: QUALITATIVE[2], SUSPECT: QUALITATIVE[1], FAR: QUALITATIVE[3]}
-FITS = {"": "As the sheet says", "points": "By numbers of points", "nearest": "By nearest nodes"}
+FITS = {
+    "": "As the sheet says",
+    "points": "By numbers of points",
+    "nearest": "By nearest nodes",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +104,9 @@ def build(session: StudioSession) -> None:
         frame().follow(frame().rebuild, session.on_documents)
         with ui.column().classes("w-full items-center q-pa-xl gap-2"):
             ui.icon("sensors").classes("text-4xl opacity-40")
-            ui.label("The study has no sensor sheet: name one under [test] of study.toml.")
+            ui.label(
+                "The study has no sensor sheet: name one under [test] of study.toml."
+            )
         return
     _SensorsScreen(session).build()
 
@@ -135,7 +149,9 @@ class _SensorsScreen:
             drawn["model"] = self.deck.arrays
         else:
             await self._place()
-            drawn["test"] = test_arrays(self.sheet.model) if self.sheet is not None else {}
+            drawn["test"] = (
+                test_arrays(self.sheet.model) if self.sheet is not None else {}
+            )
         with self.holder:
             self.bar()
             self.viewer = deck_view(self.session, drawn, ["sensor"], below=358)
@@ -187,7 +203,9 @@ class _SensorsScreen:
         kinds: dict[str, str] = {}
         stage: CorrelateStage | None = self.session.stage("correlate")
         if stage is not None:
-            kinds |= dict.fromkeys((c for m in stage.sensors.mendings for c in m.channels), SUSPECT)
+            kinds |= dict.fromkeys(
+                (c for m in stage.sensors.mendings for c in m.channels), SUSPECT
+            )
         if self.placed is not None:
             far = set(self.placed.far.tolist())
             at = self.placed.test.at.tolist()
@@ -202,7 +220,9 @@ class _SensorsScreen:
         test = self.sheet.model if self.placed is None else self.placed.test
         kinds = self._kinds()
         there = sorted({kinds.get(c, REST) for c in test.channels})
-        self.viewer.sensors(sensor_arrays(test, kinds, [COLORS[k] for k in there], REST))
+        self.viewer.sensors(
+            sensor_arrays(test, kinds, [COLORS[k] for k in there], REST)
+        )
 
     # --- bar and table
 
@@ -229,11 +249,13 @@ class _SensorsScreen:
             ui.space()
             run_button(session, "correlate", "Correlate")
         if self.problem:
-            ui.label(self.problem).classes("text-sm text-negative").mark("sheet-problem")
-        elif self.placed is not None and self.placed.alignment:
-            ui.label(self.placed.alignment).classes("text-xs opacity-70 ellipsis w-full").tooltip(
-                self.placed.alignment
+            ui.label(self.problem).classes("text-sm text-negative").mark(
+                "sheet-problem"
             )
+        elif self.placed is not None and self.placed.alignment:
+            ui.label(self.placed.alignment).classes(
+                "text-xs opacity-70 ellipsis w-full"
+            ).tooltip(self.placed.alignment)
 
     def fit(self, how: str) -> None:
         """Lay the sheet onto the deck, or leave it where it is."""
@@ -269,7 +291,11 @@ class _SensorsScreen:
     def _row(self, event: GenericEventArguments) -> None:
         point = int(event.args[1]["id"])
         sheet = self.sheet
-        first = next((c.id for c in sheet.channels if c.point == point), "") if sheet else ""
+        first = (
+            next((c.id for c in sheet.channels if c.point == point), "")
+            if sheet
+            else ""
+        )
         if first:
             self.session.select(channel=first)
 
@@ -299,7 +325,11 @@ class _SensorsScreen:
 
     def _marked(self) -> None:
         if self.viewer is not None:
-            wanted = [c for c in (self.session.selection.channel, self.partner) if c in self.names]
+            wanted = [
+                c
+                for c in (self.session.selection.channel, self.partner)
+                if c in self.names
+            ]
             select = {"sensor": wanted} if wanted else None
             self.viewer.show(select=select, labels=select)
 
@@ -322,7 +352,9 @@ class _SensorsScreen:
         point = self.point_of(str(found["id"]))
         xyz = self.placed.on_sheet(node)
         self.session.select(channel=str(found["id"]))
-        self.edit(f"point {point} at node {node}", edits.relocate(self.sheet, point, xyz))
+        self.edit(
+            f"point {point} at node {node}", edits.relocate(self.sheet, point, xyz)
+        )
 
     def flip(self) -> None:
         """Reverse the selected channel."""
@@ -335,7 +367,8 @@ class _SensorsScreen:
         assert self.sheet is not None
         point = self.point_of(self.session.selection.channel)
         self.edit(
-            f"point {point} turned by 90° about {about}", edits.turn(self.sheet, point, about)
+            f"point {point} turned by 90° about {about}",
+            edits.turn(self.sheet, point, about),
         )
 
     def swap(self) -> None:
@@ -343,7 +376,9 @@ class _SensorsScreen:
         assert self.sheet is not None
         name, other = self.session.selection.channel, self.partner
         if other:
-            self.edit(f"{name} and {other} exchanged", edits.swap(self.sheet, name, other))
+            self.edit(
+                f"{name} and {other} exchanged", edits.swap(self.sheet, name, other)
+            )
 
     def mend(self, k: int) -> None:
         """Write what the correlation found of the sensors into the sheet."""
@@ -352,8 +387,12 @@ class _SensorsScreen:
         sheet = self.sheet
         assert sheet is not None
         if found.kind == "axes":
-            groups = dict(zip(sheet.model.channels, sheet.model.group_of_channels(), strict=True))
-            mine = [c for c in self.names if not found.group or groups[c] == found.group]
+            groups = dict(
+                zip(sheet.model.channels, sheet.model.group_of_channels(), strict=True)
+            )
+            mine = [
+                c for c in self.names if not found.group or groups[c] == found.group
+            ]
             change = edits.remap(sheet, mine, dict(found.axes))
         else:
             reads = {s.channel: s.partner for s in found.suspects if s.partner}
@@ -454,17 +493,25 @@ class _SensorsScreen:
             ui.label("No correlation is stored.").classes("text-sm opacity-70")
             return
         if self.session.standing("correlate") == "stale":
-            ui.label("Deck or sheet have changed since: correlate anew.").classes("text-xs")
+            ui.label("Deck or sheet have changed since: correlate anew.").classes(
+                "text-xs"
+            )
         if not stage.sensors.mendings:
-            ui.label("No other mounting explains the test better.").classes("text-sm opacity-70")
+            ui.label("No other mounting explains the test better.").classes(
+                "text-sm opacity-70"
+            )
         for k, found in enumerate(stage.sensors.mendings):
             with ui.card().classes("w-full q-pa-sm gap-1").props("flat bordered"):
                 ui.label(found.change).classes("text-sm")
                 seen = Gain(found.pairs, (100 * found.mac[0], 100 * found.mac[1]))
                 ui.label(str(seen)).classes("text-xs opacity-70")
                 if found.rivals:
-                    ui.label(f"or {'; or '.join(found.rivals)}").classes("text-xs opacity-70")
-                _button("Write into the sheet", "edit", partial(self.mend, k)).mark(f"mend-{k}")
+                    ui.label(f"or {'; or '.join(found.rivals)}").classes(
+                        "text-xs opacity-70"
+                    )
+                _button("Write into the sheet", "edit", partial(self.mend, k)).mark(
+                    f"mend-{k}"
+                )
 
 
 def mended(sheet: SensorSheet, turned: list[str], reads: Mapping[str, str]) -> Change:
@@ -476,4 +523,6 @@ def mended(sheet: SensorSheet, turned: list[str], reads: Mapping[str, str]) -> C
 
 def _button(text: str, icon: str, does: Any) -> ui.button:
     button = ui.button(text, icon=icon or None, on_click=does)
-    return button.props("dense no-caps outline size=sm").mark(text.lower().replace(" ", "-"))
+    return button.props("dense no-caps outline size=sm").mark(
+        text.lower().replace(" ", "-")
+    )

@@ -17,7 +17,14 @@ from ringtrue.plots import records as figures
 from ringtrue.studio import theme
 from ringtrue.studio.screens.impacts import ImpactPanel
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import SELECT, channels_select, fact, frame, heading, inspector
+from ringtrue.studio.shell import (
+    SELECT,
+    channels_select,
+    fact,
+    frame,
+    heading,
+    inspector,
+)
 from ringtrue.studio.shown import records_of
 from ringtrue.study.record_views import RecordView, place_of
 from ringtrue.study.results import IdentifyStage
@@ -35,7 +42,9 @@ def build(session: StudioSession) -> None:
         frame().follow(frame().rebuild, session.on_documents)
         with ui.column().classes("w-full items-center q-pa-xl gap-2"):
             ui.icon("graphic_eq").classes("text-4xl opacity-40")
-            ui.label(session.problem or "The study has no records: [test] log names them.")
+            ui.label(
+                session.problem or "The study has no records: [test] log names them."
+            )
         return
     _SignalsScreen(session).build()
 
@@ -62,7 +71,9 @@ class _SignalsScreen:
         names = self.records.names
         wanted = self.session.selection.record
         if wanted == "hammer":  # the FRFs of all of them
-            hammered = [n for n, r in self.records.logged.items() if r.kind != "ambient"]
+            hammered = [
+                n for n, r in self.records.logged.items() if r.kind != "ambient"
+            ]
             wanted = hammered[0] if hammered else ""
         return wanted if wanted in names else names[0]
 
@@ -78,7 +89,9 @@ class _SignalsScreen:
             self.body()
         session = self.session
         frame().follow(self._restyled, session.on_theme)
-        frame().follow(self._marked, session.on_documents, session.on_results, session.on_selection)
+        frame().follow(
+            self._marked, session.on_documents, session.on_results, session.on_selection
+        )
         ui.timer(0, self._open, once=True)
 
     async def _open(self) -> None:
@@ -126,7 +139,9 @@ class _SignalsScreen:
             elif self.view is None:
                 ui.spinner(size="lg").classes("self-center q-ma-xl")
             elif self.what == IMPACTS:
-                self._impacts = ImpactPanel(self.session, self.records, self.record, self.view)
+                self._impacts = ImpactPanel(
+                    self.session, self.records, self.record, self.view
+                )
                 self._impacts.build()
             else:
                 self._plots()
@@ -134,22 +149,22 @@ class _SignalsScreen:
     def _bar(self) -> None:
         view = self.view
         with ui.row().classes("w-full items-center no-wrap gap-2"):
-            ui.select(self.records.names, value=self.record, on_change=self._other_record).props(
-                SELECT
-            ).classes("min-w-44").mark("record")
+            ui.select(
+                self.records.names, value=self.record, on_change=self._other_record
+            ).props(SELECT).classes("min-w-44").mark("record")
             if self.with_hits:
-                ui.toggle([SIGNALS, IMPACTS], value=self.what, on_change=self._other_view).props(
-                    "dense no-caps unelevated"
-                ).mark("what")
+                ui.toggle(
+                    [SIGNALS, IMPACTS], value=self.what, on_change=self._other_view
+                ).props("dense no-caps unelevated").mark("what")
             if view is None or self.what == IMPACTS:
                 return
             ids = [c.id for c in view.channels]
-            channels_select("channels", ids, self.channels, self._other_channels, MOST).classes(
-                "grow min-w-0"
-            ).mark("channels")
-            ui.button(icon="zoom_out_map", on_click=self._whole).props("flat dense round").tooltip(
-                "The whole record"
-            ).mark("whole")
+            channels_select(
+                "channels", ids, self.channels, self._other_channels, MOST
+            ).classes("grow min-w-0").mark("channels")
+            ui.button(icon="zoom_out_map", on_click=self._whole).props(
+                "flat dense round"
+            ).tooltip("The whole record").mark("whole")
 
     def _plots(self) -> None:
         height = f"max(38vh, {70 * len(self.channels)}px)"
@@ -203,7 +218,10 @@ class _SignalsScreen:
         if view is None:
             return
         args = event.args
-        ends = args.get("xaxis.range") or [args.get("xaxis.range[0]"), args.get("xaxis.range[1]")]
+        ends = args.get("xaxis.range") or [
+            args.get("xaxis.range[0]"),
+            args.get("xaxis.range[1]"),
+        ]
         if args.get("xaxis.autorange"):
             ends = [0.0, view.duration]
         if None in ends:
@@ -240,7 +258,11 @@ class _SignalsScreen:
         notes = await self.records.notes(self.record, view)
         if turn != self._wanted or seen is None or self.root.is_deleted:
             return
-        levels = {n.subject: float(n.values["value"]) for n in notes if n.code == "channel clipped"}
+        levels = {
+            n.subject: float(n.values["value"])
+            for n in notes
+            if n.code == "channel clipped"
+        }
         figure = figures.signals(
             self._shown,
             seen,
@@ -252,7 +274,9 @@ class _SignalsScreen:
         spec = theme.drawn(figure, dark=self.session.dark)
         spec["layout"]["uirevision"] = f"{self.record} {self.span}"
         self.plot.update_figure(spec)
-        resolution = self.resolution or max(view.rate / 2 / LINES, 4 * view.rate / (stop - start))
+        resolution = self.resolution or max(
+            view.rate / 2 / LINES, 4 * view.rate / (stop - start)
+        )
         self.seen = await run.io_bound(view.spectra, ids, start, stop, resolution)
         one = next((c for c in self._shown if c.quantity not in FORCES), self._shown[0])
         level = await run.io_bound(view.spectrogram, one.id, start, stop)
@@ -266,7 +290,9 @@ class _SignalsScreen:
 
     def _hits(self, view: RecordView) -> list[figures.MarkedHit]:
         hits = self.records.hits(self.record)
-        return [figures.MarkedHit(place_of(view, h) / view.rate, h.accepted) for h in hits]
+        return [
+            figures.MarkedHit(place_of(view, h) / view.rate, h.accepted) for h in hits
+        ]
 
     def _marked_spectra(self) -> None:
         """The spectra with modes, machines and the selected frequency."""
@@ -332,7 +358,9 @@ class _SignalsScreen:
                 ui.label(sentence(note)).classes(f"text-xs {colour}")
             if not notes:
                 whole = stored is not None or view.name in self.records.names
-                ui.label("Nothing is wrong with them." if whole else "").classes("text-xs")
+                ui.label("Nothing is wrong with them." if whole else "").classes(
+                    "text-xs"
+                )
             if stored is not None and stored.notes:
                 heading("Identification")
                 for text in stored.notes:
@@ -340,7 +368,9 @@ class _SignalsScreen:
             if found is not None and found.account.machines:
                 heading("Machines")
                 for machine in found.account.machines:
-                    ui.label(f"{machine.frequency:.4g} Hz, {len(machine.harmonics)} harmonics")
+                    ui.label(
+                        f"{machine.frequency:.4g} Hz, {len(machine.harmonics)} harmonics"
+                    )
 
 
 def _length(seconds: float) -> str:

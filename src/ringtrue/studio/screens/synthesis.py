@@ -18,7 +18,8 @@ from ringtrue.study.synthesis import FittedData, FrfFit, fitted_spectra, single,
 ALL = "all FRFs"
 HAMMER = "hammer"
 
-Shown = tuple[str, IdentifiedModes, Choice]  # record, what was found, the user's choice for it
+# record, what was found, the user's choice for it
+Shown = tuple[str, IdentifiedModes, Choice]
 
 
 class Synthesis:
@@ -66,7 +67,9 @@ class Synthesis:
     async def _followed(self) -> None:
         """Another record, or a channel, was selected."""
         chosen = self.session.selection.channel
-        there = [o for o in self._pairs() if o.startswith(f"{chosen} / ")] if chosen else []
+        there = (
+            [o for o in self._pairs() if o.startswith(f"{chosen} / ")] if chosen else []
+        )
         if there and not self.what.startswith(f"{chosen} / "):
             self.what = there[0]
         await self.drawn()
@@ -75,7 +78,9 @@ class Synthesis:
         stage: IdentifyStage | None = self.session.stage("identify")
         if stage is None or stage.frfs is None:
             return []
-        return [f"{o.id} / {i.id}" for i in stage.frfs.inputs for o in stage.frfs.outputs]
+        return [
+            f"{o.id} / {i.id}" for i in stage.frfs.inputs for o in stage.frfs.outputs
+        ]
 
     async def drawn(self) -> None:
         """Fit the modes anew and show what they explain."""

@@ -108,11 +108,21 @@ class Tried:
         with ui.row().classes("w-full items-center no-wrap gap-2"):
             heading("FRF")
             ui.space()
-            self.outputs = output_select(self.session, outputs, self.output).mark("trial-output")
+            self.outputs = output_select(self.session, outputs, self.output).mark(
+                "trial-output"
+            )
             ui.select(
-                inputs, value=self.input, label="input", on_change=lambda e: self._load(e.value)
+                inputs,
+                value=self.input,
+                label="input",
+                on_change=lambda e: self._load(e.value),
             ).props(SELECT).classes("w-36").mark("trial-input")
-        self.plot = ui.plotly({}).classes("w-full rt-rest").style("flex-grow:1.4").mark("trial-frf")
+        self.plot = (
+            ui.plotly({})
+            .classes("w-full rt-rest")
+            .style("flex-grow:1.4")
+            .mark("trial-frf")
+        )
 
     def _load(self, input_: str) -> None:
         self.input = input_
@@ -127,7 +137,9 @@ class Tried:
         self.trial = model.at(factors)
         self.model, self.factors = model, factors
         self.modes.rows = _mode_rows(self.trial)
-        spec = theme.drawn(table_matrix(self.trial.pairs), dark=self.session.dark, tools=False)
+        spec = theme.drawn(
+            table_matrix(self.trial.pairs), dark=self.session.dark, tools=False
+        )
         self.matrix.update_figure(spec)
         self._draw_objective()
         self._draw_shape()
@@ -138,7 +150,9 @@ class Tried:
         assert self.trial is not None
         deviation = np.abs(self.trial.pairs.deviation_percent)
         self.cost.text = f"{self.model.objective(self.factors):.4g}"
-        self.deviation.text = f"{float(deviation.mean()):.2f} %" if deviation.size else "no pair"
+        self.deviation.text = (
+            f"{float(deviation.mean()):.2f} %" if deviation.size else "no pair"
+        )
 
     def _selected(self) -> None:
         if self.trial is None:
@@ -152,7 +166,9 @@ class Tried:
         pairing = self.trial.pairs.pairing
         chosen = self.session.selection.pair
         wanted = chosen[0] if chosen is not None else self.session.selection.mode
-        there = np.flatnonzero(pairing.a == wanted) if wanted is not None else pairing.a[:0]
+        there = (
+            np.flatnonzero(pairing.a == wanted) if wanted is not None else pairing.a[:0]
+        )
         if there.size:
             return int(pairing.a[there[0]]), int(pairing.b[there[0]])
         shape = self.trial.pairs.mac.shape
@@ -188,7 +204,9 @@ class Tried:
             figures.Curve("trial", trial.freqs, trial.data[:, 0, 0]),
         )
         stage: IdentifyStage | None = self.session.stage("identify")
-        modes = stage.hammer.modes.frequencies if stage and stage.hammer else np.empty(0)
+        modes = (
+            stage.hammer.modes.frequencies if stage and stage.hammer else np.empty(0)
+        )
         ends = (float(trial.freqs[0]), float(trial.freqs[-1]))
         marks = figures.Marks(modes, ends, self.session.selection.frequency)
         figure = figures.frf(curves, frf_unit(measured), marks)

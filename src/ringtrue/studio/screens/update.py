@@ -66,7 +66,11 @@ class _UpdateScreen:
                 ui.space()
                 run_button(session, "final", "Update")
             # all that follows a factor is seen at once: what is long scrolls in its own place
-            with ui.row().classes("w-full no-wrap gap-3").style("height:calc(100vh - 112px)"):
+            with (
+                ui.row()
+                .classes("w-full no-wrap gap-3")
+                .style("height:calc(100vh - 112px)")
+            ):
                 with ui.column().classes("w-2/5 h-full no-wrap gap-1"):
                     self.tried = ui.column().classes("w-full no-wrap gap-1 rt-long")
                     self.follows.objective()
@@ -77,7 +81,9 @@ class _UpdateScreen:
             self.results()
         self.inspected()
         frame().follow(self._results_changed, session.on_results, session.on_theme)
-        frame().follow(self.inspected, session.on_selection, session.on_work, session.on_documents)
+        frame().follow(
+            self.inspected, session.on_selection, session.on_work, session.on_documents
+        )
         ui.timer(0.05, self._open, once=True)
 
     async def _results_changed(self) -> None:
@@ -100,7 +106,8 @@ class _UpdateScreen:
                 with self.tried:
                     ui.label(str(e)).classes("text-sm")
             return
-        if self.model is not None and not self.tried.is_deleted:  # the page was left meanwhile
+        # the page was left meanwhile
+        if self.model is not None and not self.tried.is_deleted:
             self._rows()
             self.put(self.factors)
 
@@ -115,7 +122,9 @@ class _UpdateScreen:
             for parameter in self.model.parameters.parameters:
                 self._slider(parameter)
             with ui.row().classes("gap-1"):
-                deck = ui.button("Deck", on_click=partial(self.put, {})).props("dense flat no-caps")
+                deck = ui.button("Deck", on_click=partial(self.put, {})).props(
+                    "dense flat no-caps"
+                )
                 deck.tooltip("All factors 1").mark("reset")
                 if self.update is not None:
                     best = self.update.best.factors
@@ -128,10 +137,12 @@ class _UpdateScreen:
         name = parameter.name
         low, high = np.log(parameter.lower), np.log(parameter.upper)
         with ui.row().classes("w-full items-center no-wrap gap-3"):
-            ui.label(name).classes("text-sm w-28 shrink-0 ellipsis cursor-pointer").tooltip(
-                name
-            ).on("click", partial(self.session.select, region=name))
-            slider = ui.slider(min=low, max=high, step=(high - low) / 400, value=0.0).props("dense")
+            ui.label(name).classes(
+                "text-sm w-28 shrink-0 ellipsis cursor-pointer"
+            ).tooltip(name).on("click", partial(self.session.select, region=name))
+            slider = ui.slider(
+                min=low, max=high, step=(high - low) / 400, value=0.0
+            ).props("dense")
             slider.on(
                 "update:model-value",
                 lambda e, n=name: self.try_factor(n, float(np.exp(e.args))),
@@ -180,11 +191,15 @@ class _UpdateScreen:
     def sets(self) -> None:
         """The chosen set in a line."""
         if self.update is None:
-            ui.label("Not updated yet: try factors, then run.").classes("text-sm opacity-70")
+            ui.label("Not updated yet: try factors, then run.").classes(
+                "text-sm opacity-70"
+            )
             return
         best = self.update.best
         ui.label(f"{best.name}: {best.outcome.verdict}").classes("text-sm")
-        ui.label(f"mean |Δf| {best.fit.mean_deviation:.2f} %").classes("text-sm rt-value")
+        ui.label(f"mean |Δf| {best.fit.mean_deviation:.2f} %").classes(
+            "text-sm rt-value"
+        )
 
     @ui.refreshable_method
     def results(self) -> None:
@@ -200,17 +215,20 @@ class _UpdateScreen:
             with ui.tab_panel(each[0]).classes("q-pa-none"):
                 table(PARAMETERS, self._parameter_rows(found.best)).mark("parameters")
             with ui.tab_panel(each[1]).classes("q-pa-none"):
-                ui.plotly(theme.drawn(convergence(found.sets, found.chosen), dark=dark)).classes(
+                ui.plotly(
+                    theme.drawn(convergence(found.sets, found.chosen), dark=dark)
+                ).classes("w-full").style("height:300px")
+                ui.plotly(theme.drawn(path(found.best), dark=dark)).classes(
                     "w-full"
-                ).style("height:300px")
-                ui.plotly(theme.drawn(path(found.best), dark=dark)).classes("w-full").style(
-                    "height:320px"
-                )
+                ).style("height:320px")
             with ui.tab_panel(each[2]).classes("q-pa-none"):
                 table(SETS, _set_rows(found)).mark("sets")
                 ui.label(found.why).classes("text-sm q-mt-sm")
             with ui.tab_panel(each[3]).classes("q-pa-none"):
-                if self.session.stage("final") is not None and self.session.study is not None:
+                if (
+                    self.session.stage("final") is not None
+                    and self.session.study is not None
+                ):
                     diff_view(self.session.study.deck_diff)
                 else:
                     ui.label("No deck is delivered yet.").classes("text-sm opacity-70")
@@ -271,7 +289,9 @@ class _UpdateScreen:
                 self.growing.update_figure(spec)
             else:
                 with place:
-                    self.growing = ui.plotly(spec).classes("w-full").style("height:300px")
+                    self.growing = (
+                        ui.plotly(spec).classes("w-full").style("height:300px")
+                    )
         lines.clear()
         with lines:
             for line in job.lines[-TAIL:]:
@@ -292,10 +312,11 @@ class _UpdateScreen:
             ui.label(target).classes("rt-mono")
         fact("Prior standard deviation", f"{candidate.std:g}")
         for key in ("lower", "upper"):
-            ui.number(f"{key.capitalize()} bound", value=getattr(candidate, key), step=0.05).props(
-                "dense outlined"
-            ).classes("w-full").on(
-                "change", lambda e, k=key: self._set_bound(at, candidate.name, k, e.args)
+            ui.number(
+                f"{key.capitalize()} bound", value=getattr(candidate, key), step=0.05
+            ).props("dense outlined").classes("w-full").on(
+                "change",
+                lambda e, k=key: self._set_bound(at, candidate.name, k, e.args),
             ).mark(f"bound-{key}")
 
     def _set_bound(self, at: int, name: str, key: str, value: object) -> None:
@@ -303,7 +324,9 @@ class _UpdateScreen:
             self.inspected()
             return
         words = f"{key} bound of {name}"
-        self.session.edit(words, edits.put(("candidate", str(at), key), float(str(value))))
+        self.session.edit(
+            words, edits.put(("candidate", str(at), key), float(str(value)))
+        )
 
 
 def _live(steps: list[dict[str, float]]) -> go.Figure:
@@ -318,7 +341,9 @@ def _live(steps: list[dict[str, float]]) -> go.Figure:
     )
     for name in steps[-1]:
         on = "y" if name == "J" else "y2"
-        fig.add_scatter(y=[s[name] for s in steps], name=name, yaxis=on, mode="lines+markers")
+        fig.add_scatter(
+            y=[s[name] for s in steps], name=name, yaxis=on, mode="lines+markers"
+        )
     return fig
 
 

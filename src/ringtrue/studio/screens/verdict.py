@@ -8,12 +8,20 @@ from nicegui import ui
 
 from ringtrue.studio import edits
 from ringtrue.studio.session import StudioSession
-from ringtrue.studio.shell import ask_reason, frame, heading, inspector, nothing_yet, run_button
+from ringtrue.studio.shell import (
+    ask_reason,
+    frame,
+    heading,
+    inspector,
+    nothing_yet,
+    run_button,
+)
 from ringtrue.study.acceptance import AcceptanceCheck, verdict
 from ringtrue.study.results import CorrelateStage
 
 JUDGED_LATER = (
-    "Nothing is judged yet: the limits of [correlate] are judged on the deck that is delivered."
+    "Nothing is judged yet: the limits of [correlate] are judged on the "
+    "deck that is delivered."
 )
 PAGE = "/report.html"  # where `launch` serves the report
 
@@ -38,9 +46,9 @@ class _VerdictScreen:
             with ui.row().classes("w-full items-center no-wrap gap-2"):
                 ui.label("What must hold").classes("text-base")
                 ui.space()
-                ui.button("Write the report anew", icon="description", on_click=self.write).props(
-                    "dense flat no-caps no-wrap"
-                ).mark("write-report")
+                ui.button(
+                    "Write the report anew", icon="description", on_click=self.write
+                ).props("dense flat no-caps no-wrap").mark("write-report")
                 run_button(session, "", "Run the study")
             self.checks()
             self.report()
@@ -72,7 +80,9 @@ class _VerdictScreen:
                 self._check(check)
 
     def _check(self, check: AcceptanceCheck) -> None:
-        icon, color = ("check_circle", "positive") if check.held else ("cancel", "negative")
+        icon, color = (
+            ("check_circle", "positive") if check.held else ("cancel", "negative")
+        )
         with ui.row().classes("w-full items-center no-wrap gap-2"):
             ui.icon(icon, color=color)
             ui.label(check.name).classes("text-sm")
@@ -92,7 +102,9 @@ class _VerdictScreen:
 
     def bear(self, name: str, reason: str) -> None:
         """Write the reason for a check that does not hold."""
-        self.session.edit(f"reason for {name}", edits.put(("report", "reasons", name), reason))
+        self.session.edit(
+            f"reason for {name}", edits.put(("report", "reasons", name), reason)
+        )
 
     @ui.refreshable_method
     def report(self) -> None:
@@ -116,9 +128,11 @@ class _VerdictScreen:
             heading("Names of test modes")
             for k, f in enumerate(stage.reference.elastic.frequencies.tolist()):
                 name = config.study.names.get(str(k + 1), "")
-                ui.input(f"{k + 1}: {f:.5g} Hz", value=name).props("dense").classes("w-full").on(
-                    "change", lambda e, n=k + 1: self.name(n, str(e.args))
-                ).mark(f"name-{k + 1}")
+                ui.input(f"{k + 1}: {f:.5g} Hz", value=name).props("dense").classes(
+                    "w-full"
+                ).on("change", lambda e, n=k + 1: self.name(n, str(e.args))).mark(
+                    f"name-{k + 1}"
+                )
 
     def name(self, number: int, text: str) -> None:
         """Name a test mode, from 1."""

@@ -39,7 +39,8 @@ FIELDS = {  # of the indicators
     "strain": "strain energy",
 }
 FAINT = 0.2  # opacity of what is not selected
-LEAST_TOP = 2.0  # of the colours of a concentration: 1 is an error that is spread evenly
+# of the colours of a concentration: 1 is an error that is spread evenly
+LEAST_TOP = 2.0
 
 
 def build(session: StudioSession) -> None:
@@ -96,7 +97,9 @@ class _WhereScreen:
                 return
             self.deck = deck
             self._bar()
-            self.viewer = deck_view(self.session, {"model": deck.arrays}, ["element"], below=388)
+            self.viewer = deck_view(
+                self.session, {"model": deck.arrays}, ["element"], below=388
+            )
             self.viewer.show(color="plain").on_event("pick", self.picked)
             with ui.scroll_area().style("height:274px").classes("w-full"):
                 self.ranked()
@@ -108,7 +111,9 @@ class _WhereScreen:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
             known = self.stage.indicators.modes.size > 0
             ui.select(
-                FIELDS, value=self.field, on_change=lambda e: self.show_field(str(e.value))
+                FIELDS,
+                value=self.field,
+                on_change=lambda e: self.show_field(str(e.value)),
             ).props(SELECT).classes("min-w-64").mark("field").set_enabled(known)
             if not known:
                 by = self.stage.reduced_by
@@ -129,7 +134,9 @@ class _WhereScreen:
         at = {region: k for k, region in enumerate(found.regions)}
         group = [at.get(g, -1) for g in deck.arrays["groups"]]
         of_group = np.array([value[k] if k >= 0 else np.nan for k in group])
-        top = float(np.nanmax(value, initial=LEAST_TOP if concentration else 0.0)) or 1.0
+        top = (
+            float(np.nanmax(value, initial=LEAST_TOP if concentration else 0.0)) or 1.0
+        )
         self.viewer.field(
             FIELDS[name],
             of_group[deck.numbers("group")],
@@ -146,9 +153,13 @@ class _WhereScreen:
         """The candidates, those that are proposed first."""
         s = self.stage
         with ui.column().classes("w-full gap-0"):
-            heading("Proposal and other candidates" if s.proposal.members else "Candidates")
+            heading(
+                "Proposal and other candidates" if s.proposal.members else "Candidates"
+            )
             if not s.proposal.members:
-                ui.label(f"No parameter is proposed: {s.proposal.unexplained()}").classes("text-sm")
+                ui.label(
+                    f"No parameter is proposed: {s.proposal.unexplained()}"
+                ).classes("text-sm")
             names = {
                 "mark": "",
                 "name": "parameter",
@@ -186,7 +197,9 @@ class _WhereScreen:
         every = s.candidates.parameters.names
         clusters = s.proposal.clusters
         k = every.index(name)
-        near = [n for n, c in zip(every, clusters.tolist(), strict=True) if c == clusters[k]]
+        near = [
+            n for n, c in zip(every, clusters.tolist(), strict=True) if c == clusters[k]
+        ]
         member = next((m for m in s.proposal.members if m.name == name), None)
         rivals = () if member is None else (*member.collinear, *member.rivals)
         return [n for n in dict.fromkeys((*near, *rivals)) if n != name]
@@ -203,14 +216,20 @@ class _WhereScreen:
         if s.members:
             heading("Members that the deck may lack")
         for k, member in enumerate(s.members):
-            row = ui.label(member.text()).classes("text-sm cursor-pointer").mark(f"member-{k}")
+            row = (
+                ui.label(member.text())
+                .classes("text-sm cursor-pointer")
+                .mark(f"member-{k}")
+            )
             row.on("click", partial(self.fly_to, k))
 
     def fly_to(self, k: int) -> None:
         """Show the nodes of a member that the deck may lack."""
         nodes = sorted({n for pair in self.stage.members[k].nodes for n in pair if n})
         if self.viewer is not None:
-            self.viewer.show(select={"node": nodes}, labels={"node": nodes}).fly({"node": nodes})
+            self.viewer.show(select={"node": nodes}, labels={"node": nodes}).fly(
+                {"node": nodes}
+            )
 
     # --- the selection
 
@@ -224,7 +243,11 @@ class _WhereScreen:
             self.session.select(region="")
             return
         one = int(found["id"])
-        own = [n for n in self.names if one in deck.changed(target_words(self.parameter(n)))]
+        own = [
+            n
+            for n in self.names
+            if one in deck.changed(target_words(self.parameter(n)))
+        ]
         if own:
             self.session.select(region=own[0])
 
@@ -277,10 +300,16 @@ class _WhereScreen:
         p = self.parameter(name)
         targets = target_words(p)
         if not targets:
-            ui.notify(f"{name} is no factor on fields of the deck: add its card to the deck.")
+            ui.notify(
+                f"{name} is no factor on fields of the deck: add its card to the deck."
+            )
             return
         entry: dict[str, object] = {"name": name, "targets": targets}
-        entry |= {"lower": float(f"{p.lower:.4g}"), "upper": float(f"{p.upper:.4g}"), "std": p.std}
+        entry |= {
+            "lower": float(f"{p.lower:.4g}"),
+            "upper": float(f"{p.upper:.4g}"),
+            "std": p.std,
+        }
         self.session.edit(f"candidate {name}", edits.add_entry("candidate", entry))
 
     def untick(self) -> None:
@@ -288,7 +317,9 @@ class _WhereScreen:
         name = self.session.selection.region
         k = self.entry(name) if name in self.names else None
         if k is not None:
-            self.session.edit(f"candidate {name} taken out", edits.remove_entry("candidate", k))
+            self.session.edit(
+                f"candidate {name} taken out", edits.remove_entry("candidate", k)
+            )
 
     def inspected(self) -> None:
         """The evidence for the selected candidate."""
@@ -309,7 +340,10 @@ class _WhereScreen:
                 on_change=lambda e: self.tick() if e.value else self.untick(),
             ).props("dense").classes("q-my-xs").mark("tick")
             fact("Bounds", f"{number(p.lower, 3)} to {number(p.upper, 3)}")
-            fact("Effect of one prior σ", f"{number(float(s.candidates.effect[k]), 3)} σ of data")
+            fact(
+                "Effect of one prior σ",
+                f"{number(float(s.candidates.effect[k]), 3)} σ of data",
+            )
             known = 100 * float(s.candidates.others_known[k])
             free = 100 * float(s.candidates.all_free[k])
             fact("σ left, others known", f"{number(known, 2)} %")

@@ -58,7 +58,11 @@ class Stage:
     def missing(self, session: Session) -> list[str]:
         """Sections that the study would need for it."""
         config = session.config
-        return [s for s in self.sections if not any(getattr(config, n) for n in s.split("|"))]
+        return [
+            s
+            for s in self.sections
+            if not any(getattr(config, n) for n in s.split("|"))
+        ]
 
 
 def _deck(session: Session) -> list[Path]:
@@ -66,7 +70,10 @@ def _deck(session: Session) -> list[Path]:
 
 
 def _remodelled(session: Session) -> list[Path]:
-    return [*_deck(session), *(session.base / step.cards for step in session.config.remodel)]
+    return [
+        *_deck(session),
+        *(session.base / step.cards for step in session.config.remodel),
+    ]
 
 
 def _configurations(session: Session) -> list[Path]:

@@ -89,7 +89,8 @@ def _drift(
         return notes
     kelvin = float(other.temperature - np.nanmean(warm))
     between: dict[str, float | int | str] = {
-        "percent": 100 * float(np.median(compare.table.fe_hz / compare.table.test_hz - 1)),
+        "percent": 100
+        * float(np.median(compare.table.fe_hz / compare.table.test_hz - 1)),
         "modes": len(compare.table),
         "temperature": kelvin,
         "drift": 100 * drift.value * kelvin,

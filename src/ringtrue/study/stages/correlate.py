@@ -29,7 +29,13 @@ from ringtrue.solvers.embedded import EmbeddedSolver
 from ringtrue.study.config_sections import ConfigurationSection, TestSection
 from ringtrue.study.evidence import channel_mass, evidence, expanded, on_scene
 from ringtrue.study.opened import Opened
-from ringtrue.study.placing import alignment_text, between_nodes, readings, seats, shared_places
+from ringtrue.study.placing import (
+    alignment_text,
+    between_nodes,
+    readings,
+    seats,
+    shared_places,
+)
 from ringtrue.study.reference import (
     beyond,
     elastic_edge,
@@ -117,8 +123,12 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
     test = reference.elastic
     initial = session.seen(session.initial, found.test, test, part(progress, 0.0, 0.3))
     progress(0.3, "remodelled deck")
-    remodelled = session.seen(session.remodelled, found.test, test, part(progress, 0.3, 0.6))
-    before, after = (elastic_table(reference, fe, config, initial) for fe in (initial, remodelled))
+    remodelled = session.seen(
+        session.remodelled, found.test, test, part(progress, 0.3, 0.6)
+    )
+    before, after = (
+        elastic_table(reference, fe, config, initial) for fe in (initial, remodelled)
+    )
     progress(0.6, "mass at the channels")
     last = elastic_evidence(session, session.remodelled, reference, remodelled, after)
     first = last
@@ -127,10 +137,12 @@ def correlate(session: Session, progress: Progress) -> CorrelateStage:
     sheet = None if config.frequency_only else found.test
     rigid = rigid_table(reference, initial, config)
     sensors = sensor_placement(session, session.initial, sheet, test)
-    if sheet is not None:  # of modes that the deck has as well: no part that hangs softly
+    # of modes that the deck has as well: no part that hangs softly
+    if sheet is not None:
         soft = reference.rigid.take(rigid.pairing.a)
         sensors = replace(sensors, rigid=rigid_suspects(soft, sheet))
-    pairing = after.pairing  # the frequency gate keeps some from a similar mode of the deck
+    # the frequency gate keeps some from a similar mode of the deck
+    pairing = after.pairing
     unpaired = zip(pairing.unpaired_a, pairing.reasons_a, pairing.gated_a, strict=True)
     notes = (
         *reference.gaps,
@@ -170,7 +182,10 @@ def sensor_placement(
     if session.config.correlate.align:
         placement = alignment_text(session.alignment(sheet, opened))
     given = readings(
-        test, modes, sheet, lambda there: session.observed(opened, there, there.channels)
+        test,
+        modes,
+        sheet,
+        lambda there: session.observed(opened, there, there.channels),
     )
     return SensorPlacement(
         seats=seats(session.observed(opened, sheet, sheet.channels), sheet),
@@ -199,14 +214,18 @@ def _shared_places(session: Session, sheet: TestModel) -> tuple[str, ...]:
     """Notes on sensors at places with several nodes, and on those between nodes."""
     config = session.config.correlate
     opened = session.initial
-    between = between_nodes(opened, session.observed(opened, sheet, sheet.channels), config.match)
+    between = between_nodes(
+        opened, session.observed(opened, sheet, sheet.channels), config.match
+    )
     if config.match != "nearest":
         return between
     test = session.alignment(sheet, opened).move(sheet) if config.align else sheet
     return (*shared_places(opened, test, opened.modes(session.fmax).modes), *between)
 
 
-def _expanded(session: Session, reference: ReferenceModes, progress: Progress) -> Expansion | None:
+def _expanded(
+    session: Session, reference: ReferenceModes, progress: Progress
+) -> Expansion | None:
     """The elastic test shapes on the remodelled deck, drawn where its nodes are on the scene."""
     method = session.config.correlate.expand
     if not method or session.config.frequency_only:
@@ -230,7 +249,9 @@ def _remodelling(
         return None
     sheet: TestModel = session.get("identify").test
     history = []
-    for opened, reason in zip(session.steps, ("the initial deck", *reasons), strict=True):
+    for opened, reason in zip(
+        session.steps, ("the initial deck", *reasons), strict=True
+    ):
         fe = session.seen(opened, sheet, reference.elastic)
         table = elastic_table(reference, fe, session.config, initial)
         history.append(
@@ -253,7 +274,9 @@ def _remodelling(
     )
 
 
-def correlate_configurations(session: Session, progress: Progress) -> ConfigurationsStage:
+def correlate_configurations(
+    session: Session, progress: Progress
+) -> ConfigurationsStage:
     """Identify or read the modes of each configuration, side by side where there are workers, and
     correlate its deck with them.
     """
@@ -285,7 +308,9 @@ def _with_test_of(session: Session, section: ConfigurationSection) -> Session:
     """The same study with the test of a configuration in place of its own."""
     test = None
     if section.log is not None:
-        test = TestSection(sheet=str(section.sheet), log=section.log, lines=section.lines)
+        test = TestSection(
+            sheet=str(section.sheet), log=section.log, lines=section.lines
+        )
     choice = session.config.identify.model_copy(update={"choice": section.choice})
     update = session.config.update.model_copy(update={"left_out": section.left_out})
     changed = {"test": test, "identify": choice, "update": update}
@@ -296,12 +321,17 @@ def _with_test_of(session: Session, section: ConfigurationSection) -> Session:
 def _parameters(c: StudyConfiguration) -> tuple[ParameterSet, ParameterSet]:
     """All candidates and suspensions, and those that the deck of a configuration has."""
     config = c.session.config
-    every = ParameterSet((*config.candidates().parameters, *config.suspensions().parameters))
+    every = ParameterSet(
+        (*config.candidates().parameters, *config.suspensions().parameters)
+    )
     return every, carried(c.deck.model, every)
 
 
 def _correlated(
-    c: StudyConfiguration, reference: ReferenceModes, test: TestModel | None, source: str
+    c: StudyConfiguration,
+    reference: ReferenceModes,
+    test: TestModel | None,
+    source: str,
 ) -> ConfiguredTest:
     session = c.session
     every, mine = _parameters(c)
@@ -329,7 +359,11 @@ def _test_modes(
         with about(at.base / section.log):
             done = identify.run(at, progress)
             found = reference_modes(done, at.config)
-        return found, done.test, f"{len(found.elastic)} modes of {len(done.records)} records"
+        return (
+            found,
+            done.test,
+            f"{len(found.elastic)} modes of {len(done.records)} records",
+        )
     path = at.base / str(section.modes)
     found = reference_of_file(path, at.config)
     source = f"{len(found.elastic)} modes of {path.name}"
@@ -338,14 +372,20 @@ def _test_modes(
     test = read_sensor_sheet(at.base / section.sheet).model
     elastic, notes = modes_by_sheet(found.elastic, test, path)
     rigid, _ = modes_by_sheet(found.rigid, test, path)
-    return replace(found, elastic=elastic, rigid=rigid), test, "; ".join((source, *notes))
+    return (
+        replace(found, elastic=elastic, rigid=rigid),
+        test,
+        "; ".join((source, *notes)),
+    )
 
 
 def _check_parameters(c: StudyConfiguration) -> None:
     """A deck that carries no candidate, or one that cannot be scaled, is found before the work."""
     every, mine = _parameters(c)
     if len(every) and not len(mine):
-        cards = sorted({f"{t.card} {t.id}" for p in every.parameters for t in p.targets})
+        cards = sorted(
+            {f"{t.card} {t.id}" for p in every.parameters for t in p.targets}
+        )
         raise ConfigError(
             f"configuration {c.name}: its deck has no card of a candidate ({', '.join(cards)})"
         )
@@ -357,7 +397,9 @@ def _check_parameters(c: StudyConfiguration) -> None:
 
 def _other_terms(base: Model, model: Model, target: CardField) -> list[str]:
     """What a matrix is in a deck that has other terms than the deck of the study."""
-    here, there = (deck["DMIG"].take(resolve_target(deck, target)) for deck in (model, base))
+    here, there = (
+        deck["DMIG"].take(resolve_target(deck, target)) for deck in (model, base)
+    )
     a = here.ragged(target.field).values
     b = there.ragged(target.field).values
     if a.size == b.size and np.allclose(a, b, rtol=1e-6, atol=0.0):
@@ -381,7 +423,9 @@ def _field_differences(
         if not count:
             out.append(f"its deck has no field of {p.name}, which does not act here")
         elif count < len(p.targets):
-            out.append(f"its deck has {count} of the {len(p.targets)} fields of {p.name}")
+            out.append(
+                f"its deck has {count} of the {len(p.targets)} fields of {p.name}"
+            )
     for t in (t for p in mine.parameters for t in p.targets):
         if is_matrix(t.card, t.field):
             out += _other_terms(base, model, t)

@@ -163,7 +163,9 @@ class DampedDeck:
     total: tuple[Float, Float]
 
     @classmethod
-    def of(cls, name: str, opened: Opened, modes: ModeSet, test: MeasuredDamping) -> DampedDeck:
+    def of(
+        cls, name: str, opened: Opened, modes: ModeSet, test: MeasuredDamping
+    ) -> DampedDeck:
         """Of a deck with all its modes in the range of the test."""
         system = opened.analysis.system
         f = modes.frequencies
@@ -177,7 +179,9 @@ class DampedDeck:
             moving=moving,
             values=(2 * np.pi * f[moving]) ** 2,
             shapes=shapes,
-            total=project(np.asarray(system.local @ shapes), system.viscous, system.structural),
+            total=project(
+                np.asarray(system.local @ shapes), system.viscous, system.structural
+            ),
         )
 
     @property
@@ -238,7 +242,9 @@ def fit_regions(
         there = wanted if deck is decks[0] else _present(wanted, deck.opened)
         model = deck.opened.model
         found.append(
-            dampers(model, there, deck.values, deck.shapes, total=deck.total, ratio=common)
+            dampers(
+                model, there, deck.values, deck.shapes, total=deck.total, ratio=common
+            )
         )
     if not found[0].regions:
         return None
@@ -251,7 +257,9 @@ def fit_regions(
     use = np.concatenate([deck.test.used for deck in decks])
     # of modes of a file the standard deviation may not be known
     std = np.hypot(np.nan_to_num(std), error * ratio)
-    fit = fit_poles(values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base)
+    fit = fit_poles(
+        values, whole.mechanisms, ratio[use], std[use], at[use], base=whole.base
+    )
     after, after_std = mode_damping(values, whole.mechanisms, fit, at)
     return FittedRegions(whole, fit, common, after, after_std)
 
@@ -266,25 +274,35 @@ def run(session: Session, progress: Progress) -> DampingStage:
     for c in session.configurations:
         test = MeasuredDamping.of(c)
         if c is session.own and not test.used.any():
-            return nothing("no test mode with a damping ratio has a partner in the final model")
+            return nothing(
+                "no test mode with a damping ratio has a partner in the final model"
+            )
         if test.fe.size:
             opened = delivered(c).opened
-            decks.append(DampedDeck.of(c.name, opened, opened.modes(session.fmax).modes, test))
+            decks.append(
+                DampedDeck.of(c.name, opened, opened.modes(session.fmax).modes, test)
+            )
     progress(0.5, "damping of the regions")
     own = decks[0]
-    found = fit_regions(decks, regions(session, own.opened), session.config.damping.error)
+    found = fit_regions(
+        decks, regions(session, own.opened), session.config.damping.error
+    )
     if found is None:
         return nothing("no region takes part in any mode")
     progress(0.8, "FRFs around the resonances")
     n = own.values.size
     fitted = found.fit.viscous[:n, :n], found.fit.structural[:n, :n]
-    errors = frf_errors(session, own.test, own.moving, (own.before(found.common), fitted))
+    errors = frf_errors(
+        session, own.test, own.moving, (own.before(found.common), fitted)
+    )
     modes = []
     start = 0
     for deck in decks:
         mine = slice(start, start + deck.at.size)
         start += deck.at.size
-        modes.append(_modes(deck, found.common, found.after[mine], found.after_std[mine]))
+        modes.append(
+            _modes(deck, found.common, found.after[mine], found.after_std[mine])
+        )
     before = "the damping of the deck"
     if not any(a.any() for a in own.total):
         before = f"{100 * found.common:.2f} % for all modes, the median of the test"
@@ -303,12 +321,15 @@ def run(session: Session, progress: Progress) -> DampingStage:
         files=files,
         changes=changes,
         others=tuple(
-            DampedConfiguration(deck.name, m) for deck, m in zip(decks[1:], modes[1:], strict=True)
+            DampedConfiguration(deck.name, m)
+            for deck, m in zip(decks[1:], modes[1:], strict=True)
         ),
     )
 
 
-def _modes(deck: DampedDeck, common: float, after: Float, after_std: Float) -> DampedModes:
+def _modes(
+    deck: DampedDeck, common: float, after: Float, after_std: Float
+) -> DampedModes:
     """The paired modes of a deck; errors of FRFs are not known."""
     t = deck.test
     unknown = np.full(t.hertz.size, np.nan)
@@ -328,13 +349,17 @@ def _modes(deck: DampedDeck, common: float, after: Float, after_std: Float) -> D
     )
 
 
-def _present(wanted: Sequence[DampingRegion], opened: Opened) -> tuple[DampingRegion, ...]:
+def _present(
+    wanted: Sequence[DampingRegion], opened: Opened
+) -> tuple[DampingRegion, ...]:
     """Those of the regions that a deck has, as far as it has their fields."""
     model = opened.model
     out = []
     for r in wanted:
         targets = tuple(
-            t for t in r.targets if t.card in model and (model[t.card].ids == t.id).any()
+            t
+            for t in r.targets
+            if t.card in model and (model[t.card].ids == t.id).any()
         )
         if targets:
             out.append(replace(r, targets=targets))
@@ -346,11 +371,16 @@ def regions(session: Session, opened: Opened) -> tuple[DampingRegion, ...]:
     stated = session.config.damping.region
     if stated:
         return tuple(r.region() for r in stated)
-    return default_regions(opened.model, session.config.suspensions(), session.deck.regions)
+    return default_regions(
+        opened.model, session.config.suspensions(), session.deck.regions
+    )
 
 
 def frf_errors(
-    session: Session, test: MeasuredDamping, moving: Int, damped: tuple[tuple[Float, Float], ...]
+    session: Session,
+    test: MeasuredDamping,
+    moving: Int,
+    damped: tuple[tuple[Float, Float], ...],
 ) -> list[Float]:
     """‖H − H_test‖/‖H_test‖ over all FRFs around each test mode, (t,) for each damping; NaN where
     there is no FRF.
@@ -371,7 +401,8 @@ def frf_errors(
     values = (2 * np.pi * hertz[moving]) ** 2
     width = COMPARED.span * test.ratio * test.hertz
     near = np.abs(frfs.freqs[:, None] - test.hertz) <= width  # (line, mode)
-    near[:, ~test.elastic] = False  # the ambient test sees rigid-body modes, the hammer does not
+    # the ambient test sees rigid-body modes, the hammer does not
+    near[:, ~test.elastic] = False
     lines = np.flatnonzero(near.any(axis=1))
     data = frfs.data[lines] * session.unit.kilograms
     # an exponential window damps every mode by as much
@@ -485,9 +516,15 @@ def flags(found: Dampers, fit: DampingFit) -> tuple[str, ...]:
         if s > COMPARED.unknown * m.std
     ]
     if lost:
-        more = f" and {len(lost) - COMPARED.named} more" if len(lost) > COMPARED.named + 1 else ""
+        more = (
+            f" and {len(lost) - COMPARED.named} more"
+            if len(lost) > COMPARED.named + 1
+            else ""
+        )
         named = ", ".join(lost[: COMPARED.named] if more else lost) + more
-        out.append(f"the test says little about {named}: their values are those expected, or zero")
+        out.append(
+            f"the test says little about {named}: their values are those expected, or zero"
+        )
     return tuple(out)
 
 
@@ -502,6 +539,10 @@ def _written(
     values = zip(found.regions, fit.coefficients.tolist(), strict=True)
     every = [c for r, v in values for c in r.changes(v)]
     # a blank is 0
-    changes = [c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))]
+    changes = [
+        c for c in every if c.value != np.nan_to_num(field_value(opened.model, c))
+    ]
     files = edit_fields(opened.model, changes, session.folder("damped"))
-    return tuple(change_text(opened.model, c) for c in changes), tuple(str(f) for f in files)
+    return tuple(change_text(opened.model, c) for c in changes), tuple(
+        str(f) for f in files
+    )

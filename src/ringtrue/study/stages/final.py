@@ -26,7 +26,12 @@ from ringtrue.study.results import (
 from ringtrue.study.scene import scene_modes
 from ringtrue.study.session import Session, StudyConfiguration
 from ringtrue.study.stages.correlate import elastic_evidence
-from ringtrue.study.synthesis import damping_of, initial_modes, measured_frfs, model_frfs
+from ringtrue.study.synthesis import (
+    damping_of,
+    initial_modes,
+    measured_frfs,
+    model_frfs,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +123,9 @@ def deliver_final(session: Session, progress: Progress) -> FinalStage:
     )
 
 
-def _frfs(c: StudyConfiguration, final: ModelModes) -> tuple[FrfSet, FrfSet, FrfSet] | None:
+def _frfs(
+    c: StudyConfiguration, final: ModelModes
+) -> tuple[FrfSet, FrfSet, FrfSet] | None:
     """Measured FRFs, those of the initial and of the final model; None without measured ones."""
     measured = measured_frfs(c)
     if measured is None:
@@ -133,7 +140,8 @@ def _at_driving_points(test: FrfSet, initial: FrfSet, final: FrfSet) -> Compared
     largest = np.abs(test.data).max(axis=0).argmax(axis=0).tolist()
     at = [(own.get(j, i), j) for j, i in enumerate(largest)]
     one, two, three = (
-        np.stack([x.data[:, i, j] for i, j in at], axis=1) for x in (test, initial, final)
+        np.stack([x.data[:, i, j] for i, j in at], axis=1)
+        for x in (test, initial, final)
     )
     names = tuple(f"{test.outputs[i].id} / {test.inputs[j].id}" for i, j in at)
     return ComparedFrfs(test.freqs, names, one, two, three)
@@ -147,5 +155,7 @@ def deliver_configurations(session: Session, progress: Progress) -> ConfiguredSt
         done = deliver(c)
         fe = c.modes(done.opened)
         table = elastic_table(c.reference, fe, session.config)
-        items.append(DeliveredConfiguration(c.name, done.files, done.changes, table, fe))
+        items.append(
+            DeliveredConfiguration(c.name, done.files, done.changes, table, fe)
+        )
     return ConfiguredStage(tuple(items))

@@ -34,7 +34,11 @@ from ringtrue.identification.ambient.shape_reading import (
     with_joined_shapes,
 )
 from ringtrue.identification.common.diagram import SpectrumAccount
-from ringtrue.identification.common.merging import Contribution, join_candidates, merge_modes
+from ringtrue.identification.common.merging import (
+    Contribution,
+    join_candidates,
+    merge_modes,
+)
 from ringtrue.identification.frf.local_fits import with_local_fits
 from ringtrue.identification.frf.pipeline import HammerModes, identify_hammer
 from ringtrue.io.choices import read_choice
@@ -106,7 +110,10 @@ def corrected(
     types = sorted({c.sensor for c in history.channels} & known)
     if not types:
         return history, 0.0, ""
-    parts = {t: history.pick([c.id for c in history.channels if c.sensor == t]) for t in types}
+    parts = {
+        t: history.pick([c.id for c in history.channels if c.sensor == t])
+        for t in types
+    }
     low = low or max(_lowest(parts[t], sensors[t]) for t in types)
     fixed: dict[str, tuple[Channel, Float]] = {}
     for t, chosen in parts.items():
@@ -114,9 +121,14 @@ def corrected(
         whole = deconvolve(chosen, geophone, low=low)
         for c, w, d in zip(chosen.channels, whole.channels, whole.data, strict=True):
             fixed[c.id] = w, d
-    every = [fixed.get(c.id, (c, d)) for c, d in zip(history.channels, history.data, strict=True)]
+    every = [
+        fixed.get(c.id, (c, d))
+        for c, d in zip(history.channels, history.data, strict=True)
+    ]
     made = replace(
-        history, channels=tuple(c for c, _ in every), data=np.stack([d for _, d in every])
+        history,
+        channels=tuple(c for c, _ in every),
+        data=np.stack([d for _, d in every]),
     )
     corners = " and ".join(f"{sensors[t].corner_hz:g}" for t in types)
     return made, low, f"{corners} Hz corner corrected from {low:.2f} Hz on"
@@ -126,7 +138,10 @@ def _lowest(history: TimeHistory, sheet: SensorType) -> float:
     """From where on the signals of geophones stand above their noise, Hz."""
     freqs, density = psd(history, Welch(0.1))
     noise = np.full(freqs.shape, sheet.noise**2)
-    return max(lowest_frequency(freqs, np.median(density, axis=0), noise), sheet.corner_hz * 0.6)
+    return max(
+        lowest_frequency(freqs, np.median(density, axis=0), noise),
+        sheet.corner_hz * 0.6,
+    )
 
 
 def summary(
@@ -228,7 +243,10 @@ class RecordFile:
         """
         a = self.history
         b = later.history
-        return (a.channels, a.rate) == (b.channels, b.rate) and b.duration >= SHORTEST * a.duration
+        return (a.channels, a.rate) == (
+            b.channels,
+            b.rate,
+        ) and b.duration >= SHORTEST * a.duration
 
 
 def _files_of_one(
@@ -243,7 +261,9 @@ def _files_of_one(
     first = file = RecordFile.read(record, campaign, None)
     while True:
         shown.append(
-            summary(record, file.history, file.notes, file.gaps.channels, draw=file is first)
+            summary(
+                record, file.history, file.notes, file.gaps.channels, draw=file is first
+            )
         )
         yield file
         chosen = campaign.choice.records
@@ -276,7 +296,10 @@ def _as_one(files: Sequence[RecordSummary], result: AmbientResult) -> RecordSumm
 
 
 def ambient(
-    records: Sequence[Logged], campaign: Campaign, settings: IdentifySection, progress: Progress
+    records: Sequence[Logged],
+    campaign: Campaign,
+    settings: IdentifySection,
+    progress: Progress,
 ) -> tuple[list[IdentifiedRecord], list[RecordSummary], list[RecordCorrelations]]:
     """Modes of each ambient record, what is shown of it, and what shapes are read from; files that
     go on with each other are one record.
@@ -295,7 +318,9 @@ def ambient(
         low = max(first.low, settings.ambient_fmin or 0.0)
         band = AmbientSettings(fmin=low or None, fmax=settings.ambient_fmax)
         with about(record.path):
-            setup = identified_setup(parts, band, record.name, campaign.choice.of(record.name))
+            setup = identified_setup(
+                parts, band, record.name, campaign.choice.of(record.name)
+            )
         result = setup.result
         found.append(
             IdentifiedRecord(
@@ -309,7 +334,9 @@ def ambient(
                 record=record.name,
                 date=record.date,
                 temperature=record.temperature,
-                level=mode_levels(first.history, result.modes.frequencies, result.modes.damping),
+                level=mode_levels(
+                    first.history, result.modes.frequencies, result.modes.damping
+                ),
             )
         )
         correlations.append(setup.correlations)
@@ -324,7 +351,9 @@ def section(session: Session) -> TestSection:
     """The [test] section."""
     test = session.config.test
     if test is None or not (test.log or test.frfs or test.modes):
-        raise ConfigError("this stage needs a [test] with a sheet, and a log, frfs or modes")
+        raise ConfigError(
+            "this stage needs a [test] with a sheet, and a log, frfs or modes"
+        )
     return test
 
 
@@ -356,7 +385,9 @@ def _by_hand(session: Session, records: Sequence[Logged]) -> Choice:
     known = [HAMMER, *(r.name for r in records if r.kind == "ambient")]
     for record in choice.records:
         if record not in known:
-            raise ConfigError(f"{choice.source}: no record {record!r}{did_you_mean(record, known)}")
+            raise ConfigError(
+                f"{choice.source}: no record {record!r}{did_you_mean(record, known)}"
+            )
     hammered = [r.name for r in records if r.kind != "ambient"]
     for hit in choice.hits:
         if hit.record.partition(" #")[0] not in hammered:
@@ -372,7 +403,10 @@ def _reason(parts: Sequence[Contribution], found: Sequence[IdentifiedRecord]) ->
     reasons = {r.record: r.reasons for r in found}
     mine = [(c.record, reasons[c.record][c.mode].split(";")[0]) for c in parts]
     return "; ".join(
-        [*(c.why for c in parts), *(f"{r}: {why}" for r, why in mine if "by hand" in why)]
+        [
+            *(c.why for c in parts),
+            *(f"{r}: {why}" for r, why in mine if "by hand" in why),
+        ]
     )
 
 
@@ -412,7 +446,9 @@ def frfs_of_records(
     for r in records:
         ranges |= full_scale(r.path)
     runs = [run for mine, _ in read for run in mine]
-    wanted = replace(block_settings(records[0], runs[0].rate), keep_to=fmax, hits=by_hand)
+    wanted = replace(
+        block_settings(records[0], runs[0].rate), keep_to=fmax, hits=by_hand
+    )
     found = forced_frfs(runs, wanted, full_scale=ranges, progress=progress)
     shown = []
     for record, (mine, notes) in zip(records, read, strict=True):
@@ -437,7 +473,9 @@ def frfs_of_records(
         for record, (runs, _) in zip(reversed(records), reversed(read), strict=True)
         if {c.id for c in s.outputs} <= {c.id for c in runs[0].channels}
     }
-    gained = [g.note(label[tuple(c.id for c in setups[g.setup].outputs)]) for g in gains]
+    gained = [
+        g.note(label[tuple(c.id for c in setups[g.setup].outputs)]) for g in gains
+    ]
     return FrfsOfRecords(frfs, setups, tuple(shown), found.hits, tuple(gained))
 
 
@@ -480,7 +518,9 @@ def _floored(found: IdentifiedRecord, duration: float) -> Uncertainty:
     """
     u = found.uncertainty
     modes = found.modes
-    frequency, damping = ambient_std(modes.frequencies, np.maximum(modes.damping, 1e-4), duration)
+    frequency, damping = ambient_std(
+        modes.frequencies, np.maximum(modes.damping, 1e-4), duration
+    )
     return replace(
         u,
         frequency=np.maximum(u.frequency, frequency * modes.frequencies),
@@ -492,18 +532,24 @@ def run(session: Session, progress: Progress) -> IdentifyStage:
     """Identify everything that the log lists, or take the FRFs or modes that were given."""
     test = section(session)
     if test.sheet is None:
-        return supplied_frequencies(session.base / str(test.modes), session.initial, session.config)
+        return supplied_frequencies(
+            session.base / str(test.modes), session.initial, session.config
+        )
     lines = session.base / test.lines if test.lines else None
     sheet = read_sensor_sheet(session.base / test.sheet, lines)
     model = sheet.model
     if not model.lines.size:  # the crew gave none to draw
-        model = replace(model, lines=model.points[relative_neighbours(model.xyz, model.groups)])
+        model = replace(
+            model, lines=model.points[relative_neighbours(model.xyz, model.groups)]
+        )
     unused, _ = model.named(test.leave_out)
     if unknown := [c for c in unused if c not in set(model.channels)]:
         raise ConfigError(
             f"[test] leave_out {unknown[0]!r}{did_you_mean(unknown[0], model.channels)}"
         )
-    found = _identified(session, replace(sheet, model=model), (*unused, *sheet.strain), progress)
+    found = _identified(
+        session, replace(sheet, model=model), (*unused, *sheet.strain), progress
+    )
     strain = tuple(Note("channel strain", "warning", c) for c in sheet.strain)
     return replace(found, channel_notes=(*strain, *found.channel_notes))
 
@@ -520,16 +566,22 @@ def _identified(
     unforced = [r for r in records if r.kind == "ambient"]
     forced = [r for r in records if r.kind != "ambient"]
     if forced and test.frfs:
-        raise ConfigError(f"[test] frfs and the hammer records of {test.log}: give one of the two")
+        raise ConfigError(
+            f"[test] frfs and the hammer records of {test.log}: give one of the two"
+        )
     choice = _by_hand(session, records)
     campaign = Campaign(sheet, sensors, tuple(unused), choice)
     found, shown, read = ambient(unforced, campaign, settings, part(progress, 0.0, 0.5))
     nothing = IdentifyStage(sheet.model, IdentifiedModes(NO_MODES, NOT_KNOWN), None)
     stage = _with_ambient(nothing, found, shown, read)
-    given, notes = supplied_frfs([session.base / f for f in test.frfs], sheet.model, unused)
+    given, notes = supplied_frfs(
+        [session.base / f for f in test.frfs], sheet.model, unused
+    )
     if forced:
         early = part(progress, 0.5, 0.7)
-        made = frfs_of_records(forced, sheet, unused, settings.hammer_fmax, early, choice.hits)
+        made = frfs_of_records(
+            forced, sheet, unused, settings.hammer_fmax, early, choice.hits
+        )
     elif given is not None:
         made = FrfsOfRecords(given, ())
     else:
@@ -537,7 +589,9 @@ def _identified(
     frfs = made.frfs
     band = HammerModes(fmin=settings.hammer_fmin, fmax=settings.hammer_fmax)
     by_hand = choice.of(HAMMER)
-    result = identify_hammer(frfs, band, choice=by_hand, progress=part(progress, 0.7, 1.0))
+    result = identify_hammer(
+        frfs, band, choice=by_hand, progress=part(progress, 0.7, 1.0)
+    )
     if by_hand is None:
         setups = made.setups if len(made.setups) > 1 else (frfs,)
         result = with_local_fits(result, setups, band)
@@ -545,7 +599,9 @@ def _identified(
     if forced:
         first = records_of_frfs[0]
         notes_of_both = (*first.notes, *result.notes)
-        records_of_frfs[0] = replace(first, notes=notes_of_both, channel_notes=result.channel_notes)
+        records_of_frfs[0] = replace(
+            first, notes=notes_of_both, channel_notes=result.channel_notes
+        )
     return replace(
         stage,
         hammer=IdentifiedRecord(
@@ -589,7 +645,9 @@ def _with_ambient(
     account = only.account if only else SpectrumAccount()
     if not parts:
         others = join_candidates([r.others for r in found], NO_MODES)
-        return replace(stage, ambient=replace(stage.ambient, others=others, account=account))
+        return replace(
+            stage, ambient=replace(stage.ambient, others=others, account=account)
+        )
     merged = merge_modes(parts)
     readers = [c for c, r in zip(correlations, found, strict=True) if len(r)]
     several = np.flatnonzero([len(given) > 1 for given in merged.provenance])
@@ -608,4 +666,6 @@ def _with_ambient(
             went[c.position][c.mode] = column
     rows = iter(went)
     records = tuple(replace(r, merged=next(rows)) if len(r) else r for r in found)
-    return replace(stage, ambient=ambient_modes, ambient_records=records, merge_notes=merged.notes)
+    return replace(
+        stage, ambient=ambient_modes, ambient_records=records, merge_notes=merged.notes
+    )

@@ -106,7 +106,9 @@ def run(session: Session, progress: Progress) -> LocaliseStage | None:
     found: CorrelateStage = session.get("correlate")
     paired = bool(found.remodelled.used.any())
     with held_decks(session) as held:
-        chosen = _candidates(session, held, part(progress, 0.0, 0.4)) if paired else None
+        chosen = (
+            _candidates(session, held, part(progress, 0.0, 0.4)) if paired else None
+        )
         if chosen is None or not chosen.kept:
             if session.config.propose:
                 raise DataError(NO_CANDIDATE if paired else NO_PAIR)
@@ -126,10 +128,13 @@ def _localised(
     others: tuple[ProjectedAtChannels, ...] = ()
     if updates_candidates(session):
         others = tuple(
-            c.model(progress) if held is None else held.model(c, progress) for c in session.others
+            c.model(progress) if held is None else held.model(c, progress)
+            for c in session.others
         )
     problem = _problem(session, (model, *others))
-    with_others = updates_candidates(session) and (session.others or session.config.residual)
+    with_others = updates_candidates(session) and (
+        session.others or session.config.residual
+    )
     points = search_points(session, model, candidates)
     search = [search_model(session.own, model, points)]
     names = model.parameters.names
@@ -181,7 +186,9 @@ def _members(
     if not isinstance(model, AtChannels):
         return ()
     deck = session.remodelled
-    fitted = FittedModel.after(proposal, deck.analysis.system, model.model, model.rows, aim)
+    fitted = FittedModel.after(
+        proposal, deck.analysis.system, model.model, model.rows, aim
+    )
     return missing_members(deck.model, fitted)
 
 
@@ -194,12 +201,16 @@ def _form(session: Session, aim: Target) -> FormFindings:
     here = {c: i for i, c in enumerate(observed.channels)}
     observe = sparse.csr_array(observed.matrix[[here[c] for c in test.channels]])
     modes = deck.modes(session.fmax).modes
-    return form_of(deck, modes, test, std=reference.elastic_std, target=aim, observe=observe)
+    return form_of(
+        deck, modes, test, std=reference.elastic_std, target=aim, observe=observe
+    )
 
 
 def _problem(session: Session, models: Sequence[ProjectedAtChannels]) -> Problem:
     """All tests and what was measured besides modes."""
-    if not (updates_candidates(session) and (session.others or session.config.residual)):
+    if not (
+        updates_candidates(session) and (session.others or session.config.residual)
+    ):
         return single(models[0], target(session.own))
     return problem_of(session, models)
 
@@ -216,7 +227,9 @@ class _Chosen:
     passed_over: int = 0
 
 
-def _candidates(session: Session, held: HeldDecks | None, progress: Progress) -> _Chosen:
+def _candidates(
+    session: Session, held: HeldDecks | None, progress: Progress
+) -> _Chosen:
     """The candidates of the study, or those made from the deck that explain most of the misfit."""
     given = session.config.candidates()
     asked = session.config.localise
@@ -235,18 +248,24 @@ def _candidates(session: Session, held: HeldDecks | None, progress: Progress) ->
         model = session.remodelled.model
     if session.config.propose:  # what is proposed is delivered
         every = tuple(c for c in every if has_fields(c.parameter))
-    springs = tuple(of_parameter(model, p) for p in session.config.suspensions().parameters)
+    springs = tuple(
+        of_parameter(model, p) for p in session.config.suspensions().parameters
+    )
     taken = conflicts(model, (*every, *springs))[: len(every), len(every) :]
     never = unwritable(model, [t for c in every for t in c.parameter.targets])
     held_fields = [every[i].name for i in np.flatnonzero(taken.any(axis=1)).tolist()]
     every = tuple(
-        c for c in every if c.name not in held_fields and not never.keys() & c.parameter.targets
+        c
+        for c in every
+        if c.name not in held_fields and not never.keys() & c.parameter.targets
     )
     every += masses
     screen = screened_here if held is None else partial(screened_there, held)
     near, some, lost = screen(session, every, progress)
     far = tuple(c.name for c in some if c not in near)
-    pool = CandidatePool(len(every), tuple(d.name for d in lost), far, tuple(held_fields))
+    pool = CandidatePool(
+        len(every), tuple(d.name for d in lost), far, tuple(held_fields)
+    )
     return _Chosen(near, pool, passed_over(some, near))
 
 
@@ -270,7 +289,10 @@ def _candidate_model(
 
 
 def _local_errors(
-    session: Session, model: ProjectedAtChannels, candidates: Sequence[Candidate], aim: Target
+    session: Session,
+    model: ProjectedAtChannels,
+    candidates: Sequence[Candidate],
+    aim: Target,
 ) -> tuple[ErrorIndicators, Mapping[str, Float]]:
     """Error indicators of the regions, and their concentration on each candidate; none where the
     matrices of the deck are not here.

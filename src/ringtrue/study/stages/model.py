@@ -20,7 +20,8 @@ def run(session: Session, progress: Progress) -> ModelStage:
     progress(0.2, "modes of the deck")
     result = opened.modes(session.first_fmax, part(progress, 0.2, 1.0))
     held = (
-        any(c in opened.model for c in ("SPC", "SPC1")) or (opened.model["GRID"]["PS"] != "").any()
+        any(c in opened.model for c in ("SPC", "SPC1"))
+        or (opened.model["GRID"]["PS"] != "").any()
     )
     findings = [*report.findings, *autospc_findings(opened.analysis.system)]
     mass = whole_mass(opened.model) if held else mass_properties(opened.analysis.system)

@@ -36,7 +36,13 @@ from ringtrue.planning.sensors import (
 )
 from ringtrue.shapes import auto_mac
 from ringtrue.study.config_sections import PlanSection
-from ringtrue.study.planned_test import PlanProblem, arranged, node_rows, ranked, virtual_tests
+from ringtrue.study.planned_test import (
+    PlanProblem,
+    arranged,
+    node_rows,
+    ranked,
+    virtual_tests,
+)
 from ringtrue.study.reference import elastic_edge
 from ringtrue.study.results import (
     AcquisitionPlan,
@@ -93,7 +99,9 @@ def run(session: Session, progress: Progress) -> PlanStage:
     # where alone may be excited: chosen before the points
     spots = np.flatnonzero(np.isin(able.node, plan.strike_at))
     if plan.strike_at and not spots.size:
-        raise ConfigError(f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate")
+        raise ConfigError(
+            f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate"
+        )
     if spots.size:
         found = problem.excitation(spots, targets)
         excited = spots[found // able.each]
@@ -109,7 +117,9 @@ def run(session: Session, progress: Progress) -> PlanStage:
     seen_rows = shapes[chosen][:, :, targets]
     mac = auto_mac(seen_rows.reshape(-1, targets.size))
     lost = min(max(1, plan.redundancy), chosen.size)
-    need = resolution(f[timed], plan.damping, error=plan.error, coherence=plan.coherence)
+    need = resolution(
+        f[timed], plan.damping, error=plan.error, coherence=plan.coherence
+    )
     every = resolution(f[first], plan.damping, precision=plan.precision)
     stage = PlanStage(
         target_modes=targets,
@@ -121,7 +131,9 @@ def run(session: Session, progress: Progress) -> PlanStage:
             ambient=able.labels(ambient),
             auto_mac=mac,
             lost=lost,
-            left_by_loss=worst_sensor_loss(seen_rows, lost).left if lost < chosen.size else 0.0,
+            left_by_loss=worst_sensor_loss(seen_rows, lost).left
+            if lost < chosen.size
+            else 0.0,
         ),
         excitation=excitation,
         acquisition=AcquisitionPlan(
@@ -154,7 +166,9 @@ def run(session: Session, progress: Progress) -> PlanStage:
     return stage
 
 
-def plan_problem(session: Session, plan: PlanSection, *, stored: bool = False) -> PlanProblem:
+def plan_problem(
+    session: Session, plan: PlanSection, *, stored: bool = False
+) -> PlanProblem:
     """The candidates that move, and the motion (node, 3, mode) of their nodes.
 
     A candidate is of the first region that names it; boxes and exclusions take candidates away,
@@ -178,23 +192,31 @@ def plan_problem(session: Session, plan: PlanSection, *, stored: bool = False) -
     rows = grid.find(nodes)
     lost = (rows < 0) & np.isin(nodes, plan.fixed)
     if lost.any():
-        raise ConfigError(f"[plan] fixed: node {int(nodes[lost][0])} is not in the deck")
+        raise ConfigError(
+            f"[plan] fixed: node {int(nodes[lost][0])} is not in the deck"
+        )
     seat = np.searchsorted(model.scene.node, nodes).clip(max=model.scene.node.size - 1)
     if stored and (model.scene.node[seat] == nodes).all():
         motion = model.modes.shapes.reshape(model.scene.node.size, 3, -1)[seat]
     else:
-        motion = session.initial.modes(session.first_fmax).modes.shapes[node_rows(session, nodes)]
+        motion = session.initial.modes(session.first_fmax).modes.shapes[
+            node_rows(session, nodes)
+        ]
     if not motion.shape[2]:
         raise ConfigError(
             f"[plan]: the deck has no mode below {session.first_fmax:g} Hz: raise [model] fmax"
         )
     xyz = positions(session.initial.model)[rows] * session.length
     here = np.intersect1d(plan.exclude, nodes).tolist()
-    keep = select_candidates(nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out)
+    keep = select_candidates(
+        nodes, xyz, boxes=plan.boxes, exclude=here, keep_out=plan.keep_out
+    )
     fixed = np.isin(nodes, plan.fixed)
     keep |= fixed
     # 1e-9: of the largest motion: a node that moves less is no candidate
-    moves = np.abs(motion).max(axis=(1, 2)) > 1e-9 * np.abs(motion[keep]).max(initial=0.0)
+    moves = np.abs(motion).max(axis=(1, 2)) > 1e-9 * np.abs(motion[keep]).max(
+        initial=0.0
+    )
     read = grid.file[rows] >= 0  # not made by refining the mesh
     at = np.flatnonzero(keep & read & (moves | fixed))
     region = list(first.values())
@@ -231,7 +253,9 @@ def _in_vain(problem: PlanProblem) -> tuple[str, ...]:
         "strike_at names nodes that are no candidates": np.setdiff1d(
             plan.strike_at, problem.able.node
         ),
-        "exclude names nodes that are not in the deck": np.setdiff1d(plan.exclude, deck),
+        "exclude names nodes that are not in the deck": np.setdiff1d(
+            plan.exclude, deck
+        ),
     }
     return tuple(
         f"{t}: {' '.join(str(int(n)) for n in x[:8])}{' ...' * (x.size > 8)}"
@@ -276,7 +300,9 @@ def _points(problem: PlanProblem, targets: Int, fixed: Bool) -> Int:
     )
     if plan.redundancy:
         most = 2 * count + EXTRA_POINTS
-        chosen = add_redundancy(phi, chosen, plan.redundancy, most=most, spacing=spacing)
+        chosen = add_redundancy(
+            phi, chosen, plan.redundancy, most=most, spacing=spacing
+        )
         chosen = np.sort(chosen)
     return chosen
 
@@ -293,7 +319,9 @@ def _with_drawing(problem: PlanProblem, stage: PlanStage, chosen: Int) -> Sensor
     seat = np.searchsorted(scene.node, points).clip(max=scene.node.size - 1)
     if (scene.node[seat] == points).all():  # all points lie on what is drawn
         edges = mesh_edges(scene.triangles, scene.lines)
-        drawn = problem.model.modes.shapes.reshape(scene.node.size, 3, -1)[:, :, targets]
+        drawn = problem.model.modes.shapes.reshape(scene.node.size, 3, -1)[
+            :, :, targets
+        ]
         shown = drawn_mac(scene.xyz, edges, seat, drawn, able.measured(chosen))
         sensors = replace(sensors, shown=shown)
         if plan.lines == "mesh":
@@ -317,7 +345,9 @@ def _with_drawing(problem: PlanProblem, stage: PlanStage, chosen: Int) -> Sensor
         if plan.sensor_mass:
             moved = motion[able.at[chosen]]
             shift = np.full(f.size, np.nan)
-            shift[flexible] = roving_shift(f[flexible], moved, plan.sensor_mass, setups.setup)
+            shift[flexible] = roving_shift(
+                f[flexible], moved, plan.sensor_mass, setups.setup
+            )
             setups = replace(setups, shift=shift[targets])
         sensors = replace(sensors, setups=setups)
     return sensors
@@ -336,7 +366,9 @@ def _suspension(problem: PlanProblem, targets: Int) -> SuspensionPlan:
         problem.model.mass.cg * session.length,
         min_distance=problem.least_distance,
     )
-    return SuspensionPlan(tuple(nodes[found.points].tolist()), found.motion, found.steady)
+    return SuspensionPlan(
+        tuple(nodes[found.points].tolist()), found.motion, found.steady
+    )
 
 
 def _ambient(problem: PlanProblem, modes: Int) -> Int:
@@ -353,5 +385,7 @@ def _ambient(problem: PlanProblem, modes: Int) -> Int:
         least = 2 * problem.least_distance
         if not isinstance(plan.min_distance, float):
             least = min(least, spacing_of_points(able.spread[at], count))
-        out.append(at[select_points(shapes[at], able.spread[at], count, min_distance=least)])
+        out.append(
+            at[select_points(shapes[at], able.spread[at], count, min_distance=least)]
+        )
     return np.sort(np.concatenate(out))

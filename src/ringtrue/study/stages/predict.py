@@ -92,15 +92,21 @@ def run(session: Session, progress: Progress) -> PredictStage:
     system = opened.analysis.system
     at = system.dofs.find(np.full(3, asked.rotor), np.arange(1, 4))
     if (at < 0).any():
-        raise ConfigError(f"rotor node {asked.rotor}: there is no such node in the deck")
+        raise ConfigError(
+            f"rotor node {asked.rotor}: there is no such node in the deck"
+        )
     motion = sparse.csr_array(system.transform[at])
     loads = motion[list(plane(asked.axis))].toarray().T
-    model, residual = _model(session, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6))
+    model, residual = _model(
+        session, posterior.parameters, loads, freqs, part(progress, 0.3, 0.6)
+    )
     v = model.basis.vectors
     rows = Rows(np.asarray(motion @ v) * session.unit.length)
     outputs = [Output(f"rotor, node {asked.rotor}", "m", rows, 3)]
     for name, ids in asked.springs.items():
-        outputs += _forces(opened, model.system.parameters, name, ids, v * session.unit.force)
+        outputs += _forces(
+            opened, model.system.parameters, name, ids, v * session.unit.force
+        )
     progress(0.6, "damping")
     damping, words = _damping(session, v)
     draws = posterior.sample(asked.draws, rng)
@@ -144,7 +150,9 @@ def _damping(session: Session, v: Float) -> tuple[Damping | RegionDamping, str]:
     final: FinalStage = session.get("final")
     f, at = np.unique(final.observed.frequencies, return_index=True)
     keep = f > 0
-    words = "damping ratios of the test, interpolated between its modes and constant beyond"
+    words = (
+        "damping ratios of the test, interpolated between its modes and constant beyond"
+    )
     return Damping(f[keep], np.maximum(final.damping[at][keep], 0.0), SPREAD), words
 
 
@@ -157,7 +165,9 @@ def scatter(modes: DampedModes) -> float:
         return 0.0
     measured = modes.measured[damped]
     found = modes.after[damped]
-    known = np.hypot(modes.measured_std[damped] / measured, modes.after_std[damped] / found)
+    known = np.hypot(
+        modes.measured_std[damped] / measured, modes.after_std[damped] / found
+    )
     return discrepancy(np.log(measured / found), known)
 
 
@@ -171,9 +181,13 @@ def _by_region(session: Session, found: DampedRegions, v: Float) -> RegionDampin
     kept = [mine[n] for n in found.names]
     system = opened.analysis.system
     total = project(v, system.viscous, system.structural)
-    matrices, base = matrices_of(opened.model, kept, np.asarray(system.transform @ v), total)
+    matrices, base = matrices_of(
+        opened.model, kept, np.asarray(system.transform @ v), total
+    )
     viscous = np.array([r.kind == "viscous" for r in kept])
-    return RegionDamping(found.coefficients, found.covariance, np.array(matrices), viscous, base)
+    return RegionDamping(
+        found.coefficients, found.covariance, np.array(matrices), viscous, base
+    )
 
 
 def _validated(session: Session, final: FinalStage) -> tuple[float, float]:
@@ -186,7 +200,9 @@ def _validated(session: Session, final: FinalStage) -> tuple[float, float]:
     accepted = session.config.correlate.accept_percent
     confident = test.confidence >= session.config.identify.confidence
     held = np.zeros(len(test), dtype=bool)
-    held[final.table.pairing.a[np.abs(final.table.deviation_percent) <= accepted]] = True
+    held[final.table.pairing.a[np.abs(final.table.deviation_percent) <= accepted]] = (
+        True
+    )
     low, high = validated_band(test.frequencies[confident], held[confident])
     if len(rigid) and high > 0:
         low = min(low, float(rigid.frequencies.min()))
@@ -203,17 +219,25 @@ def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     aim = target(session.own)
     out = final.table.deviation_percent[~final.table.used] / 100
     shown = out if out.size else final.table.deviation_percent / 100
-    error = discrepancy(shown, np.zeros(shown.size)) if shown.size else aim.weights.frequency
+    error = (
+        discrepancy(shown, np.zeros(shown.size))
+        if shown.size
+        else aim.weights.frequency
+    )
     active = over(session.delivered_models(progress)[0], best.parameters)
     own = Configuration(active, aim, terms_of(session.own, active))
     every = (own, *other_configurations(session, best.factors, progress))
     wide = max(error, aim.weights.frequency)
-    parts = [_laplace(tuple(c.weighed(wide, aim.weights.mac) for c in every), best.factors)]
+    parts = [
+        _laplace(tuple(c.weighed(wide, aim.weights.mac) for c in every), best.factors)
+    ]
     if session.config.suspension:
         channels = session.own.reference.rigid.channels
         springs = suspended(session.own, channels, progress)
         tuned = session.get("tune").factors
-        parts.append(_laplace((Configuration(springs, rigid_target(session.own)),), tuned))
+        parts.append(
+            _laplace((Configuration(springs, rigid_target(session.own)),), tuned)
+        )
     # independent posteriors
     names = ParameterSet(tuple(p for one in parts for p in one.parameters.parameters))
     y = np.concatenate([one.y for one in parts])
@@ -222,14 +246,22 @@ def _posterior(session: Session, progress: Progress) -> tuple[Posterior, float]:
     return Posterior(names, y, covariance, np.eye(y.size), prior), error
 
 
-def _laplace(configurations: tuple[Configuration, ...], factors: Mapping[str, float]) -> Posterior:
+def _laplace(
+    configurations: tuple[Configuration, ...], factors: Mapping[str, float]
+) -> Posterior:
     problem = Problem(configurations)
     at = problem.evaluate(problem.parameters.vector(factors))
-    return laplace(problem, at, np.ones(int(at.kind.max(initial=-1)) + 1), independent=1.0)
+    return laplace(
+        problem, at, np.ones(int(at.kind.max(initial=-1)) + 1), independent=1.0
+    )
 
 
 def _model(
-    session: Session, parameters: ParameterSet, loads: Float, freqs: Float, progress: Progress
+    session: Session,
+    parameters: ParameterSet,
+    loads: Float,
+    freqs: Float,
+    progress: Progress,
 ) -> tuple[ReducedModel, float]:
     """The remodelled deck over some of its parameters, on a basis for the response to the loads at
     the updated point.
@@ -255,7 +287,9 @@ def _model(
         progress=part(progress, 0.3, 1.0),
     )
     at = every.at(parameters.names)
-    return model.on(found.vectors).with_parameters(at, none), float(found.residual.max())
+    return model.on(found.vectors).with_parameters(at, none), float(
+        found.residual.max()
+    )
 
 
 def _forces(
@@ -273,7 +307,9 @@ def _forces(
     slopes = []
     for i, p in enumerate(parameters.parameters):
         mine = [
-            x for x in p.targets if x.card == "PBUSH" and x.id in ids and x.field.startswith("K")
+            x
+            for x in p.targets
+            if x.card == "PBUSH" and x.id in ids and x.field.startswith("K")
         ]
         if mine:  # linear in the factor: one more build gives the slope
             twice = _spring_rows(changed(model, p.name, mine, 2.0), at, system.dofs)
@@ -302,7 +338,9 @@ def check(model: Model, asked: PredictSection) -> None:
     """
     plane(asked.axis)
     if model["GRID"].find(np.array([asked.rotor]))[0] < 0:
-        raise ConfigError(f"rotor node {asked.rotor}: there is no such node in the deck")
+        raise ConfigError(
+            f"rotor node {asked.rotor}: there is no such node in the deck"
+        )
     for name, ids in asked.springs.items():
         _bushes(model, name, ids)
 
@@ -330,4 +368,6 @@ def _spring_rows(model: Model, at: Int, dofs: DofSet) -> sparse.csr_array:
     cols = np.broadcast_to(part.dofs[:, None, :], k.shape)
     rows = np.broadcast_to(np.arange(3 * at.size).reshape(-1, 3)[..., None], k.shape)
     keep = cols >= 0
-    return sparse.csr_array((k[keep], (rows[keep], cols[keep])), shape=(3 * at.size, len(dofs)))
+    return sparse.csr_array(
+        (k[keep], (rows[keep], cols[keep])), shape=(3 * at.size, len(dofs))
+    )

@@ -50,7 +50,9 @@ def target(c: StudyConfiguration) -> Target:
     )
 
 
-def suspended(c: StudyConfiguration, channels: tuple[str, ...], progress: Progress) -> AtChannels:
+def suspended(
+    c: StudyConfiguration, channels: tuple[str, ...], progress: Progress
+) -> AtChannels:
     """The model of a configuration over its suspension alone, the elastic parameters held at their
     updated values.
     """
@@ -65,7 +67,9 @@ def suspended(c: StudyConfiguration, channels: tuple[str, ...], progress: Progre
     return AtChannels(model.model, c.rows(channels)).with_parameters(springs, base)
 
 
-def tuned(active: ObservedModel, aim: Target, iterations: int, progress: Progress) -> Suspended:
+def tuned(
+    active: ObservedModel, aim: Target, iterations: int, progress: Progress
+) -> Suspended:
     """Every pairing weighed, from the point that the nearest pairing leads to.
 
     Test modes that find no partner inside the gates there take no part.
@@ -118,7 +122,8 @@ def run(session: Session, progress: Progress) -> TuneStage:
     own = RigidTest.of(session.own, part(progress, 0.0, 0.6))
     early = part(progress, 0.6, 0.7)
     tests = [RigidTest.of(c, early) for c in session.others if len(c.reference.rigid)]
-    others = [test for test in tests if len(test.model.parameters)]  # with part of the suspension
+    # with part of the suspension
+    others = [test for test in tests if len(test.model.parameters)]
     limit = session.config.update.iterations
     parameters = own.model.parameters
     found = tuned(own.model, own.target, limit, part(progress, 0.7, 1.0))
@@ -127,7 +132,9 @@ def run(session: Session, progress: Progress) -> TuneStage:
     if others:  # over all tests, from the point that the study's own leads to
         used = np.isin(np.arange(own.target.used.size), found.best.pairs[:, 0])
         first = Configuration(own.model, replace(own.target, used=used))
-        more = (Configuration(o.model, o.target, name=o.configuration.name) for o in others)
+        more = (
+            Configuration(o.model, o.target, name=o.configuration.name) for o in others
+        )
         problem = Problem((first, *more))
         far = solve(problem, start=x, iterations=limit)
         done = settled(problem, Course(iterations=limit), start=far.y).solution
@@ -144,8 +151,11 @@ def run(session: Session, progress: Progress) -> TuneStage:
         factors=dict(zip(names, factors.tolist(), strict=True)),
         std=dict(zip(names, relative.tolist(), strict=True)),
         ambiguity=found.ambiguity(),
-        flags=tuple(f.text for f in plausibility(parameters, x, std / parameters.std())),
+        flags=tuple(
+            f.text for f in plausibility(parameters, x, std / parameters.std())
+        ),
         others=tuple(
-            TunedConfiguration(o.configuration.name, o.table(start), o.table(end)) for o in others
+            TunedConfiguration(o.configuration.name, o.table(start), o.table(end))
+            for o in others
         ),
     )

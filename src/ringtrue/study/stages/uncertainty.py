@@ -106,7 +106,9 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
     others = _others(session, best, np.random.default_rng([seed, 8]), early)
     if session.config.update.sharpened:
         w = left_at(Problem((first, *others)), x)
-        first, *others = (o.weighed(w.frequency, w.mac, w.independent) for o in (first, *others))
+        first, *others = (
+            o.weighed(w.frequency, w.mac, w.independent) for o in (first, *others)
+        )
     likely, held = with_discrepancy(
         first,
         folds_of(paired.used, min(asked.folds, count)),
@@ -115,7 +117,9 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
         progress=part(progress, 0.4, 0.8),
     )
     found = likely.target.weights
-    many = errors_of_shapes(replace(paired, used=np.ones_like(paired.used)), model.modes(x))
+    many = errors_of_shapes(
+        replace(paired, used=np.ones_like(paired.used)), model.modes(x)
+    )
 
     # with errors as found; those of the other configurations are taken to be like those of the
     # first
@@ -126,7 +130,9 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
     point = problem.evaluate(p.vector(factors))
     freedom = _freedom(session, every, at, held, likely.target)
     slope = point.points[0].now.d_lambda
-    among = around(problem, point, _may_be_off(session, p, best.parameters), freedom=freedom)
+    among = around(
+        problem, point, _may_be_off(session, p, best.parameters), freedom=freedom
+    )
     posterior = among.take(every.parameters.at(best.parameters))
     if aim.frequency_only:
         held = replace(held, mac=np.full(held.mac.size, np.nan))
@@ -134,7 +140,9 @@ def run(session: Session, progress: Progress) -> UncertaintyStage | None:
         posterior=_parameters(posterior, asked.level),
         bands=_bands(session, among, slope, held, found),
         level=asked.level,
-        discrepancy=np.array([found.frequency, np.nan if aim.frequency_only else found.mac]),
+        discrepancy=np.array(
+            [found.frequency, np.nan if aim.frequency_only else found.mac]
+        ),
         assumed=np.array([aim.weights.frequency, aim.weights.mac]),
         held=held,
         flags=_flags(posterior, held, asked.level),
@@ -161,7 +169,10 @@ def _same_modes(c: StudyConfiguration, model: AtChannels, x: Float) -> bool:
     rows = [final.observed.channels.index(n) for n in c.reference.elastic.channels]
     mac = paired_mac(now.shapes[:, at], final.observed.shapes[rows][:, at])
     error = frequency_error(now.frequencies[at], final.observed.frequencies[at])
-    return bool((mac >= SIZES.same_mac).all() and error <= c.session.config.update.frequency_error)
+    return bool(
+        (mac >= SIZES.same_mac).all()
+        and error <= c.session.config.update.frequency_error
+    )
 
 
 def _others(
@@ -193,7 +204,9 @@ def _may_be_off(session: Session, p: ParameterSet, chosen: Sequence[str]) -> Boo
     return mine | ~(same | rare)
 
 
-def _freedom(session: Session, every: AtChannels, x: Float, held: Held, likely: Target) -> float:
+def _freedom(
+    session: Session, every: AtChannels, x: Float, held: Held, likely: Target
+) -> float:
     """Degrees of freedom that the size of the errors is known with, those of the test being known.
 
     Errors of form are the same in modes with similar strains and motions: few are independent.
@@ -271,7 +284,11 @@ def _bands(
     parts[test, 0] = np.sqrt(np.einsum("mp,pq,mq->m", rows, among.covariance, rows))
     parts[:, 1] = aim.std
     parts[:, 2] = np.where(np.isfinite(held.model_std), held.model_std, found.frequency)
-    reach = float(stdtrit(held.freedom, 0.5 + level / 2)) * np.sqrt((parts**2).sum(axis=1)) * f
+    reach = (
+        float(stdtrit(held.freedom, 0.5 + level / 2))
+        * np.sqrt((parts**2).sum(axis=1))
+        * f
+    )
     band = np.stack([f - reach, f + reach], axis=1)
     return FrequencyBands(
         test=aim.frequencies,
@@ -330,7 +347,9 @@ def _sampled(
     every = chains.flat()
     band = chains.interval(asked.level)
     return PosteriorChains(
-        draws=np.stack([p.factors(x) for x in every[:: -(-len(every) // SIZES.stored)]]),
+        draws=np.stack(
+            [p.factors(x) for x in every[:: -(-len(every) // SIZES.stored)]]
+        ),
         sampled=np.stack([p.factors(band[:, 0]), p.factors(band[:, 1])], axis=1),
         acceptance=chains.acceptance,
         independent=chains.size,

@@ -35,7 +35,14 @@ from ringtrue.study.objective import (
     target,
     terms_of,
 )
-from ringtrue.study.opened import CLOSE, ROUNDS, AtChannels, frequency_error, not_verified, verified
+from ringtrue.study.opened import (
+    CLOSE,
+    ROUNDS,
+    AtChannels,
+    frequency_error,
+    not_verified,
+    verified,
+)
 from ringtrue.study.results import (
     DataResult,
     FinishedSet,
@@ -51,7 +58,14 @@ from ringtrue.study.stages.localise import element_regions
 from ringtrue.study.store import FinishedSets
 from ringtrue.updating import strategy
 from ringtrue.updating.identifiability import least_proven, stood_for
-from ringtrue.updating.problem import Configuration, Evaluated, Problem, aicc, single, weighed
+from ringtrue.updating.problem import (
+    Configuration,
+    Evaluated,
+    Problem,
+    aicc,
+    single,
+    weighed,
+)
 from ringtrue.updating.selection import selection_rules
 from ringtrue.updating.selection.candidates import elements_of
 from ringtrue.updating.selection.screening import of_parameter
@@ -118,7 +132,9 @@ def update_reduced(case: SetUpdate, progress: Progress) -> FinishedSet:
     return FinishedSet(result, displaced(problem, end.solution.end), 0)
 
 
-def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple[DataResult, ...]:
+def compare_data(
+    session: Session, best: SetResult, progress: Progress
+) -> tuple[DataResult, ...]:
     """What was measured besides the modes, by the model before and after the updating."""
     factors = best.factors
     out = []
@@ -128,7 +144,9 @@ def compare_data(session: Session, best: SetResult, progress: Progress) -> tuple
         y = model.parameters.vector(factors)
         for m, d in zip(c.measured, data_of(c, model), strict=True):
             one = Configuration(model, target(c), (d.term,))
-            before, after = (d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y))
+            before, after = (
+                d.shown(d.term(one.at(v, slopes=False))) for v in (0 * y, y)
+            )
             out.append(
                 DataResult(
                     name=d.name,
@@ -162,7 +180,10 @@ def other_configurations(
 
 
 def as_delivered(
-    c: StudyConfiguration, model: AtChannels, factor: Mapping[str, float], progress: Progress
+    c: StudyConfiguration,
+    model: AtChannels,
+    factor: Mapping[str, float],
+    progress: Progress,
 ) -> tuple[AtChannels, Float]:
     """The model over those of the parameters that it has, springs as tuned, and x at their factors.
 
@@ -176,7 +197,10 @@ def as_delivered(
     base = np.concatenate([np.zeros(len(mine)), held])
     active = model.with_parameters([mine.index(m) for m in factor if m in mine], base)
     x = active.parameters.vector(factor)
-    if frequency_error(active.modes(x).frequencies, c.final.observed.frequencies) >= CLOSE:
+    if (
+        frequency_error(active.modes(x).frequencies, c.final.observed.frequencies)
+        >= CLOSE
+    ):
         progress(0.9, "modes at the updated point")
         active, _ = active.enrich(x)
     return active, x
@@ -217,7 +241,9 @@ def _follows(problem: Problem, done: Solution) -> bool:
     return True
 
 
-def _at_end(problem: Problem, done: Solution) -> Iterator[tuple[Configuration, AtChannels, Float]]:
+def _at_end(
+    problem: Problem, done: Solution
+) -> Iterator[tuple[Configuration, AtChannels, Float]]:
     """Configurations, their models, and x of these at the end."""
     at = dict(zip(problem.parameters.names, done.x.tolist(), strict=True))
     for c in problem.configurations:
@@ -240,7 +266,9 @@ def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
     return np.concatenate(error), np.concatenate(mac), np.concatenate(used)
 
 
-def percent(of: Callable[[Float], np.floating[Any]], values: Float, which: Bool) -> float:
+def percent(
+    of: Callable[[Float], np.floating[Any]], values: Float, which: Bool
+) -> float:
     """100 times the mean, or whatever `of` takes, of the sizes of the values that count; NaN of
     none.
     """
@@ -276,14 +304,19 @@ def summary(
     size = np.maximum(np.linalg.norm(done.end.slope, axis=0), 1e-300)
     scaled = done.end.slope / size
     first = float(np.linalg.norm(problem.gradient(path[0]))) or 1.0
-    steps = [0.0, *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path))]
+    steps = [
+        0.0,
+        *(float(np.abs(b.x - a.x).max(initial=0.0)) for a, b in pairwise(path)),
+    ]
     cost = whole_cost(problem, done.end)
     found = strategy.kept(end.problem)
     fit = SetFit(
         mean_deviation=percent(np.mean, error, used),
         max_deviation=percent(np.max, error, used),
         mean_subspace_mac=percent(np.mean, mac, used),
-        mean_deviation_left_out=left_out_deviation(aims, [p.now for p in done.end.points]),
+        mean_deviation_left_out=left_out_deviation(
+            aims, [p.now for p in done.end.points]
+        ),
         condition=float(np.linalg.cond(scaled.T @ scaled)) if size.size else 1.0,
         criterion=aicc(cost, data_count(problem, done.end), done.x.size),
         misfits=misfits(weighed(problem, _at_least(problem, found)), done.end, data),
@@ -326,7 +359,10 @@ def _with_values(words: str, text: str, problem: Problem) -> str:
         return words
     said = IterationText(words)
     factors = problem.parameters.factors(state.at.x).tolist()
-    said.values = {"J": state.at.cost, **dict(zip(problem.parameters.names, factors, strict=True))}
+    said.values = {
+        "J": state.at.cost,
+        **dict(zip(problem.parameters.names, factors, strict=True)),
+    }
     return said
 
 
@@ -350,7 +386,9 @@ def update_by_runs(case: SetUpdate, progress: Progress) -> FinishedSet:
 
     how = replace(case.how, course=course_of_runs(case.how.settings), steps=steps)
     end = how.run(problem, progress)
-    return FinishedSet(summary(problem, case.name, end), 0, sum(m.ledger.runs for m in models))
+    return FinishedSet(
+        summary(problem, case.name, end), 0, sum(m.ledger.runs for m in models)
+    )
 
 
 def _full(c: StudyConfiguration, members: Sequence[str]) -> FullModel:
@@ -367,7 +405,9 @@ def _full(c: StudyConfiguration, members: Sequence[str]) -> FullModel:
     with engine.open(opened.model) as analysis:
         at, sign = look.dofs.align(analysis.dofs)
         matrix = sparse.csr_array(look.matrix[rows][:, at] * sign)
-        seen = Observation(matrix, channels, analysis.dofs, look.unit, look.distance[rows])
+        seen = Observation(
+            matrix, channels, analysis.dofs, look.unit, look.distance[rows]
+        )
     count = len(opened.modes(c.session.fmax).modes)
     return FullModel(opened.model, mine, seen, ModesRequest(max(count, 1)), engine)
 
@@ -390,7 +430,9 @@ OTHER = "; sets that weigh the data otherwise are shown and not chosen from: the
 ALL_TESTS = "; all figures are over the tests of all configurations"
 
 
-def _sets(session: Session, model: AtChannels, progress: Progress) -> tuple[dict[str, Int], Float]:
+def _sets(
+    session: Session, model: AtChannels, progress: Progress
+) -> tuple[dict[str, Int], Float]:
     """Parameter sets by their rule, and the weighted sensitivities (r, p) that the simple ones come
     from.
     """
@@ -403,7 +445,9 @@ def _sets(session: Session, model: AtChannels, progress: Progress) -> tuple[dict
     weighted = selection_rules.weighted_sensitivities(problem)
     out: dict[str, Int] = {}
     if session.config.propose:
-        out["proposal"] = np.array([names.index(n) for n in _proposed(session)], dtype=np.int64)
+        out["proposal"] = np.array(
+            [names.index(n) for n in _proposed(session)], dtype=np.int64
+        )
     if not len(session.config.candidates()):
         # those made from the deck may scale the same field: the proposal alone respects that
         return out, weighted
@@ -516,7 +560,11 @@ def _updated(
     if session.engine is not None:
         yield from side_by_side(update_by_runs, cases, workers, progress)
         return
-    shared = [large for m in models for large in (m.model.system, m.model.basis, m.model.pencil)]
+    shared = [
+        large
+        for m in models
+        for large in (m.model.system, m.model.basis, m.model.pencil)
+    ]
     yield from side_by_side(update_reduced, cases, workers, progress, shared)
 
 
@@ -532,12 +580,16 @@ def _case(
     spread over the workers.
     """
     if session.engine is not None:
-        problem = problem_of(session, [_full(c, members) for c in session.configurations], u)
+        problem = problem_of(
+            session, [_full(c, members) for c in session.configurations], u
+        )
         data: tuple[tuple[Data, ...], ...] = ()
     else:
         models = [over(m, members) for m in session.models(quiet)]
         problem = problem_of(session, models, u)
-        data = tuple(data_of(c, m) for c, m in zip(session.configurations, models, strict=True))
+        data = tuple(
+            data_of(c, m) for c, m in zip(session.configurations, models, strict=True)
+        )
     y = None if factors is None else session.chosen(members).vector(factors)
     how = Minimisation(u, session.config.study.seed, workers=workers)
     return SetUpdate(name, problem, how, start=y, data=data)
@@ -580,7 +632,9 @@ def update_sets(session: Session, progress: Progress) -> UpdateStage:
     kept.clear()
     named_set = named.get(sets[chosen].name)
     u = named_set.settings(own) if named_set else own
-    sets[chosen] = best = _only_proven(session, sets[chosen], part(progress, 0.95, 1.0), u)
+    sets[chosen] = best = _only_proven(
+        session, sets[chosen], part(progress, 0.95, 1.0), u
+    )
     why = WHY.format(name=best.name, value=best.fit.criterion)
     why += ALL_TESTS if session.others else ""
     why += "" if all(comparable) else OTHER
@@ -622,7 +676,9 @@ def _only_proven(
             case = _case(session, best.name, members, u, start)
             again = update_reduced(case, progress).result
         else:
-            again = update_by_runs(_case(session, best.name, members, u), progress).result
+            again = update_by_runs(
+                _case(session, best.name, members, u), progress
+            ).result
         factor[rest] = again.factor
         spread = best.std.copy()
         spread[rest] = again.std
@@ -647,7 +703,9 @@ def _field_values(session: Session, best: SetResult, factor: Float) -> dict[str,
     """The first target's value of each parameter at the factors."""
     out = {}
     model = session.remodelled.model
-    for p, a in zip(session.chosen(best.parameters).parameters, factor.tolist(), strict=True):
+    for p, a in zip(
+        session.chosen(best.parameters).parameters, factor.tolist(), strict=True
+    ):
         field = p.targets[0]
         out[p.name] = float(field_value(model, field)) * a + field.step * (a - 1)
     return out
@@ -669,7 +727,8 @@ def regions(session: Session, name: str) -> tuple[int, ...]:
 def _lowest_criterion(results: Sequence[SetResult], comparable: Sequence[bool]) -> int:
     """The set of lowest AICc among those that weigh the data as the study does."""
     criteria = [
-        r.fit.criterion if good else np.inf for r, good in zip(results, comparable, strict=True)
+        r.fit.criterion if good else np.inf
+        for r, good in zip(results, comparable, strict=True)
     ]
     return int(np.argmin(criteria))
 
@@ -704,6 +763,8 @@ def _with_further_starts(
         if done.result.fit.criterion < best.fit.criterion:
             best = replace(done.result, name=best.name)
     return [
-        replace(best, name=r.name) if r.parameters == best.parameters and not r.settings else r
+        replace(best, name=r.name)
+        if r.parameters == best.parameters and not r.settings
+        else r
         for r in results
     ]

@@ -15,13 +15,20 @@ from ringtrue.core.arrays import Complex, Float, Int, freeze_arrays
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.prediction import Damping
-from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
+from ringtrue.updating.residuals.modal import (
+    NO_MODE,
+    Deviations,
+    Point,
+    ResidualBlock,
+    rows_block,
+)
 
 FAR = 30.0
 # of the root mean square of the FRFs at a line: what lies below, by symmetry or noise, has no
 # logarithm
 FLOOR = 1e-3
-RIGID = 1e-9  # of the largest eigenvalue: below this a mode does not bound a zero of an FRF
+# of the largest eigenvalue: below this a mode does not bound a zero of an FRF
+RIGID = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +75,9 @@ class Frf(Deviations):
         freeze_arrays(self)
         shape = (self.freqs.size, self.outputs.size, self.inputs.size)
         if self.measured.shape != shape:
-            raise InputError(f"FRFs {self.measured.shape} for (line, output, input) = {shape}")
+            raise InputError(
+                f"FRFs {self.measured.shape} for (line, output, input) = {shape}"
+            )
 
     @property
     def highest(self) -> float:
@@ -92,7 +101,9 @@ class Frf(Deviations):
         by_lambda = -(g**2) * (1 + zeta * s / np.where(root > 0, root, np.inf))
         d_h = np.einsum("qm,omp,im->qoip", g, d_out, into, optimize=True)
         d_h += np.einsum("qm,om,imp->qoip", g, out, d_in, optimize=True)
-        d_h += np.einsum("qm,mp,om,im->qoip", by_lambda, now.d_lambda, out, into, optimize=True)
+        d_h += np.einsum(
+            "qm,mp,om,im->qoip", by_lambda, now.d_lambda, out, into, optimize=True
+        )
         by = s[:, :, None] ** self.order
         return h * by, d_h * by[..., None]
 
@@ -127,7 +138,9 @@ class Frf(Deviations):
             size = np.abs(h) ** 2 + floor
             value = 0.5 * np.log((square + floor) / size).ravel()
             slope = (h.conj().reshape(-1, 1) * d_h).real / size.reshape(-1, 1)
-            return rows_block(value / self.std, slope / self.std, np.full(h.size, NO_MODE))
+            return rows_block(
+                value / self.std, slope / self.std, np.full(h.size, NO_MODE)
+            )
         scale = self.std * float(np.sqrt(np.mean(np.abs(self.measured) ** 2)))
         rest = (self.measured - h).ravel() / scale
         value = np.concatenate([rest.real, rest.imag])
@@ -139,7 +152,9 @@ class Frf(Deviations):
     def fit(self, at: Point) -> Float:
         """See `Term`: an FRF is a datum, its square the mean over the lines."""
         value = self(at).value
-        return np.asarray(np.mean(value.reshape(-1, self.outputs.size * self.inputs.size) ** 2, 0))
+        return np.asarray(
+            np.mean(value.reshape(-1, self.outputs.size * self.inputs.size) ** 2, 0)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,10 +201,14 @@ class AntiResonances(Deviations):
         i, j = i[away[i, j] < self.gate], j[away[i, j] < self.gate]
         value[i] = 1 - f[j] / f_test[i]
         slope[i] = d_mu[j] / (8 * np.pi**2 * f[j] * f_test[i])[:, None]
-        return rows_block(value / self.std, slope / self.std, np.full(f_test.size, NO_MODE))
+        return rows_block(
+            value / self.std, slope / self.std, np.full(f_test.size, NO_MODE)
+        )
 
 
-def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tuple[Float, Float]:
+def zeros(
+    now: Linearisation, output: int, into: int, top: float = np.inf
+) -> tuple[Float, Float]:
     """Real positive zeros μ (z,), (rad/s)², ascending, of Σ φ_o φ_i/(λ − μ), and ∂μ/∂x (z, p).
 
     The zeros are the finite eigenvalues of [Λ φ_i; φ_oᵀ −r] against diag(I, 0), r the flexibility
@@ -212,7 +231,9 @@ def zeros(now: Linearisation, output: int, into: int, top: float = np.inf) -> tu
         return np.zeros(0), np.zeros((0, now.d_lambda.shape[1]))
     rest = float(np.sum((a * b)[~near] / lam[~near])) * scale
     side = b[near, None]
-    pencil = np.block([[np.diag(lam[near] / scale), side], [a[None, near], np.full((1, 1), -rest)]])
+    pencil = np.block(
+        [[np.diag(lam[near] / scale), side], [a[None, near], np.full((1, 1), -rest)]]
+    )
     mass = np.diag([*np.ones(int(near.sum())), 0.0])
     high, low = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
     finite = np.abs(low) > 1e-10 * np.abs(high)

@@ -483,7 +483,9 @@ class ModalMasses(Deviations):
         along = np.sum(phi * psi, axis=0)
         size = np.sum(phi**2, axis=0)
         if not along.all() or not size.all():
-            raise NumericalError("a test shape is orthogonal to its partner: it has no scale there")
+            raise NumericalError(
+                "a test shape is orthogonal to its partner: it has no scale there"
+            )
         value = -2 * np.log(np.abs(along) / size)
         first = np.einsum("cmp,cm->mp", d_phi, psi) / along[:, None]
         second = 2 * np.einsum("cmp,cm->mp", d_phi, phi) / size[:, None]

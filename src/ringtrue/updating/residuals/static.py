@@ -10,7 +10,13 @@ from scipy import linalg
 from ringtrue.core.arrays import Any_, Float
 from ringtrue.reduction.basis import AffineSystem
 from ringtrue.reduction.dense_models import matrices_at
-from ringtrue.updating.residuals.modal import NO_MODE, Deviations, Point, ResidualBlock, rows_block
+from ringtrue.updating.residuals.modal import (
+    NO_MODE,
+    Deviations,
+    Point,
+    ResidualBlock,
+    rows_block,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +46,9 @@ class StaticDeflections(Deviations):
         d_u = np.zeros((u.shape[0], u.shape[1], p))
         if p:
             load = np.einsum("pij,jl->ilp", m.d_stiffness, u)
-            d_u = -linalg.solve(m.stiffness, load.reshape(u.shape[0], -1), assume_a="sym").reshape(
-                load.shape
-            )
+            d_u = -linalg.solve(
+                m.stiffness, load.reshape(u.shape[0], -1), assume_a="sym"
+            ).reshape(load.shape)
         scale = self.std * np.sqrt(np.nanmean(np.square(self.measured), axis=0))
         value = (self.measured - m.observe @ u) / scale
         slope = np.tensordot(m.observe, d_u, 1) / scale[:, None]
@@ -80,7 +86,9 @@ class MassPropertyDeviations(Deviations):
         seen = np.isfinite(self.measured)
         rest = ((np.asarray(self.measured) - value) / self.std)[seen]
         return rows_block(
-            rest, (slope / np.asarray(self.std)[:, None])[seen], np.full(rest.size, NO_MODE)
+            rest,
+            (slope / np.asarray(self.std)[:, None])[seen],
+            np.full(rest.size, NO_MODE),
         )
 
 

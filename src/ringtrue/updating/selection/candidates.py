@@ -40,7 +40,8 @@ SPREAD: Mapping[str, tuple[float, float]] = MappingProxyType(
         "length": (0.2, 2.0),
         "area": (0.2, 2.0),
         "inertia": (0.3, 3.0),
-        "section": (0.1, 1.5),  # all dimensions; a second moment of area is their fourth power
+        # all dimensions; a second moment of area is their fourth power
+        "section": (0.1, 1.5),
         "modulus": (0.3, 3.0),
         "density": (0.1, 1.5),
         "stiffness": (1.0, 20.0),
@@ -73,7 +74,10 @@ SECTIONS = {
 SECTIONS["PBEAM"] = SECTIONS["PBEND"] = SECTIONS["PBAR"]
 MATERIALS = {
     "MAT1": (("E+G", "Young's modulus", "modulus"), ("RHO", "density", "density")),
-    "MAT2": (("G11+G12+G13+G22+G23+G33", "moduli", "modulus"), ("RHO", "density", "density")),
+    "MAT2": (
+        ("G11+G12+G13+G22+G23+G33", "moduli", "modulus"),
+        ("RHO", "density", "density"),
+    ),
     "MAT8": (
         ("E1", "modulus along the fibres", "modulus"),
         ("E2", "modulus across the fibres", "modulus"),
@@ -82,19 +86,29 @@ MATERIALS = {
         ("RHO", "density", "density"),
     ),
     "MAT9": (
-        ("+".join(f"G{i}{j}" for i in range(1, 7) for j in range(i, 7)), "moduli", "modulus"),
+        (
+            "+".join(f"G{i}{j}" for i in range(1, 7) for j in range(i, 7)),
+            "moduli",
+            "modulus",
+        ),
         ("RHO", "density", "density"),
     ),
 }
-_TRANSLATION = tuple((f"K{i}", f"stiffness along axis {i}", "stiffness") for i in (1, 2, 3))
-_ROTATION = tuple((f"K{i + 3}", f"stiffness about axis {i}", "torsion") for i in (1, 2, 3))
+_TRANSLATION = tuple(
+    (f"K{i}", f"stiffness along axis {i}", "stiffness") for i in (1, 2, 3)
+)
+_ROTATION = tuple(
+    (f"K{i + 3}", f"stiffness about axis {i}", "torsion") for i in (1, 2, 3)
+)
 SPRINGS = {
     "PBUSH": (
         ("K1+K2+K3+K4+K5+K6", "stiffness in all directions", "stiffness"),
         *_TRANSLATION,
         *_ROTATION,
     ),
-    **dict.fromkeys(("PBUSH1D", "PELAS", "CELAS2", "CELAS4"), (("K", "stiffness", "stiffness"),)),
+    **dict.fromkeys(
+        ("PBUSH1D", "PELAS", "CELAS2", "CELAS4"), (("K", "stiffness", "stiffness"),)
+    ),
 }
 MASSES = {
     "CONM2": (("M+I11+I21+I22+I31+I32+I33", "mass and inertia", "mass"),),
@@ -212,7 +226,9 @@ class Draft:
             std=std,
             substructures=tuple(self.substructures),
         )
-        return Candidate(p, self.kind, self.what, tuple(np.unique(self.elements).tolist()))
+        return Candidate(
+            p, self.kind, self.what, tuple(np.unique(self.elements).tolist())
+        )
 
 
 def amount(value: float, quantity: str, s: CandidateSettings) -> str:
@@ -223,7 +239,11 @@ def amount(value: float, quantity: str, s: CandidateSettings) -> str:
 def given_fields(table: Table, row: int, fields: str) -> list[str]:
     """Those of the fields that hold a value other than 0."""
     columns = table.columns
-    there = [f for f in fields.split("+") if f in columns and not isinstance(columns[f], Ragged)]
+    there = [
+        f
+        for f in fields.split("+")
+        if f in columns and not isinstance(columns[f], Ragged)
+    ]
     return [f for f in there if np.isfinite(table[f][row]) and table[f][row] != 0]
 
 
@@ -267,4 +287,6 @@ def membership(model: Model, candidates: Sequence[Candidate]) -> sparse.csr_arra
     at = order[np.searchsorted(ids[order], wanted).clip(max=ids.size - 1)]
     there = ids[at] == wanted
     entries = (np.ones(there.sum()), (rows[there], at[there]))
-    return sparse.csr_array(sparse.coo_array(entries, shape=(len(candidates), ids.size)))
+    return sparse.csr_array(
+        sparse.coo_array(entries, shape=(len(candidates), ids.size))
+    )

@@ -215,13 +215,17 @@ def form_patterns(
     joint = tuple(c for c in changes if c.joint)
     if len(joint) > 1:
         every.append(fit.of(joint))
-    every += [fit.alone(j, int(found.test[j]), places[j] if places else "") for j in range(n)]
+    every += [
+        fit.alone(j, int(found.test[j]), places[j] if places else "") for j in range(n)
+    ]
     count = {p: sum(e.found.pattern == p for e in every) for p in PATTERNS}
     kinds = sum(c > 0 for c in count.values())
     best = dict[str, FormPattern]()
     scatter = {}
     for e in every:
-        price = e.found.unknowns * np.log(n) + 2 * np.log(kinds * count[e.found.pattern])
+        price = e.found.unknowns * np.log(n) + 2 * np.log(
+            kinds * count[e.found.pattern]
+        )
         p = e.pattern_against(float(none - e.deviance - price))
         if p.pattern not in best or p.evidence > best[p.pattern].evidence:
             best[p.pattern] = p
@@ -264,7 +268,12 @@ def with_damping(
     """
     excess = loss.test - loss.deck
     n = excess.size
-    if found.named or n < settings.least or not loss.deck.any() or not loss.joints.any():
+    if (
+        found.named
+        or n < settings.least
+        or not loss.deck.any()
+        or not loss.joints.any()
+    ):
         return found
     # relative: a damping ratio is not known better than to some hundredths
     variance = loss.std**2 + (settings.ratio * np.median(np.abs(loss.test))) ** 2
@@ -311,10 +320,14 @@ class _Likelihood:
         """−2 ln L of residuals (..., n) at the best scatter, and that, (...)."""
         top = max(float(np.abs(self.change).max()), 1e-6)
         low = np.sqrt(self.variance.min()) / 10
-        tau = np.concatenate([[0.0], np.geomspace(min(low, top / 10), 2 * top, SEARCH.sizes)])
+        tau = np.concatenate(
+            [[0.0], np.geomspace(min(low, top / 10), 2 * top, SEARCH.sizes)]
+        )
         value = np.stack(
             [
-                (rest**2 / (self.variance + t**2) + np.log(self.variance + t**2)).sum(axis=-1)
+                (rest**2 / (self.variance + t**2) + np.log(self.variance + t**2)).sum(
+                    axis=-1
+                )
                 for t in tau.tolist()
             ]
         )
@@ -323,13 +336,18 @@ class _Likelihood:
     def of(self, changes: tuple[FormChange, ...]) -> _CauseFit:
         """One or more causes together, their changes of ln λ added."""
         axes = [_axis(c) for c in changes]
-        paths = [PchipInterpolator(u, c.change) for (u, _), c in zip(axes, changes, strict=True)]
+        paths = [
+            PchipInterpolator(u, c.change)
+            for (u, _), c in zip(axes, changes, strict=True)
+        ]
         low = np.array([u[0] for u, _ in axes])
         high = np.array([u[-1] for u, _ in axes])
         begin, end = low, high
         best = low
         for _ in range(SEARCH.zooms):
-            grids = [np.linspace(a, b, SEARCH.steps) for a, b in zip(begin, end, strict=True)]
+            grids = [
+                np.linspace(a, b, SEARCH.steps) for a, b in zip(begin, end, strict=True)
+            ]
             parts = [path(g) for path, g in zip(paths, grids, strict=True)]
             rest = self.change - parts[0]
             if len(parts) > 1:
@@ -342,7 +360,8 @@ class _Likelihood:
             end = np.minimum(best + reach, high)
         rest = self.change - sum(path(b) for path, b in zip(paths, best, strict=True))
         amounts = [
-            unit * float(np.sinh(b)) for b, (_, unit) in zip(best.tolist(), axes, strict=True)
+            unit * float(np.sinh(b))
+            for b, (_, unit) in zip(best.tolist(), axes, strict=True)
         ]
         fields = tuple(dict.fromkeys(f for c in changes for f in c.fields))
         cause = " and ".join(c.cause for c in changes)
@@ -357,14 +376,18 @@ class _Likelihood:
         rest[j] = 0.0
         cause = f"test mode {test + 1} alone"
         fields = (place,) if place else ()
-        found = FormPattern("single", cause, 1, self.change[[j]], fields=fields, modes=(test,))
+        found = FormPattern(
+            "single", cause, 1, self.change[[j]], fields=fields, modes=(test,)
+        )
         return self._judged(found, rest)
 
     def _judged(self, found: FormPattern, rest: Float) -> _CauseFit:
         """By the residuals that it leaves."""
         value, scatter = self.deviance(rest)
         left = float((rest**2 / self.variance).sum())
-        explained = 1 - left / max(float((self.change**2 / self.variance).sum()), 1e-300)
+        explained = 1 - left / max(
+            float((self.change**2 / self.variance).sum()), 1e-300
+        )
         found = replace(found, explained=explained)
         return _CauseFit(found, float(value), float(scatter))
 

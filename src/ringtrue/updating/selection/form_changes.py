@@ -129,7 +129,9 @@ class MeasuredModes(FrozenArrays):
         near = np.abs(np.log(f / self.frequencies[:, None])) < CHANGES.near
         mine = np.zeros(mac.shape, dtype=np.bool_)
         mine[np.arange(of.size), of] = True
-        _, best = linear_sum_assignment(-np.where(near | mine, mac + CHANGES.stay * mine, 0.0))
+        _, best = linear_sum_assignment(
+            -np.where(near | mine, mac + CHANGES.stay * mine, 0.0)
+        )
         return np.asarray(best, dtype=np.int64)
 
 
@@ -166,10 +168,18 @@ def form_changes(deck: DeckModes) -> tuple[FormChange, ...]:
     if deck.vectors.shape[0] > CHANGES.largest:
         return energies
     property_ = _property(deck, m, stiffness)
-    return (*_shear(deck), *_support_springs(deck, m), *_grounded(deck, m), *property_, *energies)
+    return (
+        *_shear(deck),
+        *_support_springs(deck, m),
+        *_grounded(deck, m),
+        *property_,
+        *energies,
+    )
 
 
-def _linear(pattern: Pattern, cause: str, fields: tuple[str, ...], slope: Float) -> FormChange:
+def _linear(
+    pattern: Pattern, cause: str, fields: tuple[str, ...], slope: Float
+) -> FormChange:
     """Of ln λ that is linear in ln(factor)."""
     amount = np.array([-1.5, 0.0, 1.5])
     return FormChange(pattern, cause, fields, amount, amount[:, None] * slope)
@@ -178,7 +188,9 @@ def _linear(pattern: Pattern, cause: str, fields: tuple[str, ...], slope: Float)
 # Energies
 
 
-def _by_energy(deck: DeckModes, m: Mesh) -> tuple[tuple[FormChange, ...], dict[str, Float]]:
+def _by_energy(
+    deck: DeckModes, m: Mesh
+) -> tuple[tuple[FormChange, ...], dict[str, Float]]:
     """Common factors on moduli and densities, and factors on single properties; the shares of
     strain energy of these, (n,) each.
     """
@@ -204,7 +216,10 @@ def _by_energy(deck: DeckModes, m: Mesh) -> tuple[tuple[FormChange, ...], dict[s
             strain[name] = strain.get(name, 0.0) + energy[mine].sum(axis=0)
             kinetic[name] = kinetic.get(name, 0.0) + motion[mine].sum(axis=0)
     materials = tuple(
-        f"{c} {i} E" for c in ("MAT1",) if c in deck.model for i in deck.model[c].ids.tolist()
+        f"{c} {i} E"
+        for c in ("MAT1",)
+        if c in deck.model
+        for i in deck.model[c].ids.tolist()
     )
     out = [_linear("common", "modulus", materials, modulus)]
     densities = tuple(f.replace(" E", " RHO") for f in materials)
@@ -215,11 +230,17 @@ def _by_energy(deck: DeckModes, m: Mesh) -> tuple[tuple[FormChange, ...], dict[s
             if largest <= CHANGES.reaction:
                 continue
             local = largest**2 > CHANGES.local * float(slope @ slope)
-            out.append(_linear("single" if local else "property", f"{what} of {name}", (), slope))
+            out.append(
+                _linear(
+                    "single" if local else "property", f"{what} of {name}", (), slope
+                )
+            )
     return tuple(out), strain
 
 
-def _property(deck: DeckModes, m: Mesh, strain: dict[str, Float]) -> Iterator[FormChange]:
+def _property(
+    deck: DeckModes, m: Mesh, strain: dict[str, Float]
+) -> Iterator[FormChange]:
     """The stiffness of the property whose shares of strain energy explain most: by its modes, as
     large changes are not linear.
     """
@@ -318,7 +339,9 @@ def _shear(deck: DeckModes) -> Iterator[FormChange]:
         if np.abs(change).max(initial=0.0) < CHANGES.reaction:
             continue
         fields = tuple(
-            f"{c} {i} {','.join(SHEAR[c])}" for c in those for i in deck.model[c].ids.tolist()
+            f"{c} {i} {','.join(SHEAR[c])}"
+            for c in those
+            for i in deck.model[c].ids.tolist()
         )
         yield FormChange("shear", cause, fields, np.array([0.0, *amounts]), change)
 
@@ -367,7 +390,9 @@ def _support_springs(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
     padded = released.local @ (deck.system.transform @ deck.vectors)
     lam = deck.values
     loose = np.setdiff1d(np.arange(padded.shape[0]), free)
-    force = (released.stiffness @ padded - (released.mass @ padded) * lam)[loose][:, deck.at]
+    force = (released.stiffness @ padded - (released.mass @ padded) * lam)[loose][
+        :, deck.at
+    ]
     compliance = force**2 / lam[deck.at]
     direction = np.abs(released.free.direction[loose])
     size = compliance.sum(axis=1)
@@ -391,7 +416,8 @@ def _support_springs(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
             spring = np.zeros(cut.stiffness.shape[0])
             spring[own[0] :] = own[1] / s
             return replace(
-                cut, stiffness=sparse.csr_array(cut.stiffness + sparse.diags_array(spring))
+                cut,
+                stiffness=sparse.csr_array(cut.stiffness + sparse.diags_array(spring)),
             )
 
         amounts = CHANGES.supports
@@ -400,7 +426,9 @@ def _support_springs(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
         nodes = np.unique(names.node).tolist()
         fields = tuple(f"support of {n}" for n in nodes)
         text = f"{cause} at {len(nodes)} held nodes"
-        yield FormChange("supports", text, fields, np.array([0.0, *amounts]), change, joint=True)
+        yield FormChange(
+            "supports", text, fields, np.array([0.0, *amounts]), change, joint=True
+        )
 
 
 def _released(model: Model, m: Mesh, held: Bool) -> Model:
@@ -409,10 +437,16 @@ def _released(model: Model, m: Mesh, held: Bool) -> Model:
     grid = tables["GRID"]
     if "PS" in grid.columns:
         tables["GRID"] = grid.with_column("PS", np.full(len(grid), ""))
-    points = m.scalar[supports(m)[held.size - m.scalar.size :]] if m.scalar.size else m.scalar
+    points = (
+        m.scalar[supports(m)[held.size - m.scalar.size :]]
+        if m.scalar.size
+        else m.scalar
+    )
     if points.size:
         sid = int(taken_sets(model, "SPC")[0])
-        tables["SPC1"] = table("SPC1", SID=[sid], C=np.array(["0"]), G=Ragged.of([points]))
+        tables["SPC1"] = table(
+            "SPC1", SID=[sid], C=np.array(["0"]), G=Ragged.of([points])
+        )
     return replace(model, tables=tables)
 
 
@@ -435,7 +469,9 @@ def _grounded(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
     for card, rows, part in _springs(deck.model, m):
         node = np.where(part.dofs >= 0, part.dofs // 6, -1)
         node = np.where(moves[part.dofs], node, -1)
-        single = np.array([np.unique(n[n >= 0]).size == 1 for n in node], dtype=np.bool_)
+        single = np.array(
+            [np.unique(n[n >= 0]).size == 1 for n in node], dtype=np.bool_
+        )
         if not single.any():
             continue
         springs.add(part.dofs[single], part.stiffness[single])
@@ -453,7 +489,9 @@ def _grounded(deck: DeckModes, m: Mesh) -> Iterator[FormChange]:
 # Modes along a cause
 
 
-def _followed(deck: DeckModes, made: Callable[[float], System], amounts: Sequence[float]) -> Float:
+def _followed(
+    deck: DeckModes, made: Callable[[float], System], amounts: Sequence[float]
+) -> Float:
     """Change of ln λ of the paired modes at all amounts and at 0, ascending, (k + 1, n).
 
     Each amount is solved anew: on a basis of few modes a deck that is nearly rigid in some way
@@ -470,6 +508,7 @@ def _followed(deck: DeckModes, made: Callable[[float], System], amounts: Sequenc
             _, of = linear_sum_assignment(-same)
             near = found.vectors[:, of]
             of = deck.measured.partners(system, found, of)
-            lam = np.maximum(found.values[of], 1e-12 * found.values[-1])  # rounding, if rigid
+            # rounding, if rigid
+            lam = np.maximum(found.values[of], 1e-12 * found.values[-1])
             change[s] = np.log(lam / deck.values[deck.at])
     return np.stack([change[s] for s in sorted(change)])

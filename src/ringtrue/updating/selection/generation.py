@@ -44,7 +44,9 @@ _ENDS = {"A": "AB", "I1": "I1B", "I2": "I2B", "J": "JB", "NSM": "NSMB"}
 _AIDS = ("G0", "SA", "SB")  # name a node, but do not stand on it
 _NODE_FIELDS = {
     card: tuple(
-        r.field for r in REFERENCES if r.card == card and "GRID" in r.of and r.field not in _AIDS
+        r.field
+        for r in REFERENCES
+        if r.card == card and "GRID" in r.of and r.field not in _AIDS
     )
     for card in ELEMENTS
 }
@@ -111,7 +113,12 @@ def _fields(
                 value = amount(float(table[given[0]][row]), quantity, s)
                 what = f"{word} {value} of {counted(rows)}"
                 yield Draft(
-                    kind, name, what, quantity, elements=ids_of(model, rows), targets=targets
+                    kind,
+                    name,
+                    what,
+                    quantity,
+                    elements=ids_of(model, rows),
+                    targets=targets,
                 )
 
 
@@ -120,7 +127,9 @@ def _other_end(table: Table, row: int, given: Sequence[str]) -> list[str]:
     if table.card != "PBEAM":
         return []
     pairs = [(f, _ENDS[f]) for f in given if f in _ENDS]
-    return [b for a, b in pairs if table[b][row] != table[a][row] and table[b][row] != 0]
+    return [
+        b for a, b in pairs if table[b][row] != table[a][row] and table[b][row] != 0
+    ]
 
 
 def _laminates(model: Model) -> Iterator[Draft]:
@@ -134,7 +143,12 @@ def _laminates(model: Model) -> Iterator[Draft]:
                 what = f"thickness of all {t.size} plies of {counted(rows)}"
                 name = f"{card} {ident} T"
                 yield Draft(
-                    "property", name, what, "length", elements=ids_of(model, rows), targets=targets
+                    "property",
+                    name,
+                    what,
+                    "length",
+                    elements=ids_of(model, rows),
+                    targets=targets,
                 )
 
 
@@ -192,7 +206,12 @@ def _outlines(model: Model, s: CandidateSettings) -> Iterator[Draft]:
                 what = f"non-structural mass {value} of {counted(rows)}"
                 masses = [CardField(card, ident, f) for f in given]
                 yield Draft(
-                    "property", f"{name} {given[0]}", what, "line", elements=where, targets=masses
+                    "property",
+                    f"{name} {given[0]}",
+                    what,
+                    "line",
+                    elements=where,
+                    targets=masses,
                 )
 
 
@@ -218,7 +237,8 @@ def _grouped(
             continue
         table = model[card]
         used = np.array(
-            [bool(rows_of(model, CardField(card, i, ""))) for i in table.ids.tolist()], dtype=bool
+            [bool(rows_of(model, CardField(card, i, ""))) for i in table.ids.tolist()],
+            dtype=bool,
         )
         for entry in entries:
             values = table[entry[0].split("+")[0]]
@@ -263,12 +283,16 @@ def _group(
     each = " each" if ids.size > 1 else ""
     name = f"{table.card} {listed(ids)} {field_name}"
     what = f"{word} {value}{each} of {counted(rows)}"
-    return Draft(kind, name, what, quantity, elements=ids_of(model, rows), targets=targets)
+    return Draft(
+        kind, name, what, quantity, elements=ids_of(model, rows), targets=targets
+    )
 
 
 def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
     """The stiffness of each connected part of a property, and of pieces of it."""
-    plates = [c for c in affected_cards(model) if PROPERTY.get(c) in ("PSHELL", "PSOLID")]
+    plates = [
+        c for c in affected_cards(model) if PROPERTY.get(c) in ("PSHELL", "PSOLID")
+    ]
     structural = ("CROD", "CTUBE", "CBAR", "CBEAM", *plates)
     cards = [c for c in dict.fromkeys(structural) if c in model]
     if not cards:
@@ -277,7 +301,9 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
     eid = np.concatenate([model[c].ids for c in cards])
     family = np.concatenate([np.full(len(model[c]), PROPERTY[c]) for c in cards])
     nodes = connectivity(model, cards)
-    centre = np.asarray((nodes @ positions(model)) / np.maximum(nodes.sum(axis=1), 1)[:, None])
+    centre = np.asarray(
+        (nodes @ positions(model)) / np.maximum(nodes.sum(axis=1), 1)[:, None]
+    )
     for key in sorted({(str(f), int(p)) for f, p in zip(family, pid, strict=True)}):
         of = np.flatnonzero((family == key[0]) & (pid == key[1]))
         parts = _islands(nodes[of])
@@ -288,7 +314,9 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
             pieces = _cut(centre[whole], min(4, whole.size // 2))
             sets = [(place, whole)] if place else []
             if len(pieces) > 1:
-                sets += [(f"{place} piece {j + 1}", whole[p]) for j, p in enumerate(pieces)]
+                sets += [
+                    (f"{place} piece {j + 1}", whole[p]) for j, p in enumerate(pieces)
+                ]
             for label, at in sets:
                 name = f"{_property(model, key)} {key[1]}{label}"
                 yield _region(model, s, name, eid[at], centre[at].mean(axis=0))
@@ -297,7 +325,9 @@ def regions(model: Model, s: CandidateSettings) -> Iterator[Draft]:
 def _property(model: Model, key: tuple[str, int]) -> str:
     """The card that holds a property id."""
     cards = SHELL_PROPERTIES if key[0] == "PSHELL" else (key[0],)
-    return next((c for c in cards if c in model and (model[c].ids == key[1]).any()), key[0])
+    return next(
+        (c for c in cards if c in model and (model[c].ids == key[1]).any()), key[0]
+    )
 
 
 def connectivity(model: Model, cards: Sequence[str]) -> sparse.csr_array:
@@ -337,7 +367,9 @@ def _cut(centre: Float, pieces: int) -> list[Int]:
     return parts
 
 
-def _region(model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float) -> Draft:
+def _region(
+    model: Model, s: CandidateSettings, label: str, elements: Int, centre: Float
+) -> Draft:
     """Young's modulus as these elements see it; a factor on their stiffness where they are not
     isotropic.
     """
@@ -347,11 +379,18 @@ def _region(model: Model, s: CandidateSettings, label: str, elements: Int, centr
     targets = []
     for mid in _isotropic(model, elements):
         row = int(model["MAT1"].find(np.array([mid]))[0])
-        targets += [CardField("MAT1", mid, f, ids) for f in given_fields(model["MAT1"], row, "E+G")]
+        targets += [
+            CardField("MAT1", mid, f, ids)
+            for f in given_fields(model["MAT1"], row, "E+G")
+        ]
     if targets:
-        return Draft("region", f"{label} E", what, "modulus", elements=elements, targets=targets)
+        return Draft(
+            "region", f"{label} E", what, "modulus", elements=elements, targets=targets
+        )
     part = (Substructure("stiffness", ids),)
-    return Draft("region", f"{label} K", what, "modulus", elements=elements, substructures=part)
+    return Draft(
+        "region", f"{label} K", what, "modulus", elements=elements, substructures=part
+    )
 
 
 def _isotropic(model: Model, elements: Int) -> list[int]:
@@ -427,7 +466,12 @@ def lumped(
         Mass of the structure as a CONM2 states it: PARAM,WTMASS is not applied.
     """
     first = 1 + max(
-        (int(t.ids.max(initial=0)) for t in model.tables.values() if "EID" in t.columns), default=0
+        (
+            int(t.ids.max(initial=0))
+            for t in model.tables.values()
+            if "EID" in t.columns
+        ),
+        default=0,
     )
     ids = np.arange(first, first + nodes.size)
     frames = np.zeros(nodes.size, dtype=np.int64)
@@ -445,7 +489,9 @@ def lumped(
     return replace(model, tables={**model.tables, "CONM2": whole}), found
 
 
-def _lump(eid: int, node: int, x: Sequence[float], total: float, s: CandidateSettings) -> Candidate:
+def _lump(
+    eid: int, node: int, x: Sequence[float], total: float, s: CandidateSettings
+) -> Candidate:
     target = CardField("CONM2", eid, "M", (), total)
     p = Parameter(
         name=f"mass missing at {node}",
@@ -457,4 +503,6 @@ def _lump(eid: int, node: int, x: Sequence[float], total: float, s: CandidateSet
     )
     unit = f" [{s.unit('mass')}]" if s.unit("mass") else ""
     place = f"({', '.join(f'{v:.3g}' for v in x)}) {s.unit('length')}".strip()
-    return Candidate(p, "lump", f"a mass{unit} around {place} that the deck does not have", (eid,))
+    return Candidate(
+        p, "lump", f"a mass{unit} around {place} that the deck does not have", (eid,)
+    )

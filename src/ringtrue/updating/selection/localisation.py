@@ -29,7 +29,8 @@ from ringtrue.updating.problem import Residual
 from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.target import Target
 
-EXPANSION_MISFIT = 0.02  # relative error of a measured shape that its expansion may leave
+# relative error of a measured shape that its expansion may leave
+EXPANSION_MISFIT = 0.02
 SCARCE = 1e-4  # share of strain energy below which a concentration says nothing
 
 
@@ -172,12 +173,15 @@ def strain_energies(m: Mesh, system: System, vectors: Float) -> Float:
     return _energies_and_nodes(m, system, vectors)[0]
 
 
-def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float, sparse.csr_array]:
+def _energies_and_nodes(
+    m: Mesh, system: System, vectors: Float
+) -> tuple[Float, sparse.csr_array]:
     """uᵀK_e u (e, k), and which nodes each element touches, ones of (e, n): its matrices are made
     once.
     """
     full = system.transform @ vectors
-    full = np.concatenate([full, np.zeros((1, full.shape[1]))])  # DOF -1 is the row of zeros
+    # DOF -1 is the row of zeros
+    full = np.concatenate([full, np.zeros((1, full.shape[1]))])
     first = _first(m)
     grid = 6 * len(m.xyz)
     count = sum(len(m.model[c]) for c in first)
@@ -192,8 +196,13 @@ def _energies_and_nodes(m: Mesh, system: System, vectors: Float) -> tuple[Float,
         e, d = np.nonzero(part.dofs >= 0)
         rows.append(first[card] + at[e])
         cols.append(node[e, d])
-    entries = (np.ones(sum(r.size for r in rows)), (np.concatenate(rows), np.concatenate(cols)))
-    touch = sparse.csr_array(sparse.coo_array(entries, shape=(count, len(m.xyz) + m.scalar.size)))
+    entries = (
+        np.ones(sum(r.size for r in rows)),
+        (np.concatenate(rows), np.concatenate(cols)),
+    )
+    touch = sparse.csr_array(
+        sparse.coo_array(entries, shape=(count, len(m.xyz) + m.scalar.size))
+    )
     touch.data[:] = 1.0
     return out, touch
 
@@ -267,7 +276,8 @@ def variation(target: Target, r: Residual, parameters: ParameterSet) -> Variatio
     def fall(quantity: Quantity) -> Float:
         rows = r.quantity == quantity.value
         total = float(before[rows].sum())
-        if total <= 1e-12:  # squared weighted residual below which there is nothing to explain
+        # squared weighted residual below which there is nothing to explain
+        if total <= 1e-12:
             return np.zeros(x.size)
         return np.asarray(1 - after[rows].sum(axis=0) / total)
 

@@ -23,7 +23,11 @@ from ringtrue.updating.selection.generation import connectivity, spread_out
 
 LINES = ("CROD", "CONROD", "CTUBE", "CBAR", "CBEAM", "CBEND")
 SPRINGS = ("CBUSH", "CBUSH1D", "CGAP", "CELAS1", "CELAS2", "CELAS3", "CELAS4")
-LOOSE = ("CVISC", *(f"C{kind}{i}" for kind in ("DAMP", "MASS") for i in range(1, 5)), "GENEL")
+LOOSE = (
+    "CVISC",
+    *(f"C{kind}{i}" for kind in ("DAMP", "MASS") for i in range(1, 5)),
+    "GENEL",
+)
 AXIAL = "axial"
 
 
@@ -118,7 +122,9 @@ def possible_members(
     """
     s = search or MemberSearch()
     net = _Network.of(model, system)
-    return _joined(model, net, [*_braces(net, s), *_links(net, s), *_supports(net, model, s)])
+    return _joined(
+        model, net, [*_braces(net, s), *_links(net, s), *_supports(net, model, s)]
+    )
 
 
 Drafts = list[tuple[str, str, int, int]]  # form, components, rows of the nodes
@@ -167,7 +173,9 @@ class _Network:
         entry = sparse.coo_array(transform)
         keep = known[entry.col]
         rigid = (entry.row[keep] // 6, order[place[entry.col[keep]]])
-        tied = sparse.csr_array(sparse.coo_array((np.ones(keep.sum()), rigid), shape=(n, n)))
+        tied = sparse.csr_array(
+            sparse.coo_array((np.ones(keep.sum()), rigid), shape=(n, n))
+        )
         return cls(
             xyz=system.xyz,
             lines=lines,
@@ -227,7 +235,9 @@ def _members(net: _Network, s: MemberSearch) -> Int:
     direct = edges[~inner.any(axis=1)]
     chain = edges[inner.all(axis=1)]
     n = len(net.xyz)
-    chains = sparse.coo_array((np.ones(len(chain)), (chain[:, 0], chain[:, 1])), shape=(n, n))
+    chains = sparse.coo_array(
+        (np.ones(len(chain)), (chain[:, 0], chain[:, 1])), shape=(n, n)
+    )
     _, label = sparse.csgraph.connected_components(chains, directed=False)
     ends = edges[~inner[:, 0] & inner[:, 1]]
     order = np.argsort(label[ends[:, 1]], kind="stable")
@@ -257,7 +267,9 @@ def _braces(net: _Network, s: MemberSearch) -> Drafts:
     new = ~np.isin(key, there @ np.array([n, 1])) & (net.moves[pairs]).any(axis=1)
     pairs = pairs[new]
     edges = _edges(sparse.triu(net.lines))
-    crossed = np.array([_crosses(net.xyz, pair, edges) for pair in pairs], dtype=np.bool_)
+    crossed = np.array(
+        [_crosses(net.xyz, pair, edges) for pair in pairs], dtype=np.bool_
+    )
     return [("brace", AXIAL, a, b) for a, b in pairs[~crossed].tolist()]
 
 
@@ -301,7 +313,9 @@ def _links(net: _Network, s: MemberSearch) -> Drafts:
         ends = joined[label[joined[:, 1]] == label[parts[many][0]]][:, 0]
         nodes = np.setdiff1d(parts[few], ends)
         reach = s.near * min(sizes[one], sizes[two])
-        found = trees[many].query(net.xyz[nodes], distance_upper_bound=reach * (1 + 1e-9))
+        found = trees[many].query(
+            net.xyz[nodes], distance_upper_bound=reach * (1 + 1e-9)
+        )
         gap, place = (np.asarray(x) for x in found)
         near = np.isfinite(gap)
         near &= gap <= 2 * gap.min(initial=np.inf)
@@ -318,9 +332,13 @@ def _corners_first(xyz: Float, most: int, taken: Float | None = None) -> Int:
     """
     if not len(xyz):
         return np.zeros(0, dtype=np.int64)
-    ways = np.array([w for w in product((-1, 0, 1), repeat=3) if any(w)], dtype=np.float64)
+    ways = np.array(
+        [w for w in product((-1, 0, 1), repeat=3) if any(w)], dtype=np.float64
+    )
     ways = ways[np.argsort(-np.abs(ways).sum(axis=1), kind="stable")]
-    corners = np.array(list(dict.fromkeys(np.argmax(xyz @ ways.T, axis=0).tolist())))[:most]
+    corners = np.array(list(dict.fromkeys(np.argmax(xyz @ ways.T, axis=0).tolist())))[
+        :most
+    ]
     covered = xyz[corners]
     if taken is not None:
         covered = np.concatenate([taken, covered])
@@ -356,7 +374,9 @@ def _supports(net: _Network, model: Model, s: MemberSearch) -> Drafts:
     free = net.moves & (np.diff(net.solid.indptr) > 0) & ~sprung
     at = np.flatnonzero(free & (near & flat).any(axis=1))
     nodes = at[_corners_first(net.xyz[at], s.supports, net.xyz[carried])]
-    return [("support", c, a, -1) for c in ("3", "2", "1", "123") for a in nodes.tolist()]
+    return [
+        ("support", c, a, -1) for c in ("3", "2", "1", "123") for a in nodes.tolist()
+    ]
 
 
 def _sprung(net: _Network, model: Model, held: Bool) -> Bool:
@@ -387,7 +407,9 @@ def _joined(model: Model, net: _Network, drafts: Drafts) -> PossibleMembers:
     step = 1e-3 * 10.0 ** np.ceil(np.log10(np.maximum(length, 1e-300)))[:, None]
     components = tuple(d[1] for d in drafts)
     axial = np.array([c == AXIAL for c in components], dtype=np.bool_)
-    kept = np.array([str(k) in c for c in components for k in range(1, 7)], dtype=np.bool_)
+    kept = np.array(
+        [str(k) in c for c in components for k in range(1, 7)], dtype=np.bool_
+    )
     strains[axial, 0] = np.einsum("pi,pij->pj", along, strains[:, :3])[axial]
     kept = kept.reshape(-1, 6)
     kept[axial, 0] = True

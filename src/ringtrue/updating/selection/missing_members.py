@@ -133,7 +133,9 @@ class MissingMember:
         if self.std > self.stiffness:
             amount = "stiff, how much is not known,"
         each = " each" if len(self.nodes) > 1 else ""
-        where = "" if self.components == "axial" else f" along directions {self.components}"
+        where = (
+            "" if self.components == "axial" else f" along directions {self.components}"
+        )
         mode = "mode" if len(self.modes) == 1 else "modes"
         modes = f"{mode} {', '.join(str(m + 1) for m in self.modes)}"
         proof = f"worth {self.worth:.1f} (AICc)"
@@ -199,7 +201,12 @@ class FittedModel(FrozenArrays):
 
     @classmethod
     def after(
-        cls, proposal: Proposal, system: System, model: ReducedModel, rows: Int, aim: Target
+        cls,
+        proposal: Proposal,
+        system: System,
+        model: ReducedModel,
+        rows: Int,
+        aim: Target,
     ) -> FittedModel:
         """Where a proposal leads; what it leaves is weighed by what it has left over."""
         left = replace(aim, weights=proposal.left_over(aim.weights))
@@ -224,7 +231,10 @@ class FittedModel(FrozenArrays):
         """
         scaled = added * np.where(start > 0, start, 1.0)[:, None, None]
         own = [Parameter(f"p{i}", (), 0.02, 50.0, std=1.0) for i in range(self.x.size)]
-        more = [Parameter(f"k{i}", (), 1e-3, 1e3, std=RANKING.std) for i in range(len(added))]
+        more = [
+            Parameter(f"k{i}", (), 1e-3, 1e3, std=RANKING.std)
+            for i in range(len(added))
+        ]
         dense = DenseModel(
             stiffness=np.diag(self.values) + np.tensordot(start, added, axes=1),
             mass=np.eye(self.values.size),
@@ -264,7 +274,9 @@ class _Scores:
         sizes = np.einsum("rk,rk->k", before, rest)
         # what moves nothing, or what the others do as well, is left with rounding
         size = np.sum(members**2, axis=0)
-        seen = (sizes[1:] > ROUNDING * size) & (size > ROUNDING**2 * size.max(initial=0.0))
+        seen = (sizes[1:] > ROUNDING * size) & (
+            size > ROUNDING**2 * size.max(initial=0.0)
+        )
         own = np.where(seen, sizes[1:], np.inf)
         return cls(own, rest[:, 1:].T @ value, float(sizes[0]))
 
@@ -278,7 +290,9 @@ def missing_members(model: Model, fitted: FittedModel) -> tuple[MissingMember, .
     explains more than noise.
     """
     r = RANKING
-    search = MemberSearch(supports=0) if fitted.suspended(r.suspended) else MemberSearch()
+    search = (
+        MemberSearch(supports=0) if fitted.suspended(r.suspended) else MemberSearch()
+    )
     possible = possible_members(model, fitted.system, search)
     if not len(possible):
         return ()
@@ -288,11 +302,20 @@ def missing_members(model: Model, fitted: FittedModel) -> tuple[MissingMember, .
     screen = _Screen.of(fitted, stiffness, choices)
     promise = screen.scores.falls()
     hopeful = falling(promise)[: np.count_nonzero(promise > DEFAULT_SEARCH.noise)]
-    kind = [possible.forms[choices[u][0]] if choices[u].size == 1 else "" for u in hopeful]
-    first = [u for k in sorted(set(kind)) for u in hopeful[np.array(kind) == k][: r.tried].tolist()]
+    kind = [
+        possible.forms[choices[u][0]] if choices[u].size == 1 else "" for u in hopeful
+    ]
+    first = [
+        u
+        for k in sorted(set(kind))
+        for u in hopeful[np.array(kind) == k][: r.tried].tolist()
+    ]
     if not first:
         return ()
-    fits = [_fit(fitted, stiffness[choices[u]].sum(axis=0), screen.stiffness(u)) for u in first]
+    fits = [
+        _fit(fitted, stiffness[choices[u]].sum(axis=0), screen.stiffness(u))
+        for u in first
+    ]
     without = _fit(fitted)
     fall = np.array([without.value - f.value for f in fits])
     # of two that explain as much, the one of a single member
@@ -349,7 +372,9 @@ class _Screen:
     scores: _Scores
 
     @classmethod
-    def of(cls, fitted: FittedModel, stiffness: Float, choices: Sequence[Int]) -> _Screen:
+    def of(
+        cls, fitted: FittedModel, stiffness: Float, choices: Sequence[Int]
+    ) -> _Screen:
         """Of the members (q, m, m) along the modes."""
         problem = fitted.with_members(stiffness, np.zeros(len(stiffness)))
         e = problem.evaluate(np.zeros(problem.size))
@@ -386,11 +411,15 @@ class _Fit:
 def _fit(fitted: FittedModel, added: Float | None = None, start: float = 0.0) -> _Fit:
     """A short updating over the parameters and one stiffness, of the matrix (m, m) `added`."""
     count = fitted.x.size
-    more = np.zeros((0, *fitted.d_stiffness.shape[1:])) if added is None else added[None]
+    more = (
+        np.zeros((0, *fitted.d_stiffness.shape[1:])) if added is None else added[None]
+    )
     problem = fitted.with_members(more, np.full(len(more), start))
     begin = np.zeros(problem.size)
     if added is not None:  # slopes tell too little of a stiff member
-        begin = min((np.append(begin[:-1], np.log(s)) for s in RANKING.starts), key=problem.cost)
+        begin = min(
+            (np.append(begin[:-1], np.log(s)) for s in RANKING.starts), key=problem.cost
+        )
     done = short_update(problem, range(problem.size), begin)
     e = problem.evaluate(done.x)
     modes = fitted.aim.frequencies.size
@@ -453,15 +482,20 @@ def member_cards(model: Model, members: Sequence[MissingMember], unit: str = "")
     if not members:
         raise InputError("no missing member is proposed: there are no cards to write")
     tables = model.tables.values()
-    number = 1 + max(int(t.ids.max(initial=0)) for t in tables if t.card.startswith(("C", "P")))
+    number = 1 + max(
+        int(t.ids.max(initial=0)) for t in tables if t.card.startswith(("C", "P"))
+    )
     parts = []
     for rank, member in enumerate(members, start=1):
         made = _cards(model, member, number)
         number += len(member.nodes) + 1
         head = (
-            f"$ {rank}. {member.name}, {member.stiffness:.3g} +- {member.std:.1g} {unit}".rstrip()
+            f"$ {rank}. {member.name}, {member.stiffness:.3g} +- {member.std:.1g} "
+            f"{unit}"
+        ).rstrip()
+        head += (
+            f", explains {100 * member.share:.0f} %, worth {member.worth:.1f} (AICc)\n"
         )
-        head += f", explains {100 * member.share:.0f} %, worth {member.worth:.1f} (AICc)\n"
         if rank > 1:
             made = "".join(f"$ {line}\n" for line in made.splitlines())
         parts.append(head + made)
@@ -480,7 +514,9 @@ def _cards(model: Model, member: MissingMember, number: int) -> str:
     frame = None if member.components == AXIAL else 0
     out = format_card("PBUSH", [number, "K", *held])
     for eid, (a, b) in enumerate(member.nodes, start=number + 1):
-        out += format_card("CBUSH", [eid, number, a, b or None, None, None, None, frame])
+        out += format_card(
+            "CBUSH", [eid, number, a, b or None, None, None, None, frame]
+        )
     return out
 
 
@@ -513,7 +549,9 @@ def _material(model: Model, member: MissingMember) -> int:
         for card in (c for c in LINES if c in model):
             table = model[card]
             first, second = ("G1", "G2") if "G1" in table.columns else ("GA", "GB")
-            for row in np.flatnonzero((table[first] == node) | (table[second] == node)).tolist():
+            for row in np.flatnonzero(
+                (table[first] == node) | (table[second] == node)
+            ).tolist():
                 if "MID" in table.columns:
                     mid = int(table["MID"][row])
                 else:

@@ -189,19 +189,31 @@ class Proposal(FrozenArrays):
         head = f"{_number(len(self.members))}: {names}"
         lines = [
             head,
-            *(f"{i}. {m.said()}: {m.because}" for i, m in enumerate(self.members, start=1)),
+            *(
+                f"{i}. {m.said()}: {m.because}"
+                for i, m in enumerate(self.members, start=1)
+            ),
         ]
         proposed = [m.name for m in self.members]
-        rivals = [n for m in self.members for n in (*m.collinear, *m.rivals) if n not in proposed]
+        rivals = [
+            n
+            for m in self.members
+            for n in (*m.collinear, *m.rivals)
+            if n not in proposed
+        ]
         rivals = list(dict.fromkeys(rivals))
         if rivals:
             lines.append(
                 f"the data cannot separate {_number(len(rivals))} from these: {', '.join(rivals)}"
             )
         if self.insensitive:
-            lines.append(f"{_number(len(self.insensitive))} change nothing that was measured")
+            lines.append(
+                f"{_number(len(self.insensitive))} change nothing that was measured"
+            )
         mac = (
-            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, " if self.seen else ""
+            f"mean MAC {100 * self.mac[0]:.1f} -> {100 * self.mac[1]:.1f} %, "
+            if self.seen
+            else ""
         )
         lines.append(
             f"mean |Δf| {100 * self.before:.2f} -> {100 * self.after:.2f} %, {mac}"
@@ -267,9 +279,13 @@ def propose(
         If `most` is less than 1, or no mode is paired at the start.
     """
     if settings.most < 1:
-        raise InputError(f"propose at most {settings.most} parameters: allowed are 1 and more")
+        raise InputError(
+            f"propose at most {settings.most} parameters: allowed are 1 and more"
+        )
 
-    def search(barred: Sequence[int], known: Sequence[FittedSet], progress: Progress) -> Subsets:
+    def search(
+        barred: Sequence[int], known: Sequence[FittedSet], progress: Progress
+    ) -> Subsets:
         plain = Search.of(problem, settings, conflicts=conflicts, barred=barred)
         return subsets(plain, progress, known)
 
@@ -283,7 +299,10 @@ def propose(
 
 
 def _explained(
-    found: Subsets, barred: Sequence[int], errors: Mapping[str, Float], words: Sequence[str]
+    found: Subsets,
+    barred: Sequence[int],
+    errors: Mapping[str, Float],
+    words: Sequence[str],
 ) -> Proposal:
     search = found.search
     zero = found.start
@@ -298,7 +317,9 @@ def _explained(
         tested.append(_tested(best, i, std, reasons, mirror.get(i)))
     quiet_ones = np.setdiff1d(np.arange(len(p)), [*search.pool.tolist(), *barred])
     ends = (zero, found.end)
-    macs = [np.nan if search.target.frequency_only else _mean(r.mac[r.used]) for r in ends]
+    macs = [
+        np.nan if search.target.frequency_only else _mean(r.mac[r.used]) for r in ends
+    ]
     deviations = [_mean(np.abs(r.frequency_error[r.used])) for r in ends]
     return Proposal(
         members=tuple(sorted(tested, key=lambda m: -m.worth)),
@@ -322,7 +343,11 @@ def _mean(x: Float) -> float:
 
 
 def _tested(
-    best: FittedSet, index: int, std: float, reasons: _ReasonsLeftOut, mirror: int | None
+    best: FittedSet,
+    index: int,
+    std: float,
+    reasons: _ReasonsLeftOut,
+    mirror: int | None,
 ) -> Proposed:
     """Leave one member out, then put others in its place; the data cannot separate it from its
     mirror image.
@@ -353,7 +378,9 @@ def _tested(
         for members in likely[: PROPOSAL.tried]:
             x = _at_minimum(search, here, members) if lost else start
             tried.append(search.fit(members, x))
-    values = aicc(search, [best, replace(without, members=np.array(stay, dtype=np.int64)), *tried])
+    values = aicc(
+        search, [best, replace(without, members=np.array(stay, dtype=np.int64)), *tried]
+    )
     rise = values - values[0]
     rivals = [t for t, d in zip(tried, rise[2:], strict=True) if d < PROPOSAL.rival]
     if mirror is not None:
@@ -416,7 +443,9 @@ class _ReasonsLeftOut:
         x = float(every.take([i]).vector(np.array([p.factor]))[0])
         if min(x - low[i], high[i] - x) < 1e-9:
             parts.append("at its bound")
-        parts.append(f"without it AICc rises by {p.worth:.1f} and {self._loss(without)}")
+        parts.append(
+            f"without it AICc rises by {p.worth:.1f} and {self._loss(without)}"
+        )
         shares = {
             "the squared frequency errors": self.single.frequency[i],
             "1 − MAC": self.single.mac[i],
@@ -452,10 +481,14 @@ class _ReasonsLeftOut:
         if lost > 0:
             return f"{lost} of {int(end.used.sum())} modes are too far off to count as paired"
         figures = {
-            "mean |Δf|": [100 * _mean(np.abs(r.frequency_error[r.used])) for r in (end, without)]
+            "mean |Δf|": [
+                100 * _mean(np.abs(r.frequency_error[r.used])) for r in (end, without)
+            ]
         }
         if shapes:
-            figures["mean 1 − MAC"] = [100 * _mean(1 - r.mac[r.used]) for r in (end, without)]
+            figures["mean 1 − MAC"] = [
+                100 * _mean(1 - r.mac[r.used]) for r in (end, without)
+            ]
         for name, (a, b) in figures.items():
             if f"{a:.2f}" != f"{b:.2f}":
                 return f"{name} is {b:.2f} instead of {a:.2f} %"
@@ -468,7 +501,9 @@ def _some(names: Sequence[str]) -> str:
     return shown if len(names) <= 6 else f"{shown} and {len(names) - 6} more"
 
 
-def _orders(search: Search, zero: Residual, single: Variation) -> dict[str, tuple[str, ...]]:
+def _orders(
+    search: Search, zero: Residual, single: Variation
+) -> dict[str, tuple[str, ...]]:
     """The first ten candidates by simpler rules, one a cluster."""
     g = zero.slope * search.prior
     orders = {
@@ -555,7 +590,11 @@ def with_masses(
         if not small:
             sets = [found.search.refitted(own.path[-1]), found.path[-1]]
             without, with_them = criteria(found.search, sets).tolist()
-            return (found, barred) if without - with_them > PROPOSAL.support else (own, masses)
+            return (
+                (found, barred)
+                if without - with_them > PROPOSAL.support
+                else (own, masses)
+            )
         likely = [i for i in {*likely, *solid} if i not in small]
         barred = [i for i in masses if i not in likely]
     return own, masses
@@ -567,7 +606,9 @@ def _better(own: Subsets, masses: list[int]) -> list[FittedSet]:
     """
     search = own.search
     best = own.path[-1]
-    able = np.array([i for i in masses if search.size[i] >= search.settings.sensitive], dtype=int)
+    able = np.array(
+        [i for i in masses if search.size[i] >= search.settings.sensitive], dtype=int
+    )
     free = np.append(search.pool, able)
     tried = []
     for c in {c.x.tobytes(): c for c in (own.path[0], *own.path[-2:])}.values():
@@ -579,7 +620,8 @@ def _better(own: Subsets, masses: list[int]) -> list[FittedSet]:
             if not _by_size(search, fitted)[1]:
                 tried.append(fitted)
     tried.sort(key=lambda c: -c.value)
-    tried = list({tuple(sorted(c.members)): c for c in tried}.values())  # the best of each set
+    # the best of each set
+    tried = list({tuple(sorted(c.members)): c for c in tried}.values())
     least, *every = criteria(search, [best, *tried]).tolist()
     return [c for c, value in zip(tried, every, strict=True) if value < least]
 

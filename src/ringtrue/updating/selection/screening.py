@@ -27,14 +27,30 @@ from ringtrue.core.parameters import Parameter, ParameterSet
 from ringtrue.fem.assembly import System
 from ringtrue.fem.mesh import union
 from ringtrue.fem.parametrisation.changed_model import rows_of, within
-from ringtrue.fem.parametrisation.derivatives import congruent, matrices_kept, quadratic_forms
+from ringtrue.fem.parametrisation.derivatives import (
+    congruent,
+    matrices_kept,
+    quadratic_forms,
+)
 from ringtrue.model.model import Model
 from ringtrue.model.ports import Linearisation
 from ringtrue.reduction.dense_models import HeldModel
 from ringtrue.reduction.expansion import ShapeReadings, expand_reduced
 from ringtrue.reduction.parametric import ReducedModel
-from ringtrue.updating.problem import Configuration, KnownPoint, Problem, residual_at, single
-from ringtrue.updating.selection.candidates import Candidate, Kind, counted, membership, parameters
+from ringtrue.updating.problem import (
+    Configuration,
+    KnownPoint,
+    Problem,
+    residual_at,
+    single,
+)
+from ringtrue.updating.selection.candidates import (
+    Candidate,
+    Kind,
+    counted,
+    membership,
+    parameters,
+)
 from ringtrue.updating.selection.localisation import EXPANSION_MISFIT
 from ringtrue.updating.selection.selection_rules import Candidates, falling
 from ringtrue.updating.selection.subset_search import (
@@ -77,7 +93,9 @@ def effective(
     values : (m,) float64, (rad/s)²
     vectors : (f, m) float64, unit modal mass
     """
-    return effective_by(candidates, *effects(model, system, candidates, values, vectors))
+    return effective_by(
+        candidates, *effects(model, system, candidates, values, vectors)
+    )
 
 
 def effective_by(
@@ -97,7 +115,11 @@ def effective_by(
 
 
 def effects(
-    model: Model, system: System, candidates: Sequence[Candidate], values: Float, vectors: Float
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    values: Float,
+    vectors: Float,
 ) -> tuple[Float, Float]:
     """φᵀ(∂K/∂x)φ/λ and φᵀ(∂M/∂x)φ of each mode and candidate, (m, p) each; ∂ ln f/∂x is half their
     difference.
@@ -133,11 +155,16 @@ class SeenModes:
     readings: Float
 
 
-Misfit = tuple[Float, Float]  # weighted misfit (n,), and −∂misfit/∂x in units of the prior (n, p)
+# weighted misfit (n,), and −∂misfit/∂x in units of the prior (n, p)
+Misfit = tuple[Float, Float]
 
 
 def misfits(
-    model: Model, system: System, candidates: Sequence[Candidate], modes: SeenModes, aim: Target
+    model: Model,
+    system: System,
+    candidates: Sequence[Candidate],
+    modes: SeenModes,
+    aim: Target,
 ) -> tuple[Misfit, Misfit]:
     """What the test finds wrong near the model and far from it, and what each candidate adds.
 
@@ -208,12 +235,16 @@ def _force(chosen: ParameterSet, modes: SeenModes, aim: Target) -> _Kind:
     near = np.argsort(np.abs(gap), axis=0, kind="stable")[:NEAR]
     gap = np.take_along_axis(gap, near, 0)
     along = np.take_along_axis(u, near, 0)
-    of_frequency = 2 * np.hypot(SHARP * aim.weights.frequency, aim.std[aim.used]) * omega2
+    of_frequency = (
+        2 * np.hypot(SHARP * aim.weights.frequency, aim.std[aim.used]) * omega2
+    )
     sigma = np.hypot(SHARP * np.sqrt(aim.weights.mac) * gap, of_frequency)
 
     def made(dk: Float, dm: Float) -> Misfit:
         slopes = (omega2[:, None] * dm - dk) / sigma[:, :, None]
-        return (gap * along / sigma).ravel(), slopes.reshape(gap.size, len(chosen)) * chosen.std()
+        return (gap * along / sigma).ravel(), slopes.reshape(
+            gap.size, len(chosen)
+        ) * chosen.std()
 
     return _Kind(near, u, made)
 
@@ -224,7 +255,8 @@ def _paired(chosen: ParameterSet, modes: SeenModes, aim: Target) -> _Kind:
     np.fill_diagonal(far, -1.0)  # the first is the mode itself
     near = np.argsort(far, axis=0, kind="stable")[:NEAR]
     gap = values - values[near]
-    distinct = np.abs(gap) > 1e-6 * np.abs(values)  # modes as close only rotate into each other
+    # modes as close only rotate into each other
+    distinct = np.abs(gap) > 1e-6 * np.abs(values)
     w = aim.weights
 
     def made(dk: Float, dm: Float) -> Misfit:
@@ -287,7 +319,9 @@ SIZES = ScreeningSizes()
 Kept = Callable[..., int | None]
 KIND: dict[str, Kind] = {
     **dict.fromkeys(("MAT1", "MAT2", "MAT8", "MAT9"), "material"),
-    **dict.fromkeys(("PBUSH", "PBUSH1D", "PFAST", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"),
+    **dict.fromkeys(
+        ("PBUSH", "PBUSH1D", "PFAST", "PGAP", "PELAS", "CELAS2", "CELAS4"), "spring"
+    ),
     **dict.fromkeys(("CONM2", "PMASS", "CMASS2", "CMASS4"), "mass"),
 }
 MASS_ONLY = {"RHO", "NSM", "NSMB", "M", "I11", "I21", "I22", "I31", "I32", "I33"}
@@ -350,11 +384,15 @@ class ScreenedDeck:
         if self.data is None:
             return found
         more, slopes = self.data.misfit(at, x, which, aim)
-        return tuple((np.append(r, more), np.concatenate([g, slopes])) for r, g in found)
+        return tuple(
+            (np.append(r, more), np.concatenate([g, slopes])) for r, g in found
+        )
 
     def problem(self, search: Candidates, aim: Target) -> Problem:
         """See `Screening`."""
-        return single(search, aim) if self.data is None else self.data.problem(search, aim)
+        return (
+            single(search, aim) if self.data is None else self.data.problem(search, aim)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -391,9 +429,13 @@ class HeldDeck:
         model = self.start if at is None else at
         values, y = model.coordinates(x)
         chosen = parameters(self.candidates)
-        seen = SeenModes(values, model.basis.vectors @ y, model.basis.observe[self.rows] @ y)
+        seen = SeenModes(
+            values, model.basis.vectors @ y, model.basis.observe[self.rows] @ y
+        )
         changes = model.along(chosen.parameters, seen.vectors)
-        return misfits_by(chosen, zip(range(len(chosen)), *changes, strict=True), seen, aim)
+        return misfits_by(
+            chosen, zip(range(len(chosen)), *changes, strict=True), seen, aim
+        )
 
     def problem(self, search: Candidates, aim: Target) -> Problem:
         """See `Screening`."""
@@ -458,7 +500,9 @@ def screened(
     low = aim.lowest(SIZES.modes)
     problem = deck.problem(search, low)
     far = replace(settings, passed_over=passed_over(candidates, some))
-    found = subsets(Search.of(problem, far, conflicts=conflicts(deck.model, some)), progress)
+    found = subsets(
+        Search.of(problem, far, conflicts=conflicts(deck.model, some)), progress
+    )
     best = found.path[-1]
     groups = found.search.groups
     if not best.members.size:
@@ -497,7 +541,9 @@ def close(
     """
     mass = np.array([c.kind == "lump" for c in candidates], dtype=np.bool_)
     own = np.flatnonzero(~mass)
-    first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not mass[i]][: 2 * most]
+    first = [i for i in _in_turn(misfits, own, 2 * most, stay) if not mass[i]][
+        : 2 * most
+    ]
     near = tractable(model, [candidates[i] for i in first], most, kept)
     out = [first[i] for i in near]
     if mass.any():
@@ -506,9 +552,13 @@ def close(
     return np.sort(np.array(out, dtype=np.int64))
 
 
-def _in_turn(misfits: Sequence[Misfit], some: Int, most: int, stay: Sequence[int]) -> list[int]:
+def _in_turn(
+    misfits: Sequence[Misfit], some: Int, most: int, stay: Sequence[int]
+) -> list[int]:
     """Those that stay, then of some candidates the first that explain each misfit in turn."""
-    orders = [some[explaining(r, slopes[:, some], most)].tolist() for r, slopes in misfits]
+    orders = [
+        some[explaining(r, slopes[:, some], most)].tolist() for r, slopes in misfits
+    ]
     out = list(stay)
     for turn in zip_longest(*orders):
         out += [i for i in turn if i is not None]
@@ -602,7 +652,9 @@ def tractable(
             if members.shape[1] > SIZES.elements:
                 continue
             pool = [
-                candidates[k].parameter for k in out if np.isin(members[[k]].indices, mine).any()
+                candidates[k].parameter
+                for k in out
+                if np.isin(members[[k]].indices, mine).any()
             ]
             found = count(*pool, c.parameter)
             if found is None:
@@ -617,7 +669,9 @@ def tractable(
 
 def of_parameter(model: Model, parameter: Parameter) -> Candidate:
     """A parameter that was given as a candidate: its elements and, in words, what it changes."""
-    rows = union(within(model, rows_of(model, t), t.elements) for t in parameter.targets)
+    rows = union(
+        within(model, rows_of(model, t), t.elements) for t in parameter.targets
+    )
     ids = [i for card, at in rows.items() for i in model[card].ids[at].tolist()]
     ids += [i for s in parameter.substructures for i in s.elements]
     elements = tuple(sorted(set(ids)))
@@ -628,7 +682,11 @@ def of_parameter(model: Model, parameter: Parameter) -> Candidate:
     what = f"{named} of {counted(rows)}" if rows else named
     if not what:
         what = f"matrices of {len(elements)} elements"
-    kind = KIND.get(parameter.targets[0].card, "property") if parameter.targets else "region"
+    kind = (
+        KIND.get(parameter.targets[0].card, "property")
+        if parameter.targets
+        else "region"
+    )
     return Candidate(parameter, kind, what, elements)
 
 
@@ -639,10 +697,13 @@ def conflicts(model: Model, candidates: Sequence[Candidate]) -> Bool:
     members = membership(model, candidates)
     overlap = (members @ members.T).toarray() > 0
     fields = [{t.field for t in c.parameter.targets} for c in candidates]
-    family = [{t.card.startswith("MAT") for t in c.parameter.targets} for c in candidates]
+    family = [
+        {t.card.startswith("MAT") for t in c.parameter.targets} for c in candidates
+    ]
     stiff = [any(f not in MASS_ONLY for f in fs) or not fs for fs in fields]
     out = np.zeros(overlap.shape, dtype=np.bool_)
-    for i, j in np.argwhere(np.triu(overlap, 1)).tolist():  # over candidates, not elements
+    # over candidates, not elements
+    for i, j in np.argwhere(np.triu(overlap, 1)).tolist():
         same = bool(fields[i] & fields[j]) and family[i] == family[j]
         whole = stiff[i] and stiff[j] and not (fields[i] and fields[j])
         out[i, j] = out[j, i] = same or whole

@@ -15,7 +15,13 @@ from ringtrue.core.parameters import ParameterSet
 from ringtrue.errors import InputError
 from ringtrue.model.ports import Linearisation
 from ringtrue.updating.identifiability import COLLINEARITY, cosines
-from ringtrue.updating.problem import Configuration, Problem, doubting, held_to, residual_at
+from ringtrue.updating.problem import (
+    Configuration,
+    Problem,
+    doubting,
+    held_to,
+    residual_at,
+)
 from ringtrue.updating.residuals.modal import Quantity
 from ringtrue.updating.solver import Method, solve
 
@@ -47,7 +53,9 @@ class Candidates(Protocol):
     def parameters(self) -> ParameterSet: ...
     def linearise(self, x: Float) -> Linearisation: ...
     def modes(self, x: Float) -> Linearisation: ...
-    def with_parameters(self, active: Sequence[int], base: Float | None = None) -> Self: ...
+    def with_parameters(
+        self, active: Sequence[int], base: Float | None = None
+    ) -> Self: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +141,9 @@ def _held(configuration: Configuration, names: Sequence[str]) -> Configuration:
     assert isinstance(model, Candidates)
     own = model.parameters.names
     active = [own.index(n) for n in names if n in own]
-    return replace(configuration, model=model.with_parameters(active, np.zeros(len(own))))
+    return replace(
+        configuration, model=model.with_parameters(active, np.zeros(len(own)))
+    )
 
 
 def best_subset(problem: Problem, count: int, progress: Progress = quiet) -> FittedSet:
@@ -151,7 +161,11 @@ def best_subset(problem: Problem, count: int, progress: Progress = quiet) -> Fit
     """
     grown = _grown(problem, count, progress)
     sensitivities = weighted_sensitivities(problem)
-    starts = [grown.members, orthogonal(sensitivities, count), largest(sensitivities, count)]
+    starts = [
+        grown.members,
+        orthogonal(sensitivities, count),
+        largest(sensitivities, count),
+    ]
     near = doubting(problem)
     found = []
     for members in {tuple(sorted(s.tolist())): s.tolist() for s in starts}.values():
@@ -160,7 +174,9 @@ def best_subset(problem: Problem, count: int, progress: Progress = quiet) -> Fit
     return min(found, key=lambda c: (rounded(c.value), sorted(c.members.tolist())))
 
 
-def _promising(problem: Problem, now: FittedSet, options: Sequence[list[int]]) -> list[list[int]]:
+def _promising(
+    problem: Problem, now: FittedSet, options: Sequence[list[int]]
+) -> list[list[int]]:
     """The sets by J at the bounded minimum of its linearisation at a point, the lowest first."""
     low, high = problem.parameters.bounds()
     w = 1 / problem.parameters.std() ** 2
@@ -168,7 +184,8 @@ def _promising(problem: Problem, now: FittedSet, options: Sequence[list[int]]) -
     values = []
     for at in options:
         gone = np.setdiff1d(np.flatnonzero(now.x), at)
-        value = r.value + r.slope[:, gone] @ now.x[gone]  # what is not a member goes back to 0
+        # what is not a member goes back to 0
+        value = r.value + r.slope[:, gone] @ now.x[gone]
         j = predicted(
             r.slope[:, at],
             value,
@@ -192,7 +209,10 @@ def _grown(problem: Problem, count: int, progress: Progress) -> FittedSet:
         rest = np.setdiff1d(np.arange(p), members).tolist()
         at = _promising(problem, now, [[*members, c] for c in rest])[0]
         now = short_update(problem, at, now.x)
-        progress((k + 1) / (count + 2), f"parameter {k + 1}: {problem.parameters.names[at[-1]]}")
+        progress(
+            (k + 1) / (count + 2),
+            f"parameter {k + 1}: {problem.parameters.names[at[-1]]}",
+        )
     return now
 
 
@@ -201,7 +221,9 @@ def _exchanged(problem: Problem, now: FittedSet) -> FittedSet:
     for _ in range(2 * now.members.size):
         members = now.members.tolist()
         rest = np.setdiff1d(np.arange(now.x.size), members).tolist()
-        options = [[*(m for m in members if m != out), c] for out in members for c in rest]
+        options = [
+            [*(m for m in members if m != out), c] for out in members for c in rest
+        ]
         best = _promising(problem, now, options)[:3]
         trials = [short_update(problem, at, now.x) for at in best]
         better = min(trials, key=lambda c: rounded(c.value), default=now)

@@ -129,7 +129,9 @@ class Search:
     size: Float
     points: dict[bytes, Residual] = field(default_factory=dict)
     values: dict[bytes, Residual] = field(default_factory=dict)
-    fits: dict[tuple[tuple[int, ...], bytes, int], FittedSet] = field(default_factory=dict)
+    fits: dict[tuple[tuple[int, ...], bytes, int], FittedSet] = field(
+        default_factory=dict
+    )
 
     @classmethod
     def of(
@@ -157,7 +159,9 @@ class Search:
             problem=problem,
             settings=settings,
             assumed=problem.configurations[0].target.weights,
-            conflicts=np.zeros((p, p), dtype=np.bool_) if conflicts is None else conflicts,
+            conflicts=np.zeros((p, p), dtype=np.bool_)
+            if conflicts is None
+            else conflicts,
             pool=np.setdiff1d(sensitive, barred),
             groups=clusters(np.concatenate(unit), settings.collinear),
             size=size,
@@ -221,7 +225,9 @@ class Search:
             try:
                 self.fits[key] = short_update(self.problem, members, x, limit)
             except NumericalError:
-                self.fits[key] = short_update(self.problem, members, np.zeros(x.size), limit)
+                self.fits[key] = short_update(
+                    self.problem, members, np.zeros(x.size), limit
+                )
         return self.fits[key]
 
     def cost(self, x: Float) -> float:
@@ -303,7 +309,9 @@ class Search:
         pairs = [[*stay, *c] for c in free[at].tolist()]
         return ranked((self.predicted(here, c), c) for c in pairs)
 
-    def _projected(self, here: Here, stay: Sequence[int], free: Int) -> tuple[Float, Float]:
+    def _projected(
+        self, here: Here, stay: Sequence[int], free: Int
+    ) -> tuple[Float, Float]:
         """Slopes (n, f) of `free`, in units of the prior, and the residual (n,), less what `stay`
         can take of them.
         """
@@ -370,7 +378,9 @@ class Subsets:
     found: Weights
 
 
-def subsets(plain: Search, progress: Progress, known: Sequence[FittedSet] = ()) -> Subsets:
+def subsets(
+    plain: Search, progress: Progress, known: Sequence[FittedSet] = ()
+) -> Subsets:
     """The best sets of up to `most` candidates, and the one that the criterion chooses.
 
     Parameters
@@ -396,7 +406,9 @@ def subsets(plain: Search, progress: Progress, known: Sequence[FittedSet] = ()) 
         )
     if not plain.pool.size:
         values = criteria(plain, [none, none])
-        return Subsets(plain, start, start, [none, none], values, found=_found(plain, none))
+        return Subsets(
+            plain, start, start, [none, none], values, found=_found(plain, none)
+        )
     path = _path(plain, none, [], part(progress, 0.0, 0.4))
     sets = [*path[1:], *known]
     first = _best(plain, path)
@@ -412,7 +424,8 @@ def subsets(plain: Search, progress: Progress, known: Sequence[FittedSet] = ()) 
     reached = best.x
     sets += few
     count = plain.point(best.x).used.sum()
-    for _ in range(2):  # again with the discrepancy that was found, until that changes little
+    # again with the discrepancy that was found, until that changes little
+    for _ in range(2):
         search = plain.sharper(found, reached)
         again = [search.refitted(c) for c in sets]
         path = _path(search, none, again, part(progress, 0.6, 1.0))
@@ -446,7 +459,8 @@ def _eliminated(search: Search, now: FittedSet, progress: Progress) -> list[Fitt
         g = r.slope[:, at]
         normal = g.T @ g + np.diag(search.prior[at] ** -2)
         best = np.linalg.solve(normal, g.T @ (r.value + g @ now.x[at]))
-        rise = best**2 / np.diag(np.linalg.inv(normal))  # of the linearised J without each
+        # of the linearised J without each
+        rise = best**2 / np.diag(np.linalg.inv(normal))
         drop = max(1, (at.size - search.settings.most) // 3)
         stay = np.sort(at[np.argsort(rise, kind="stable")[drop:]]).tolist()
         now = search.fit(stay, now.only(stay))
@@ -467,7 +481,8 @@ def _path(
     per_mode = 2 if search.target.weights.shape > 0 else 1
     data = per_mode * search.modes + search.point(none.x).other_data
     path = [none]
-    for k in range(1, min(most, int(data) - 4) + 1):  # AICc needs more data than parameters
+    # AICc needs more data than parameters
+    for k in range(1, min(most, int(data) - 4) + 1):
         now = path[-1]
         tried = [c for c in few if c.members.size == k] or _with_more(search, now, 1)
         if k > 1:
@@ -495,7 +510,9 @@ def _with_more(search: Search, now: FittedSet, count: int) -> list[FittedSet]:
     return [search.fit(at, now.x) for _, at in options]
 
 
-def _with_one_far(search: Search, now: FittedSet, tried: Sequence[FittedSet]) -> list[FittedSet]:
+def _with_one_far(
+    search: Search, now: FittedSet, tried: Sequence[FittedSet]
+) -> list[FittedSet]:
     """Sets with one member more, from far off, where a mode has no partner yet.
 
     No slope sees such a mode. Where one of the sets tried leads to it, none is needed.
@@ -506,7 +523,9 @@ def _with_one_far(search: Search, now: FittedSet, tried: Sequence[FittedSet]) ->
     if any(search.value(c.x).used.sum() > paired for c in tried):
         return []
     here = search.cost(now.x)
-    options = search.far(now, search.free(now.members.tolist()))[: search.settings.trials]
+    options = search.far(now, search.free(now.members.tolist()))[
+        : search.settings.trials
+    ]
     return [search.fit(at, x) for value, at, x in options if value < here]
 
 
@@ -559,7 +578,10 @@ def _pruned(search: Search, now: FittedSet) -> FittedSet:
     """Leave out members, the least first, without whom the criterion is no higher."""
     while now.members.size > 1:
         every = now.members.tolist()
-        fewer = [search.fit([m for m in every if m != out], now.without([out])) for out in every]
+        fewer = [
+            search.fit([m for m in every if m != out], now.without([out]))
+            for out in every
+        ]
         value = criteria(search, [now, *fewer])
         best = int(np.argmin(value[1:]))
         if value[1 + best] > value[0]:
@@ -578,12 +600,16 @@ def criteria(search: Search, path: Sequence[FittedSet]) -> Float:
     return np.round(every, 6)
 
 
-def foreseen(search: Search, r: Residual, members: Sequence[int], value: float) -> float:
+def foreseen(
+    search: Search, r: Residual, members: Sequence[int], value: float
+) -> float:
     """The criterion of a set whose J is not computed but foreseen, all modes that are paired at a
     point counted.
     """
     n = search.target.weights.data * int(r.used.sum()) + r.other_data
-    return float(price(search, [np.array(members)])[0]) + aicc_of(value, n, len(members))
+    return float(price(search, [np.array(members)])[0]) + aicc_of(
+        value, n, len(members)
+    )
 
 
 def price(search: Search, sets: Sequence[Int]) -> Float:

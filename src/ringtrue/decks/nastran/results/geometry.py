@@ -43,7 +43,8 @@ _WANTED = ("GEOM", "EPT", "MPT", "DYNAMIC", "PVT", "CASECC", *POINT_BLOCKS)
 _BLOCK = re.compile(r"(GEOM[1-4]|EPT|MPT|DYNAMICS?)[SN]?")
 _END = 65535
 _BLANK = 0x22002739  # a real field that is blank
-_MOST = 499_999_999  # numbers, also those that Nastran gives itself, are below; reals above
+# numbers, also those that Nastran gives itself, are below; reals above
+_MOST = 499_999_999
 _SMALLEST = 1e-35  # a word below, but for 0, is an integer and no real
 _OWN = 99_999_999  # above are numbers that Nastran gives
 _LEFT_OUT = ("POST", "OGEOM", "OUGCORD")  # PARAMs of output
@@ -84,11 +85,20 @@ class RecordedModel:
 
     def deck(self) -> str:
         """The deck: executive and case control, and the cards."""
-        method = any(s.method for s in self.subcases) or any(c in self.model for c in METHODS)
-        lines = [f"SOL {103 if method else 101}", "CEND", *self._case(method), "BEGIN BULK"]
+        method = any(s.method for s in self.subcases) or any(
+            c in self.model for c in METHODS
+        )
+        lines = [
+            f"SOL {103 if method else 101}",
+            "CEND",
+            *self._case(method),
+            "BEGIN BULK",
+        ]
         if self.missing:
             lines += ["$ in the file and not rebuilt:"]
-            lines += [f"$ {name}, {words} words" for name, words in self.missing.items()]
+            lines += [
+                f"$ {name}, {words} words" for name, words in self.missing.items()
+            ]
         bulk = write_bulk(self.model, without=_LEFT_OUT)
         return "\n".join(lines) + "\n" + bulk + "".join(self.texts) + "ENDDATA\n"
 
@@ -98,7 +108,10 @@ class RecordedModel:
             chosen = {"SPC": s.spc, "MPC": s.mpc, "METHOD": s.method}
             if not method:
                 chosen["LOAD"] = s.load
-            out += [f"SUBCASE {s.id}", *(f"  {k} = {v}" for k, v in chosen.items() if v)]
+            out += [
+                f"SUBCASE {s.id}",
+                *(f"  {k} = {v}" for k, v in chosen.items() if v),
+            ]
         return out
 
     def _only(self) -> Subcase:
@@ -107,8 +120,16 @@ class RecordedModel:
 
         def only(*cards: str) -> int:
             for names in cards:
-                ids = [t.ids for c in names.split() if (t := tables.get(c)) is not None and len(t)]
-                found = np.unique(np.concatenate(ids)) if ids else np.empty(0, dtype=np.int64)
+                ids = [
+                    t.ids
+                    for c in names.split()
+                    if (t := tables.get(c)) is not None and len(t)
+                ]
+                found = (
+                    np.unique(np.concatenate(ids))
+                    if ids
+                    else np.empty(0, dtype=np.int64)
+                )
                 if found.size:
                     return int(found[0]) if found.size == 1 else 0
             return 0
@@ -268,7 +289,11 @@ class _RecordedDeck:
 
     def _add_ranges(self) -> None:
         """SPC1 from a first to a last number, of the points that are there."""
-        known = [self.tables[c].entries("ID")[0] for c in ("GRID", "SPOINT") if c in self.tables]
+        known = [
+            self.tables[c].entries("ID")[0]
+            for c in ("GRID", "SPOINT")
+            if c in self.tables
+        ]
         points = np.concatenate([np.empty(0, dtype=np.int64), *known])
         for row in self.through:
             first, last = row["G"]
@@ -322,7 +347,9 @@ Columns = dict[str, NDArray[Any]]
 def _columns(layout: Layout, words: _Words) -> Columns | None:
     """Columns of the rows of a record; None where its words are not those of the layout."""
     ints = words.ints[3:]
-    double = _double(layout, words) if layout.card.startswith(("GRID", "CORD2")) else None
+    double = (
+        _double(layout, words) if layout.card.startswith(("GRID", "CORD2")) else None
+    )
     if double is not None:
         return double
     width = len(layout.words)
@@ -375,13 +402,17 @@ def _double(layout: Layout, words: _Words) -> Columns | None:
     numbers = (first > 0).all() and (first <= _MOST).all()
     if not real or not numbers or np.unique(first).size != first.size:
         return None
-    if not len(body) % single:  # both widths fit: the one whose other integers are numbers counts
+    # both widths fit: the one whose other integers are numbers counts
+    if not len(body) % single:
         others = [made[w.name] for w in layout.words if w.kind != "f" and w.name != "_"]
         if any((np.abs(v) > _MOST).any() for v in others):
             return None
         if words.ints[3:].reshape(-1, len(kinds))[:, 0].min() > 0:
             return None
-    return {n: v.astype(np.float64 if v.dtype.kind == "f" else np.int64) for n, v in made.items()}
+    return {
+        n: v.astype(np.float64 if v.dtype.kind == "f" else np.int64)
+        for n, v in made.items()
+    }
 
 
 def _oriented(made: Columns, node: Int) -> Columns | None:
@@ -421,10 +452,18 @@ def _of_columns(card: str, made: Columns) -> Table:
             none = np.full(n, spec.other_default)
             out[spec.other] = made.get(spec.other, none)
         given = made.get(spec.name)
-        out[spec.name] = np.full(n, spec.default) if given is None else _typed(spec.kind, given)
+        out[spec.name] = (
+            np.full(n, spec.default) if given is None else _typed(spec.kind, given)
+        )
         if spec.kind == "f":
-            out[spec.name] = np.where(np.isnan(out[spec.name]), spec.default, out[spec.name])
-        if spec.kind == "f" and card.startswith("C") and spec.name in _NEGATIVE_IS_BLANK:
+            out[spec.name] = np.where(
+                np.isnan(out[spec.name]), spec.default, out[spec.name]
+            )
+        if (
+            spec.kind == "f"
+            and card.startswith("C")
+            and spec.name in _NEGATIVE_IS_BLANK
+        ):
             out[spec.name] = np.where(out[spec.name] < 0, np.nan, out[spec.name])
         if card in ("PBAR", "PSHELL") and spec.name in _ZERO_IS_BLANK:
             out[spec.name] = np.where(out[spec.name] == 0, np.nan, out[spec.name])
@@ -463,7 +502,11 @@ def _spc1(w: _Words) -> Iterator[Row]:
         sid, components, through = w.ints[at : at + 3].tolist()
         at += 3
         end = at + 2 if through == 1 else at + int(np.flatnonzero(w.ints[at:] == -1)[0])
-        row: dict[str, Any] = {"SID": sid, "C": str(components), "G": w.ints[at:end].tolist()}
+        row: dict[str, Any] = {
+            "SID": sid,
+            "C": str(components),
+            "G": w.ints[at:end].tolist(),
+        }
         if through == 1:
             row["THRU"] = True
         yield row
@@ -516,7 +559,11 @@ def _rbe3(w: _Words) -> Iterator[Row]:
     at = 3
     while at < w.ints.size:
         eid, reference, components = w.ints[at : at + 3].tolist()
-        row: dict[str, Any] = {"EID": eid, "REFGRID": reference, "REFC": str(components)}
+        row: dict[str, Any] = {
+            "EID": eid,
+            "REFGRID": reference,
+            "REFC": str(components),
+        }
         row |= {"G": [], "C": [], "WT": [], "GM": [], "CM": []}
         at += 3
         while w.ints[at] != -2:
@@ -595,7 +642,10 @@ def _pbarl(w: _Words) -> Iterator[Row]:
     for start, end in _parts(w.ints):
         pid, mid = w.ints[start : start + 2].tolist()
         values = w.reals[start + 6 : end].tolist()
-        yield {"PID": pid, "FIELDS": [pid, mid, None, w.text(start + 4, 2), *[None] * 4, *values]}
+        yield {
+            "PID": pid,
+            "FIELDS": [pid, mid, None, w.text(start + 4, 2), *[None] * 4, *values],
+        }
 
 
 def _pbeaml(w: _Words) -> Iterator[Row]:
@@ -632,7 +682,9 @@ def _pbeam(w: _Words) -> Iterator[Row]:
         tail = w.reals[at + 5 + 176 : at + size]
         row: dict[str, Any] = {"PID": int(w.ints[at]), "MID": int(w.ints[at + 1])}
         row |= dict(zip(END_A, first[1:].tolist(), strict=True))
-        row |= dict(zip(END_B, (last[0] if last.size else first)[1:].tolist(), strict=True))
+        row |= dict(
+            zip(END_B, (last[0] if last.size else first)[1:].tolist(), strict=True)
+        )
         row |= dict(zip(("X", *BETWEEN), inside.T.tolist(), strict=True))
         row |= dict(zip(BEAM_TAIL, tail.tolist(), strict=True))
         yield row
@@ -646,7 +698,9 @@ def _eigrl(w: _Words) -> Iterator[Row]:
     while at < w.ints.size:
         v = [float(x) for x in w.reals[at + 1 : at + 3]]
         flags = w.ints[at + 7 : at + 9].tolist()
-        limits = [np.nan if x == 0 and f < 0 else x for x, f in zip(v, flags, strict=True)]
+        limits = [
+            np.nan if x == 0 and f < 0 else x for x, f in zip(v, flags, strict=True)
+        ]
         row: dict[str, Any] = {"SID": int(w.ints[at]), "V1": limits[0], "V2": limits[1]}
         row |= {"ND": max(int(w.ints[at + 3]), 0), "NORM": w.text(at + 9)}
         yield row

@@ -85,7 +85,9 @@ def _deflections(file: h5py.File) -> RecordedDeflections | None:
         return None
     moved = file[at][()]
     domains = file[f"{_RESULT}/DOMAINS"][()]
-    here = (domains["ANALYSIS"] == _Analysis.STATICS) & np.isin(domains["ID"], moved["DOMAIN_ID"])
+    here = (domains["ANALYSIS"] == _Analysis.STATICS) & np.isin(
+        domains["ID"], moved["DOMAIN_ID"]
+    )
     domains = domains[here & (domains["SE"] == 0)]
     if not domains.size:
         return None
@@ -95,12 +97,16 @@ def _deflections(file: h5py.File) -> RecordedDeflections | None:
 
 def _node_rows(file: h5py.File, table: Any, domains: Int) -> list[tuple[Any, Any, Any]]:
     spoint = "NASTRAN/INPUT/NODE/SPOINT"
-    scalar_points = file[spoint][()]["ID"] if spoint in file else np.empty(0, dtype=np.int64)
+    scalar_points = (
+        file[spoint][()]["ID"] if spoint in file else np.empty(0, dtype=np.int64)
+    )
     rows = []
     for domain in domains.tolist():
         part = table[table["DOMAIN_ID"] == domain]
         motion = np.stack([part[c] for c in _COMPONENTS], axis=1).astype(np.float64)
-        rows.append((part["ID"].astype(np.int64), np.isin(part["ID"], scalar_points), motion))
+        rows.append(
+            (part["ID"].astype(np.int64), np.isin(part["ID"], scalar_points), motion)
+        )
     return rows
 
 
@@ -134,9 +140,12 @@ def _masses(file: h5py.File, modes: Int, lam: Any) -> Any:
     mass = np.full(modes.size, np.nan)
     if at in file:
         table = file[at][()]
-        for k, (mode, value) in enumerate(zip(modes.tolist(), lam.tolist(), strict=True)):
+        for k, (mode, value) in enumerate(
+            zip(modes.tolist(), lam.tolist(), strict=True)
+        ):
             same = table[
-                (table["MODE"] == mode) & np.isclose(table["EIGEN"], value, rtol=1e-6, atol=1e-12)
+                (table["MODE"] == mode)
+                & np.isclose(table["EIGEN"], value, rtol=1e-6, atol=1e-12)
             ]
             mass[k] = same["MASS"][0] if same.size else np.nan
     return mass

@@ -52,7 +52,9 @@ class Op2Table:
     word: int
 
     def _words(self, data: bytes, kind: str, size: int) -> NDArray[Any]:
-        return np.frombuffer(data[: len(data) // size * size], f"{self.order}{kind}{size}")
+        return np.frombuffer(
+            data[: len(data) // size * size], f"{self.order}{kind}{size}"
+        )
 
     def ints(self, data: bytes) -> Int:
         """The words as integers, (k,) int64."""

@@ -52,14 +52,16 @@ _SCALAR = 2  # type of a scalar point; extra and modal points have larger ones
 _POLAR = 3  # format code of magnitude and phase
 _REAL = 8  # words a node: key, type, six numbers
 _COMPLEX = 14  # the same with twelve
-_MOST = 99_999_999  # the largest number of a set; as an integer every real above 1e-35 is larger
+# the largest number of a set; as an integer every real above 1e-35 is larger
+_MOST = 99_999_999
 # The names are whole: ROUGV1 (motion relative to a moved base), BOPHIGF (of a fluid), LAMAF and
 # GEOM1EX are others. Blocks in SORT2 end with 2.
 _LAMA = frozenset({"LAMA", "LAMAS"})
 _GEOMETRY = frozenset({"GEOM1", "GEOM1S", "GEOM1N"})
 _IN_BASIC = frozenset({"BOUGV1", "BOUGV2", "BOPHIG", "BOPHG2"})  # PARAM,OUGCORD,BASIC
 _SHAPES = (
-    frozenset({"OUG1", "OUG2", "OUGV1", "OUGV2", "OPHIG", "OPHG1", "OPHG2", "OPHIG2"}) | _IN_BASIC
+    frozenset({"OUG1", "OUG2", "OUGV1", "OUGV2", "OPHIG", "OPHG1", "OPHG2", "OPHIG2"})
+    | _IN_BASIC
 )
 _RESPONSES = _SHAPES | {"OVG1", "OVG2", "OAG1", "OAG2"}
 
@@ -159,7 +161,9 @@ def _moved(table: Op2Table, found: _Identity) -> Iterator[_Moved]:
         keep = kind <= _SCALAR
         value = float(reals[5]) if found.approach == "modes" else np.nan
         yield _Moved(
-            key=float(table.decimals(reals[4:5])[0]) if found.continuous else int(words[4]),
+            key=float(table.decimals(reals[4:5])[0])
+            if found.continuous
+            else int(words[4]),
             case=int(words[3]),
             eigenvalue=value,
             nodes=table.ints(body).reshape(-1, found.width)[keep, 0] // 10,
@@ -168,7 +172,9 @@ def _moved(table: Op2Table, found: _Identity) -> Iterator[_Moved]:
         )
 
 
-def _of_nodes(table: Op2Table, found: _Identity, pairs: Sequence[Pair]) -> Iterator[_Moved]:
+def _of_nodes(
+    table: Op2Table, found: _Identity, pairs: Sequence[Pair]
+) -> Iterator[_Moved]:
     """What a subcase in SORT2 holds: the records of each node, put together by mode, case or
     frequency.
     """
@@ -206,7 +212,9 @@ def _keys(table: Op2Table, found: _Identity, body: bytes) -> Any_:
         return reals
     whole = table.ints(body)[:: found.width]
     written = (whole > 0) & (whole <= _MOST)
-    return np.where(written, whole, np.rint(np.where(written, 0.0, reals)).astype(np.int64))
+    return np.where(
+        written, whole, np.rint(np.where(written, 0.0, reals)).astype(np.int64)
+    )
 
 
 def _points(table: Op2Table, words: Int, body: bytes) -> tuple[Int, Any_]:
@@ -261,7 +269,8 @@ def read_op2(path: str | Path) -> RecordedModes:
         elif _holds(table, "modes", "eigenvectors"):
             if shapes and shapes[0].name in _IN_BASIC and table.name not in _IN_BASIC:
                 shapes = []
-            if not shapes or shapes[0].name == table.name:  # MYSTRAN writes a table for each mode
+            # MYSTRAN writes a table for each mode
+            if not shapes or shapes[0].name == table.name:
                 shapes.append(table)
     if not shapes:
         but = ""
@@ -289,7 +298,12 @@ def _gather(
     modes = np.array([m.key for m in found], dtype=np.int64)
     lam = np.array([m.eigenvalue for m in found])
     mass = np.full(len(found), np.nan)
-    if lama is not None and modes.size and modes.max() <= lama[0].size and modes.min() > 0:
+    if (
+        lama is not None
+        and modes.size
+        and modes.max() <= lama[0].size
+        and modes.min() > 0
+    ):
         lam = lama[0][modes - 1]
         mass = lama[1][modes - 1]
     if np.isnan(lam).any():
@@ -358,7 +372,11 @@ def read_op2_responses(path: str | Path) -> tuple[RecordedResponses, ...]:
                     basic |= {of} if table.name in _IN_BASIC else set()
         out = []
         for (case, quantity), rows in found.items():
-            own = dict.fromkeys(rows[0].nodes.tolist(), 0) if (case, quantity) in basic else frames
+            own = (
+                dict.fromkeys(rows[0].nodes.tolist(), 0)
+                if (case, quantity) in basic
+                else frames
+            )
             m = motions([r.row for r in rows], own)
             out.append(responses(m, np.array([r.key for r in rows]), quantity, case))
     return tuple(out)

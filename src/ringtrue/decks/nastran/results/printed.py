@@ -17,15 +17,20 @@ from ringtrue.io.files import existing
 _NUMBER = rb"[-+]?\d+\.\d*(?:E?[-+]\d+)?"
 _VALUES = re.compile(rb"R E A L   E I G E N V A L U E S")
 _VALUE_ROWS = re.compile(
-    rb"^[ 0]?[ ]*(\d+)[ ]+\d+((?:[ ]+" + _NUMBER + rb"[*]?){5})[ ]*(?:\d+\.?)?[ ]*\r?$", re.M
+    rb"^[ 0]?[ ]*(\d+)[ ]+\d+((?:[ ]+" + _NUMBER + rb"[*]?){5})[ ]*(?:\d+\.?)?[ ]*\r?$",
+    re.M,
 )
 _VECTOR = re.compile(
     rb"R E A L   E I G E N V E C T O R   N O \.[ ]+(\d+)"
     rb"|^[ ]*OUTPUT FOR EIGENVECTOR[ ]+(\d+)[ ]*\r?$",
     re.M,
 )
-_ROWS_BEGIN = re.compile(rb"POINT ID\.[ ]+TYPE[^\n]*\n|GRID[ ]+COORD[^\n]*\n[^\n]*SYS[^\n]*\n")
-_ROWS = re.compile(rb"(?:^[ 0]?[ ]*\d+[ ]+[A-Z0-9]+(?:[ ]+" + _NUMBER + rb")+[ ]*\r?\n)+", re.M)
+_ROWS_BEGIN = re.compile(
+    rb"POINT ID\.[ ]+TYPE[^\n]*\n|GRID[ ]+COORD[^\n]*\n[^\n]*SYS[^\n]*\n"
+)
+_ROWS = re.compile(
+    rb"(?:^[ 0]?[ ]*\d+[ ]+[A-Z0-9]+(?:[ ]+" + _NUMBER + rb")+[ ]*\r?\n)+", re.M
+)
 _ROW = re.compile(rb"^[ 0]?[ ]*(\d+)[ ]+([A-Z0-9]+)[ ]+([^\r\n]*)", re.M)
 _STURM = re.compile(
     rb"CYCLES *= *(" + _NUMBER + rb") +NUMBER OF EIGENVALUES BELOW THIS VALUE *= *(\d+)"
@@ -39,7 +44,8 @@ _FATAL = re.compile(
 Bytes = bytes | mmap.mmap
 _FATAL_WORDS = (b"FATAL", b"*ERROR", b"PROCESSING TERMINATED")
 _PIECE = 1 << 20  # bytes that are looked through at once
-_HEAD = 4000  # bytes from a title of a page to its rows, and of the lines behind a message, at most
+# bytes from a title of a page to its rows, and of the lines behind a message, at most
+_HEAD = 4000
 
 
 def read_f06(path: str | Path) -> RecordedModes:
@@ -93,7 +99,9 @@ def _read(data: Bytes) -> RecordedModes:
     lam, mass = np.array([table[k] for k in parts]).T
     rows = []
     for found_pages in parts.values():
-        nodes, scalar, motion = (np.concatenate([p[k] for p in found_pages]) for k in range(3))
+        nodes, scalar, motion = (
+            np.concatenate([p[k] for p in found_pages]) for k in range(3)
+        )
         rows.append((nodes, scalar, motion))
     return gathered(lam, mass, rows)
 
@@ -119,7 +127,11 @@ def _page(data: Bytes, start: int, end: int) -> tuple[Int, Bool, Float] | None:
             nodes.append(int(point))
             scalar.append(False)
             words.append(values)
-    return np.array(nodes, dtype=np.int64), np.array(scalar, dtype=np.bool_), _floats(words)
+    return (
+        np.array(nodes, dtype=np.int64),
+        np.array(scalar, dtype=np.bool_),
+        _floats(words),
+    )
 
 
 def _floats(words: list[list[bytes]]) -> Float:
@@ -185,7 +197,8 @@ def fatal_messages(path: str | Path) -> tuple[str, ...]:
 
 _EIGENVALUE = re.compile(r"\$EIGENVALUE *= *(\S+) +MODE *= *(\d+)")
 _SECTION = re.compile(
-    r"\$(EIGENVECTOR|DISPLACEMENTS|SPCF|MPCF|OLOADS|ELEMENT|VELOCITY|ACCELERATION)", re.I
+    r"\$(EIGENVECTOR|DISPLACEMENTS|SPCF|MPCF|OLOADS|ELEMENT|VELOCITY|ACCELERATION)",
+    re.I,
 )
 
 
@@ -203,7 +216,9 @@ def read_punch(path: str | Path) -> RecordedModes:
             found = list(_modes(lines))
         values = np.array([value for _, value, _ in found])
         return gathered(
-            values, np.full(values.size, np.nan), [_points(rows) for _, _, rows in found]
+            values,
+            np.full(values.size, np.nan),
+            [_points(rows) for _, _, rows in found],
         )
     except ValueError as e:
         raise DataError(f"{path}: {e}") from e

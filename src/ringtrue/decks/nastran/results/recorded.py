@@ -94,13 +94,17 @@ class RecordedModes(RecordedMotions):
         n = self.nodes.size
         m = self.eigenvalues.size
         if not m or not n:
-            raise DataError("no modes with shapes: ask the program for DISPLACEMENT = ALL")
+            raise DataError(
+                "no modes with shapes: ask the program for DISPLACEMENT = ALL"
+            )
         if (
             self.motion.shape != (n, 6, m)
             or self.modal_mass.shape != (m,)
             or self.scalar.shape != (n,)
         ):
-            raise DataError(f"{m} eigenvalues and {n} nodes do not fit shapes {self.motion.shape}")
+            raise DataError(
+                f"{m} eigenvalues and {n} nodes do not fit shapes {self.motion.shape}"
+            )
         if np.unique(self.nodes).size != n:
             raise DataError(
                 "a node occurs twice in a mode: the file holds several subcases or superelements"
@@ -136,7 +140,10 @@ def motions(rows: Rows, frames: dict[int, int] | None = None) -> RecordedMotions
 
 
 def gathered(
-    eigenvalues: Float, modal_mass: Float, rows: Rows, frames: dict[int, int] | None = None
+    eigenvalues: Float,
+    modal_mass: Float,
+    rows: Rows,
+    frames: dict[int, int] | None = None,
 ) -> RecordedModes:
     """Modes of the rows of each; see `motions`.
 
@@ -160,21 +167,27 @@ def responses(
     m: RecordedMotions, frequencies: Float, quantity: str, case: int
 ) -> RecordedResponses:
     """Motions that are frequency responses of a subcase, frequencies (f,) in Hz."""
-    return RecordedResponses(**_fields(m), frequencies=frequencies, quantity=quantity, case=case)
+    return RecordedResponses(
+        **_fields(m), frequencies=frequencies, quantity=quantity, case=case
+    )
 
 
 def _fields(m: RecordedMotions) -> dict[str, Any]:
     return {name: getattr(m, name) for name in ("nodes", "scalar", "motion", "frames")}
 
 
-def to_deflections(found: RecordedDeflections, model: Model | None = None) -> tuple[DofSet, Float]:
+def to_deflections(
+    found: RecordedDeflections, model: Model | None = None
+) -> tuple[DofSet, Float]:
     """DOFs, and deflections (case, dof) in the basic frame; see `to_mode_set`."""
     found = _basic(found, model)
     dofs, rows = _labels(found)
     return dofs, found.motion.reshape(-1, len(found.cases))[rows].T
 
 
-def to_responses(found: RecordedResponses, model: Model | None = None) -> tuple[DofSet, Any_]:
+def to_responses(
+    found: RecordedResponses, model: Model | None = None
+) -> tuple[DofSet, Any_]:
     """DOFs, and responses (frequency, dof) complex128 in the basic frame; see `to_mode_set`."""
     found = _basic(found, model)
     dofs, rows = _labels(found)
@@ -254,7 +267,9 @@ def _basic(found: Motions, model: Model | None) -> Motions:
     grid = model["GRID"]
     at = grid.find(found.nodes)
     scalar_points = (
-        model["SPOINT"].ragged("ID").values if "SPOINT" in model else np.empty(0, dtype=np.int64)
+        model["SPOINT"].ragged("ID").values
+        if "SPOINT" in model
+        else np.empty(0, dtype=np.int64)
     )
     lost = (at < 0) & ~found.scalar & ~np.isin(found.nodes, scalar_points)
     if lost.any():
@@ -271,4 +286,6 @@ def _basic(found: Motions, model: Model | None) -> Motions:
     local = found.motion[order].reshape(at.size, 2, 3, -1)
     basic = np.einsum("nji,nkjm->nkim", turn, local).reshape(at.size, 6, -1)
     zero = np.zeros(at.size, dtype=np.int64)
-    return replace(found, nodes=found.nodes[order], scalar=scalar[order], motion=basic, frames=zero)
+    return replace(
+        found, nodes=found.nodes[order], scalar=scalar[order], motion=basic, frames=zero
+    )

@@ -212,7 +212,8 @@ def _words(card: str, names: list[str]) -> tuple[Word, ...]:
 
 
 POINT_BLOCKS = ("BGPDT", "EQEXIN", "CSTM")
-_SHORT = 4  # words of a point in BGPDT: its frame and three single-precision coordinates
+# words of a point in BGPDT: its frame and three single-precision coordinates
+_SHORT = 4
 _KINDS = {1: "CORD2R", 2: "CORD2C", 3: "CORD2S"}
 _FRAME = 12  # numbers of a frame: its origin, and by rows the rotation from it to basic
 
@@ -262,14 +263,18 @@ def _placed(block: Op2Table, count: int) -> tuple[Int, Float] | None:
     if len(body) == count * _SHORT * block.word:
         reals = block.decimals(block.floats(body)).reshape(count, _SHORT)
         return block.ints(body).reshape(count, _SHORT)[:, 0], reals[:, 1:]
-    row = np.dtype([("ints", f"{block.order}i{block.word}", 6), ("xyz", f"{block.order}f8", 3)])
+    row = np.dtype(
+        [("ints", f"{block.order}i{block.word}", 6), ("xyz", f"{block.order}f8", 3)]
+    )
     if len(body) != count * row.itemsize:
         return None
     rows = np.frombuffer(body, row)
     return rows["ints"][:, 0].astype(np.int64), rows["xyz"].astype(np.float64)
 
 
-def frames(places: Mapping[str, Op2Table], given: Mapping[str, Table]) -> dict[str, Table]:
+def frames(
+    places: Mapping[str, Op2Table], given: Mapping[str, Table]
+) -> dict[str, Table]:
     """The frames of CSTM that no card defines, as tables of CORD2R, CORD2C and CORD2S.
 
     Parameters
@@ -296,8 +301,15 @@ def frames(places: Mapping[str, Op2Table], given: Mapping[str, Table]) -> dict[s
             continue
         origin = values[rows, :3]
         turned = values[rows, 3:].reshape(-1, 3, 3)
-        corners = {"A": origin, "B": origin + turned[:, :, 2], "C": origin + turned[:, :, 0]}
-        made: dict[str, Any] = {"CID": number[rows], "RID": np.zeros(rows.size, dtype=np.int64)}
+        corners = {
+            "A": origin,
+            "B": origin + turned[:, :, 2],
+            "C": origin + turned[:, :, 0],
+        }
+        made: dict[str, Any] = {
+            "CID": number[rows],
+            "RID": np.zeros(rows.size, dtype=np.int64),
+        }
         made |= {f"{c}{k + 1}": at[:, k] for c, at in corners.items() for k in range(3)}
         own = table(card, **made)
         out[card] = stacked(given[card], own) if card in given else own

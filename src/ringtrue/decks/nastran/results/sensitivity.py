@@ -54,7 +54,11 @@ class Sensitivities:
         v = self.variable.size
         if not r or not v:
             raise DataError("no design sensitivities")
-        if self.values.shape != (r, v) or self.grid.shape != (r,) or self.component.shape != (r,):
+        if (
+            self.values.shape != (r, v)
+            or self.grid.shape != (r,)
+            or self.component.shape != (r,)
+        ):
             raise DataError(
                 f"{r} responses and {v} design variables do not fit a matrix of {self.values.shape}"
             )
@@ -169,18 +173,26 @@ def _matrix(lines: Sequence[str]) -> Sensitivities:
             row = [_real(x) for x in found[2].split()]
             values[column - 1, int(found[1]) - 1 : int(found[1]) - 1 + len(row)] = row
         elif section == "DRESP1" and (found := _ENTRY.match(line)):
-            place = [int(x) for x in found[4].split()][:2] if found[3] == "DISP" else [0, 0]
+            place = (
+                [int(x) for x in found[4].split()][:2] if found[3] == "DISP" else [0, 0]
+            )
             columns[int(found[1])] = (int(found[2]), place[0], place[1])
         elif section == "DESIGN VARIABLES" and (found := _DESVAR.match(line)):
             variables[int(found[1])] = int(found[2])
     if not done:
         raise DataError("the print of DSCM2 has no end: the file is cut off?")
     if not columns:
-        raise DataError("DSCM2 is printed without the table that identifies its columns")
+        raise DataError(
+            "DSCM2 is printed without the table that identifies its columns"
+        )
     at = sorted(columns)
     labels = np.array([columns[i] for i in at], dtype=np.int64)
-    ids = np.array([variables.get(i + 1, i + 1) for i in range(values.shape[1])], dtype=np.int64)
-    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], ids, values[np.array(at) - 1])
+    ids = np.array(
+        [variables.get(i + 1, i + 1) for i in range(values.shape[1])], dtype=np.int64
+    )
+    return Sensitivities(
+        labels[:, 0], labels[:, 1], labels[:, 2], ids, values[np.array(at) - 1]
+    )
 
 
 def _blocks(lines: Sequence[str]) -> Sensitivities:
@@ -199,7 +211,9 @@ def _blocks(lines: Sequence[str]) -> Sensitivities:
             values[-1] |= {int(v): _real(x) for v, _, x in _PAIR.findall(line)}
     variables = sorted({v for row in values for v in row})
     if not variables:
-        raise DataError("no printed design sensitivities: ask for DSAPRT(FORMATTED,END=SENS) = ALL")
+        raise DataError(
+            "no printed design sensitivities: ask for DSAPRT(FORMATTED,END=SENS) = ALL"
+        )
     for (response, _, _), row in zip(rows, values, strict=True):
         if lost := [v for v in variables if v not in row]:
             raise DataError(
@@ -208,7 +222,9 @@ def _blocks(lines: Sequence[str]) -> Sensitivities:
             )
     labels = np.array(rows, dtype=np.int64)
     table = np.array([[row[v] for v in variables] for row in values])
-    return Sensitivities(labels[:, 0], labels[:, 1], labels[:, 2], np.array(variables), table)
+    return Sensitivities(
+        labels[:, 0], labels[:, 1], labels[:, 2], np.array(variables), table
+    )
 
 
 def _real(text: str) -> float:
@@ -232,7 +248,9 @@ def _h5(path: Path) -> Sensitivities:
         raise DataError("no data sets DSCM2 and DSCMCOL")
     columns = found["DSCMCOL"]
     if columns.dtype.names:
-        columns = np.stack([columns[n].astype(np.int64) for n in columns.dtype.names], axis=1)
+        columns = np.stack(
+            [columns[n].astype(np.int64) for n in columns.dtype.names], axis=1
+        )
     columns = np.asarray(columns, dtype=np.int64).reshape(-1, _WORDS)
     values = np.asarray(found["DSCM2"], dtype=np.float64)
     values = values.T if values.shape[0] != len(columns) else values
@@ -255,5 +273,9 @@ def _csv(path: Path) -> Sensitivities:
     labels = cells[:, :3].astype(np.int64)
     variables = np.array(head[3:]).astype(np.int64)
     return Sensitivities(
-        labels[:, 0], labels[:, 1], labels[:, 2], variables, cells[:, 3:].astype(np.float64)
+        labels[:, 0],
+        labels[:, 1],
+        labels[:, 2],
+        variables,
+        cells[:, 3:].astype(np.float64),
     )
