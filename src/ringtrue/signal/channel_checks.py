@@ -151,8 +151,9 @@ def _no_signal(x: Any_, level: float, limits: ChannelLimits) -> _Finding | None:
     if changes <= x.size // limits.samples_a_change:
         return "channel dead", {"value": float(np.median(x)), "changes": changes}
     t = np.linspace(-1.0, 1.0, x.size)
-    slope = float((x - float(x[0])) @ t) / float(t @ t)
-    line = slope**2 * float(t @ t) / x.size
+    size = float(t @ t)
+    slope = float((x - float(x[0])) @ t) / size
+    line = slope**2 * size / x.size
     if line > (1 - 1e-10) * level**2:  # nothing but rounding is left besides it
         return "channel straight", {}
     if wraps := _wraps(x, limits):
@@ -221,11 +222,13 @@ def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
         Of these to the samples at the next value.
     """
     rest = float(np.median(x[:: max(1, x.size // 10000)]))
-    span = float(x.max()) - float(x.min())
+    high = float(x.max())
+    low = float(x.min())
+    span = high - low
     same = 1e-9 * span  # values that differ by rounding
     out = []
-    for end in (float(x.max()), float(x.min())):
-        inner = np.abs(x - end) > same
+    for end in (high, low):
+        inner = x < high - same if end == high else x > low + same
         count = x.size - int(np.count_nonzero(inner))
         # a channel at rest is not clipped
         if count < least or abs(end - rest) < 0.1 * span:

@@ -376,19 +376,20 @@ def _courses(scores: Any_) -> tuple[Float, Any_]:
     """
     steps, size = scores.shape
     moves = np.arange(-3, 4)
-    cost = (moves**2 / 4).astype(np.float32)
+    cost = (moves**2 / 4).astype(np.float32)[:, None]
+    places = np.arange(size)
     back = np.zeros((steps, size), dtype=np.int64)
     padded = np.full(size + 6, -np.inf, dtype=np.float32)
     shifted = sliding_window_view(padded, size)  # (move, grid)
     total = scores[0].copy()
     for m in range(1, steps):  # each step needs the one before
         padded[3:-3] = total
-        options = shifted - cost[:, None]
+        options = shifted - cost
         best = options.argmax(axis=0)
-        back[m] = np.arange(size) + moves[best]
-        total = options.max(axis=0) + scores[m]
+        back[m] = places + moves[best]
+        total = options[best, places] + scores[m]
     state = np.empty((steps, size), dtype=np.int64)
-    state[-1] = np.arange(size)
+    state[-1] = places
     for m in range(steps - 1, 0, -1):
         state[m - 1] = back[m][state[m]]
     return np.asarray(

@@ -336,9 +336,7 @@ def line_name(f: float, resolution: float, found: Sequence[float]) -> str:
     return "a rotating machine"
 
 
-def harmonics(
-    history: TimeHistory, *, low: float = 0.0, cycles: int = 0
-) -> tuple[Harmonic, ...]:
+def harmonics(history: TimeHistory, *, low: float = 0.0) -> tuple[Harmonic, ...]:
     """Lines with a steady amplitude and no width: machines and mains hum, not modes.
 
     The normalised fourth moment E|Y|⁴/(E|Y|²)² of the short-time spectra over time is 2 for a mode
@@ -349,19 +347,23 @@ def harmonics(
     ----------
     low : float, Hz
         Look above this frequency.
-    cycles : int
-        Segments of the record; 0 chooses 120 of half overlap, or fewer lines in a short record.
     """
     data = history.data
     rate = history.rate
-    segments = cycles or 120
-    length = int(
-        next_fast_len(max(256, 2 * data.shape[1] // (segments + 1)), real=True)
-    )
+    fewest = 256
+    # 120 segments of half overlap, or fewer lines in a short record
+    length = int(next_fast_len(max(fewest, 2 * data.shape[1] // 121), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
+    side, floor, limit = SHARES.clear
+    if length > fewest:
+        # each fourth segment of so many shows a line half as clearly, its moment half as
+        # far from that of a mode, if there is any
+        some = _moments(data, length, every=4)
+        if not _steady(*some, side / 2, floor / 2, limit / 2 + 1).size:
+            return ()
     second, kurtosis = _moments(data, length)
-    line = _steady(second, kurtosis, *SHARES.clear)
+    line = _steady(second, kurtosis, side, floor, limit)
     freqs = rfftfreq(length, 1 / rate)
     found = [float(freqs[i]) for i in line if freqs[i] > low]
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
@@ -390,24 +392,22 @@ def _steady(
     return np.asarray(at[peak & clear & (moment[at] < limit)], dtype=np.int64)
 
 
-def _moments(data: Any_, length: int) -> tuple[Float, Float]:
+def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
     """Power (freq,) summed over normalised channels, and its normalised second moment over time.
 
-    Of half-overlapped segments of `length` samples. The moment is the mean of those of the channels
-    by their power: the sum of the powers of two modes in different directions would look steadier
-    than either.
+    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is
+    the mean of those of the channels by their power: the sum of the powers of two modes in
+    different directions would look steadier than either.
     """
-    win, total, moment = (
-        window("blackmanharris", length),
-        *np.zeros((2, length // 2 + 1)),
-    )
+    win = window("blackmanharris", length)
+    total, moment = np.zeros((2, length // 2 + 1))
     room = np.empty((SHARES.batch, length), dtype=np.float32)
     for i in np.unique(np.linspace(0, len(data) - 1, SHARES.channels).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
         level = some.mean(dtype=np.float64)
         scale = max(float(np.std(some, dtype=np.float64)), 1e-30)
         gain = (win / scale).astype(np.float32)
-        parts = sliding_window_view(data[i], length)[:: length // 2]
+        parts = sliding_window_view(data[i], length)[:: every * (length // 2)]
         first, second = np.zeros((2, length // 2 + 1))
         # in the cache, and in place: most of the time is that of the transforms
         for k in range(0, len(parts), SHARES.batch):

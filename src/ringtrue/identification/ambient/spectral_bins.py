@@ -443,8 +443,8 @@ def singular_values(
     count = np.add.reduceat(bins.count, start)
     freqs = np.add.reduceat(bins.freqs * bins.count, start) / count
     weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
-    cross = np.add.reduceat(weighted, start) / count[:, None, None]
-    values = np.linalg.eigvalsh(cross).T[::-1][: limits.values].astype(np.float64)
+    sums = np.linalg.eigvalsh(np.add.reduceat(weighted, start)).T[::-1]
+    values = sums[: limits.values] / count
     return freqs, count, np.maximum(values, np.finfo(np.float32).tiny)
 
 
