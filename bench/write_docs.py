@@ -121,7 +121,7 @@ def page(read: Callable[[str], dict[str, Any] | None]) -> str:
         lines = [
             line for name in names if name in stated for line in row_lines(stated[name])
         ]
-        return table(HEAD, lines)
+        return table(HEAD, lines) if lines else "No results are stored."
 
     return PLACE.sub(filled, TEMPLATE.read_text(encoding="utf-8"))
 

@@ -359,6 +359,7 @@ class WordWriter:
         table.autofit = False
         shares, size = columns(rows, left)
         widths = [round(self.width * share) for share in shares]
+        # LibreOffice reads the widths of columns, Word those of cells
         for column, width in zip(table.columns, widths, strict=True):
             column.width = width
         for at, (row, cells) in enumerate(zip(table.rows, rows, strict=True)):

@@ -245,7 +245,7 @@ class Problem:
                 f"{p} parameters: got precision, rows of link, constraints {shapes}"
             )
         for c in self.configurations:
-            _positions(self.parameters, c)
+            self.positions(c)
 
     @property
     def size(self) -> int:
@@ -256,6 +256,17 @@ class Problem:
     def linked_precision(self) -> Float:
         """W_p of the unknowns, (q, q)."""
         return self.link.T @ self.precision @ self.link
+
+    def positions(self, c: Configuration) -> list[int]:
+        """Positions of the parameters of a configuration among all."""
+        at = {n: i for i, n in enumerate(self.parameters.names)}
+        unknown = [n for n in c.model.parameters.names if n not in at]
+        if unknown:
+            raise InputError(
+                f"configuration {c.name}: no parameter {unknown[0]!r}"
+                f"{did_you_mean(unknown[0], at)}"
+            )
+        return [at[n] for n in c.model.parameters.names]
 
     def inequalities(self) -> tuple[Float, Float]:
         """All limits as rows y <= limits: bounds of the parameters and linear constraints."""
@@ -299,7 +310,7 @@ class Problem:
         blocks = []
         lost = 0.0
         for i, c in enumerate(self.configurations):
-            at = _positions(self.parameters, c)
+            at = self.positions(c)
             held = None if before is None else before.points[i].pairs[:, 0]
             here = c.at(x[at], held, slopes=slopes)
             points.append(here)
@@ -377,17 +388,6 @@ def _without_slopes(now: Linearisation, x: Float) -> Linearisation:
     m = now.frequencies.size
     none = np.zeros((*now.shapes.shape, 0))
     return Linearisation(x, now.frequencies, now.shapes, np.zeros((m, 0)), none)
-
-
-def _positions(parameters: ParameterSet, c: Configuration) -> list[int]:
-    """Positions of the parameters of a configuration among all."""
-    at = {n: i for i, n in enumerate(parameters.names)}
-    unknown = [n for n in c.model.parameters.names if n not in at]
-    if unknown:
-        raise InputError(
-            f"configuration {c.name}: no parameter {unknown[0]!r}{did_you_mean(unknown[0], at)}"
-        )
-    return [at[n] for n in c.model.parameters.names]
 
 
 def joined(sets: Sequence[ParameterSet]) -> ParameterSet:

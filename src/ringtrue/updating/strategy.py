@@ -382,7 +382,7 @@ def solve_verified(
     moved = np.inf
     count = 0
     while (error > tolerance or moved > SAME_OBJECTIVE) and count < FULL_SOLUTIONS:
-        at = [problem.parameters.names.index(n) for n in model.parameters.names]
+        at = problem.positions(only)
         better, truth = model.enrich(done.x[at], sensitivities=True)
         top = max(
             [1.05 * only.target.frequencies.max(), *(t.highest for t in only.terms)]

@@ -5,8 +5,7 @@ of the truth.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from ringtrue.core.modes import ModalModel
 from ringtrue.core.testmodel import TestModel
 from ringtrue.errors import InputError
 from ringtrue.io.records import write_record
+from ringtrue.signal.band_correlations import map_in_threads
 from ringtrue.virtual.excitation import (
     Ambient,
     Pulses,
@@ -319,7 +319,11 @@ def run_campaign(
         for setup in range(len(plan.setups))
         for reference in plan.references
     }
-    by_record = _at_once(made, progress)
+    by_record: dict[str, float] = {}
+    ratios = map_in_threads(lambda make: make(), made.values())
+    for name, ratio in zip(made, ratios, strict=True):
+        by_record[name] = ratio
+        progress(len(by_record) / len(made), f"record {name}")
     hammer = [ratio for name, ratio in by_record.items() if name not in ambient]
     by_test = {name: by_record[f"{name}-ambient"] for name in tests}
     by_test["hammer"] = float(np.median(hammer))
@@ -337,23 +341,6 @@ def run_campaign(
         snr_record_db=by_record,
         ground_rms={name: t.site.ground_rms for name, t in tests.items()},
     )
-
-
-def _at_once(
-    made: Mapping[str, Callable[[], float]], progress: Progress
-) -> dict[str, float]:
-    """What is returned for each record; two are made at a time, for the memory that each takes."""
-    out: dict[str, float] = {}
-    pool = ThreadPoolExecutor(2)
-    try:
-        for name, ratio in zip(
-            made, pool.map(lambda make: make(), made.values()), strict=True
-        ):
-            out[name] = ratio
-            progress(len(out) / len(made), f"record {name}")
-    finally:
-        pool.shutdown(cancel_futures=True)
-    return out
 
 
 @dataclass(frozen=True, slots=True)

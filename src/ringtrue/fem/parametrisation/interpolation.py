@@ -19,7 +19,7 @@ interpolation learns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -491,13 +491,25 @@ class Interpolation:
         ]
 
     def _values_at(self, a: Float) -> dict[int, Float]:
-        changed = [
-            k for k, r in enumerate(self.regions) if (a[list(r.which)] != 1).any()
+        by_series = {k for k, _, _ in self._by_series(a)}
+        some = [
+            k
+            for k in range(len(self.regions))
+            if k not in by_series and self._changed(k, a)
         ]
+        return self._values_of(a, self._entries(a, some, [a]))
+
+    def _values_of(self, a: Float, found: Mapping[int, Any_]) -> dict[int, Float]:
+        """By series, and of regions whose entries were found at a, or by a complex step from it."""
         out = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
-        some = [k for k in changed if k not in out]
-        found = self._entries(a, some, [a])
-        return out | {k: self.nodes[k].coefficients(f[0]) for k, f in found.items()}
+        for k, f in found.items():
+            if self._changed(k, a):
+                out[k] = self.nodes[k].coefficients(f[0].real)
+        return out
+
+    def _changed(self, k: int, a: Float) -> bool:
+        """Whether a region does not stay nominal."""
+        return bool((a[list(self.regions[k].which)] != 1).any())
 
     def _slopes_at(self, a: Float) -> dict[int, dict[int, Float]]:
         """Of each colour, all from one call of the kernels, which gives the values as well."""
@@ -510,15 +522,11 @@ class Interpolation:
         steps = [
             np.array([self.colours.get(i) == c for i in range(a.size)]) for c in wanted
         ]
-        values = {k: s.value(x) for k, s, x in self._by_series(a) if x != 1}
-        for k, f in self._entries(
-            a, some, [a + 1j * COMPLEX_STEP * on for on in steps]
-        ).items():
+        found = self._entries(a, some, [a + 1j * COMPLEX_STEP * on for on in steps])
+        for k, f in found.items():
             for c, slope in zip(wanted, f.imag / COMPLEX_STEP, strict=True):
                 out[c][k] = self.nodes[k].derivatives(slope)
-            if (a[list(self.regions[k].which)] != 1).any():
-                values[k] = self.nodes[k].coefficients(f[0].real)
-        _kept(self._values, a.tobytes(), lambda: values)
+        _kept(self._values, a.tobytes(), lambda: self._values_of(a, found))
         return out
 
     def _by_series(self, a: Float) -> Iterator[tuple[int, Series, float]]:

@@ -245,10 +245,9 @@ def _at_end(
     problem: Problem, done: Solution
 ) -> Iterator[tuple[Configuration, AtChannels, Float]]:
     """Configurations, their models, and x of these at the end."""
-    at = dict(zip(problem.parameters.names, done.x.tolist(), strict=True))
     for c in problem.configurations:
         assert isinstance(c.model, AtChannels)
-        yield c, c.model, np.array([at[n] for n in c.model.parameters.names])
+        yield c, c.model, done.x[problem.positions(c)]
 
 
 def _errors(aims: Sequence[Target], at: Evaluated) -> tuple[Float, Float, Bool]:
