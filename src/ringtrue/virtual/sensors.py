@@ -23,8 +23,8 @@ from ringtrue.core.signals import Quantity
 from ringtrue.errors import InputError
 
 MOTIONS: tuple[Motion, ...] = ("displacement", "velocity", "acceleration")
-# lines at a time: the modal coordinates of 130 modes take 4 MB and stay in cache
-_CHUNK = 1 << 11
+# lines at a time: the modal coordinates of 130 modes take 1 MB and stay in cache
+_CHUNK = 1 << 9
 
 
 def lines(samples: int, rate: float) -> Float:
