@@ -50,7 +50,6 @@ OTHER_PATHS = (  # of the hammer test, of several tests, and pictures
     "ringtrue.signal.frf_sets",
     "ringtrue.signal.impacts",
     "ringtrue.signal.local_rational",
-    "ringtrue.signal.clock_alignment",
     "ringtrue.signal.overview",
     "ringtrue.identification.common.merging",
     "ringtrue.identification.common.tracking",

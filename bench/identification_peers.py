@@ -259,7 +259,7 @@ def measured(run: Run, path: Path, repeats: int) -> Measured | str:
 
 def one(report: Report, minutes: float) -> None:
     """One band."""
-    band = "ssi_cov(h, SsiCov(50, 100, 1{}), references=every)"
+    band = "ssi_cov(h, SsiCov(50, 100, True{}), references=every)"
     mine: list[tuple[Run, Judge]] = [
         (
             ours("no deviations", band.format(", 1")),
@@ -283,7 +283,7 @@ def one(report: Report, minutes: float) -> None:
 
 def many(report: Report, minutes: float) -> None:
     """64 channels."""
-    band = "ssi_cov(h, SsiCov(50, 100, 1, 1), references={})"
+    band = "ssi_cov(h, SsiCov(50, 100, True, 1), references={})"
 
     def judge(got: Measured) -> list[Check]:
         return checks(got, FROM, minutes)
@@ -311,7 +311,8 @@ def automatic(report: Report, minutes: float) -> None:
 def uncertainty(report: Report, minutes: float) -> None:
     """Standard deviations of every order."""
     run = ours(
-        "all deviations", "ssi_cov(h, SsiCov(20, 40, 1, blocks=50), references=every)"
+        "all deviations",
+        "ssi_cov(h, SsiCov(20, 40, True, blocks=50), references=every)",
     )
     theirs = [
         pyoma("`cov`", "run('cov', 20, 40, calc_unc=True, nb=50)"),

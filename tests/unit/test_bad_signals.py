@@ -220,11 +220,8 @@ def test_modes_of_a_clipped_record_are_no_machines(rows: Any) -> None:
         lambda rng: rng.standard_normal((6, N)),
         lambda rng: lfilter([1], [1, -0.95], rng.standard_normal((6, N)), axis=1),
         lambda rng: np.cumsum(rng.standard_normal((6, N)), axis=1),
-        lambda rng: np.outer(
-            np.arange(1, 7), np.sin(2 * np.pi * 5 * np.arange(N) / RATE)
-        ),
     ],
-    ids=["white", "coloured", "walk", "sine"],
+    ids=["white", "coloured", "walk"],
 )
 def test_nothing_is_invented(
     signal: Callable[[np.random.Generator], np.ndarray],
@@ -252,6 +249,12 @@ def test_nothing_is_invented(
                 np.ones(6), np.sin(14.6 * np.pi * np.arange(40_000) / RATE)
             ),
             "nothing but steady lines at",
+        ),
+        (
+            lambda y: np.outer(
+                np.arange(1, 7), np.sin(10 * np.pi * np.arange(N) / RATE)
+            ),
+            "nothing but steady lines at 5 Hz",
         ),
     ],
 )

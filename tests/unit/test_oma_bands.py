@@ -21,7 +21,7 @@ from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.signal import band_correlations
 from ringtrue.signal.band_correlations import (
-    COSTS,
+    UNDER_WAY,
     Signals,
     detrended,
     map_in_threads,
@@ -43,7 +43,7 @@ def filtered(y: np.ndarray, taps: np.ndarray) -> np.ndarray:
 def test_a_pass_gives_the_correlations_of_the_filtered_signals(samples):
     y = np.random.default_rng(1).standard_normal((3, samples))
     lags, refs = 20, np.array([0, 2])
-    cut = segments(samples, 4, lags, HIGH, DOWN)
+    cut = segments(samples, 4, lags, HIGH, DOWN, references=2)
     r, lower = band_correlations.run(Signals(y, np.zeros(3)), cut, HIGH, DOWN, refs)
     # of the signal that leaves the filter on one side and of that which comes to it on the other
     twice = filtered(filtered(np.pad(y, ((0, 0), (500, 500))), HIGH.taps), HIGH.taps)[
@@ -72,7 +72,7 @@ def test_threads_are_as_many_as_the_cores(monkeypatch, said):
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     assert threads() == 1
     monkeypatch.setattr("os.cpu_count", lambda: 8)
-    assert threads() == COSTS.at_once
+    assert threads() == UNDER_WAY
 
 
 def test_a_part_beyond_the_end_is_empty():

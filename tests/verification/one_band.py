@@ -32,7 +32,9 @@ def ssi_cov(
     plain = Fir(np.ones(1))
     lags = 2 * settings.block_rows - 1
     blocks = settings.blocks or blocks_for(signals.samples, lags)
-    cut = band_correlations.segments(signals.samples, blocks, lags, plain, plain)
+    cut = band_correlations.segments(
+        signals.samples, blocks, lags, plain, plain, references=8
+    )
     if references is None:
         _, lagged = band_correlations.glance(signals, cut, plain)
         refs = spanning(lagged, MAX_REFERENCES)

@@ -276,7 +276,7 @@ def test_neither_the_order_of_the_references_nor_the_units_move_a_pole():
         np.array([[1, 0, 0.2], [0.5, 1, 0], [0, 0.3, 1]]) @ e,
         axis=1,
     )
-    settings, ids = SsiCov(10, 8, 2, 1), ("1", "2", "3")
+    settings, ids = SsiCov(10, 8, blocks=1), ("1", "2", "3")
 
     def poles(scale: tuple[float, ...], references: tuple[str, ...]):
         channels = tuple(Channel(i, "acceleration") for i in ids)

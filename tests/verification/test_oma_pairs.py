@@ -64,6 +64,19 @@ def test_separate_modes_are_not_called_a_pair():
     assert not any("any turn" in x for x in result.reasons)
 
 
+def test_few_channels_have_no_planes_and_their_modes_all_the_same():
+    """Any shape lies in the plane of two channels."""
+    rng = np.random.default_rng(7)
+    for phi in (np.ones((1, 2)), np.array([[1.0, 1.0], [0.6, -0.8]])):
+        force = rng.standard_normal((2, int(RATE * 600)))
+        parts = zip(phi.T, (3.0, 8.0), force, strict=True)
+        result = heard(
+            sum(response(x, f, DAMPING, RATE, w) for x, f, w in parts), RATE, rng
+        )
+        np.testing.assert_allclose(result.modes.frequencies, [3.0, 8.0], rtol=5e-3)
+        assert not any("any turn" in x for x in result.reasons)
+
+
 def test_the_bending_of_a_slender_tower_is_two_modes_and_no_machine():
     """Two directions, 0.3 % apart, one damped twice as much as the other, an hour of it: 1000
     cycles.

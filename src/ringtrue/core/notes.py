@@ -29,7 +29,6 @@ SENTENCES = {
     "mode wanders": (
         "its frequency wanders by {wander:.2g} % along the record, which adds to the damping"
     ),
-    "mode sharp": "so little damping may be a machine of unsteady speed",
     "candidate forced": (
         "its shape is a sum of those at {others} Hz, and it is no resonance as clear as these: a "
         "peak of the force (people, waves, a machine), or a mode that these sensors do not separate"
@@ -191,7 +190,6 @@ SUMMARIES = {
     "decay multiple": "multiple of a mode",
     "mode pair": "pair, shapes not separated",
     "mode wanders": "frequency wanders along the record",
-    "mode sharp": "very little damping: a machine?",
     "candidate orders": "few model orders show it",
     "candidate scatter": "scatters along the record",
     "candidate complex": "complex shape",

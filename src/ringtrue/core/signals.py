@@ -16,6 +16,9 @@ from ringtrue.core.arrays import Any_, Complex, Float, FrozenArrays, Int, freeze
 from ringtrue.core.display import Displayed
 from ringtrue.errors import DataError
 
+# of a test of signals on noise, or on what it takes for granted: how rarely chance may pass it
+FALSE_ALARM = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impacts(FrozenArrays):

@@ -104,7 +104,7 @@ AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
         "pLSCF on half spectra",
         "confidence of the fit" + BOTH_HALVES,
         plscf.half_spectra_modes,
-        plscf.fewest_samples,
+        era.fewest_samples,
     ),
     "era": BandMethod(
         "ERA on correlations (NExT)",

@@ -21,35 +21,9 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.fft import ihfft, irfft, next_fast_len, rfft
 
 from ringtrue.core.arrays import Any_, Float, Int
-from ringtrue.signal.spectra import Fir
+from ringtrue.signal.spectra import AT_ONCE, Fir
 
-# samples of all channels and segments that go together: they stay in the cache
-AT_ONCE = 1 << 21
-
-
-@dataclass(frozen=True, slots=True)
-class SegmentCosts:
-    """How the segments of a band are laid.
-
-    Attributes
-    ----------
-    inverse : float
-        Inverse transforms of a block over transforms of a segment: 8 references.
-    longest : int
-        Samples of a segment that count, over those that overlap.
-    looks : int
-        Segments that `glance` takes.
-    at_once : int
-        Items under way, however many threads there are: all of them are in memory.
-    """
-
-    inverse: float = 10.0
-    longest: int = 5
-    looks: int = 48
-    at_once: int = 2
-
-
-COSTS = SegmentCosts()
+UNDER_WAY = 2  # items of threads, however many there are: all of them are in memory
 
 
 T = TypeVar("T")
@@ -86,26 +60,17 @@ class Segments:
 
 
 def segments(
-    samples: int, blocks: int, lags: int, band: Fir, decimation: Fir
+    samples: int, blocks: int, lags: int, band: Fir, decimation: Fir, *, references: int
 ) -> Segments:
     """A cut of `samples` into equal blocks, with room for a filter of the band and one that
-    decimates.
+    decimates, for correlations with so many references.
     """
     factor = decimation.factor
     lead = -(-(max(band.taps.size, decimation.taps.size) // 2 + 16) // factor) * factor
     overhang = 2 * lead + lags
     block = -(-samples // blocks)
-    # long ones overlap less, but each block has the inverse transforms of all its correlations, and
-    # products of many short ones take less time
-    each = max(
-        1,
-        round(
-            max(
-                np.sqrt(COSTS.inverse * block / overhang),
-                block / (COSTS.longest * overhang),
-            )
-        ),
-    )
+    # long ones overlap less, but each block has the inverse transforms of all its correlations
+    each = max(1, round(np.sqrt(references * block / overhang)))
     hop = -(-block // (each * factor)) * factor
     size = factor * int(next_fast_len(-(-(hop + overhang) // factor), real=True))
     return Segments(
@@ -206,12 +171,9 @@ def _gain(fir: Fir, size: int) -> Any_:
 
 def glance(signals: Signals, cut: Segments, band: Fir) -> tuple[Float, Float]:
     """Root mean squares (ch,) of the band, and correlations (ch, ch) at lag 1 in their units, from
-    some segments.
+    the first segment of each block.
     """
-    every = cut.blocks * cut.each
-    some = np.unique(
-        np.linspace(0, every - 1, min(COSTS.looks, every)).round().astype(np.int64)
-    )
+    some = np.arange(cut.blocks) * cut.each  # one of each block
     gain = _gain(band, cut.size)
     turn = np.exp(2j * np.pi * np.arange(gain.size) / cut.size).astype(np.complex64)
     ch = signals.level.size
@@ -309,7 +271,12 @@ def lowered(signals: Signals, decimation: Fir) -> Any_:
     ch = signals.level.size
     n = signals.samples
     cut = segments(
-        n, -(-n // max(4 * decimation.taps.size, 4096)), 0, decimation, decimation
+        n,
+        -(-n // max(4 * decimation.taps.size, 4096)),
+        0,
+        decimation,
+        decimation,
+        references=0,
     )
     gain = _gain(decimation, cut.size)
     q = cut.factor
@@ -394,7 +361,7 @@ def threads() -> int:
     """
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
     return min(
-        max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, COSTS.at_once
+        max(int(asked), 1) if asked.isdecimal() else os.cpu_count() or 1, UNDER_WAY
     )
 
 
@@ -406,7 +373,7 @@ def map_in_threads(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     with ThreadPoolExecutor(threads()) as pool:
         for item in items:
             under_way.append(pool.submit(work, item))
-            if len(under_way) == COSTS.at_once:
+            if len(under_way) == UNDER_WAY:
                 yield under_way.popleft().result()
         while under_way:
             yield under_way.popleft().result()

@@ -19,13 +19,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.notes import Note, sentence
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.spectra import detrend
-from ringtrue.signal.transients import prediction_error
+from ringtrue.signal.transients import FEWEST, prediction_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,58 +35,22 @@ class ChannelLimits:
 
     Attributes
     ----------
-    largest : float
-        Largest and, as its inverse, smallest value that a unit makes; fourth powers stay finite.
-    samples_a_change : int
-        A channel is dead whose value changes less often than once in so many samples.
-    coarse_levels : int
-        A channel is coarse that has fewer different values.
     level_ratio : float
         Ratio of an odd level to the median level of the quantity.
-    clipped_samples : int
-        Samples at an extreme of a clipped record, at least.
     clipped_ratio : float
         Samples at an extreme over those at the next value, of a clipped record: 2.4 at the top of a
         smooth signal, below 1 of noise.
-    clipped_share : float
-        Share of clipped samples that changes the statistics of the amplitude.
-    spike : float
-        Robust standard deviations of a spike.
+    odd : float
+        Times what is typical of the record: runs of equal samples, and steps into and out of them,
+        where samples are lost; spikes.
     """
 
-    largest: float = 1e70
-    samples_a_change: int = 5000
-    coarse_levels: int = 32
     level_ratio: float = 100.0
-    clipped_samples: int = 10
     clipped_ratio: float = 4.0
-    clipped_share: float = 2e-3
-    spike: float = 15.0
+    odd: float = 20.0
 
 
 LIMITS = ChannelLimits()
-
-
-@dataclass(frozen=True, slots=True)
-class WrapLimits:
-    """When values wrap: beyond one end of the range of a converter they come back at the other.
-
-    Attributes
-    ----------
-    steps : int
-        Steps over half of the range, at most, of a sound signal.
-    left : float
-        What is left of these steps without the range, over the RMS of all others.
-    foreseen : float
-        Variance of the prediction error without the wraps over that with them, at most.
-    """
-
-    steps: int = 8
-    left: float = 2.0
-    foreseen: float = 0.7
-
-
-WRAPS = WrapLimits()
 
 
 def check_channels(
@@ -103,7 +68,9 @@ def check_channels(
     # not finite where a sample is not
     top = np.maximum(data.max(axis=1), -data.min(axis=1)).astype(np.float64)
     finite = np.isfinite(data.max(axis=1)) & np.isfinite(data.min(axis=1))
-    odd = finite & ((top > limits.largest) | ((top > 0) & (top < 1 / limits.largest)))
+    # fourth powers of all samples add up to a finite sum
+    largest = (np.finfo(np.float64).max / data.shape[1]) ** 0.25
+    odd = finite & ((top > largest) | ((top > 0) & (top < 1 / largest)))
     for i in np.flatnonzero(odd).tolist():
         raise DataError(
             f"{history.source}: channel {ids[i]} reaches {top[i]:.2g}: no unit makes that"
@@ -113,7 +80,7 @@ def check_channels(
     )
     notes = []
     for i, x in enumerate(data):
-        fatal = _no_signal(x, level[i], limits)
+        fatal = _no_signal(x, level[i])
         if fatal is not None:
             notes.append(Note(fatal[0], "error", ids[i], fatal[1]))
             continue
@@ -123,7 +90,7 @@ def check_channels(
             if level[k] > 0 and c.quantity == history.channels[i].quantity
         ]
         found = (
-            _clipping(x, history.channels[i].unit, limits),
+            _clipping(x, history.channels[i].unit),
             _odd_level(level[i], peers, limits),
             _same_samples(data, i, ids),
         )
@@ -143,12 +110,12 @@ def _level(x: Any_) -> float:
     return float(np.sqrt(d @ d / d.size))
 
 
-def _no_signal(x: Any_, level: float, limits: ChannelLimits) -> _Finding | None:
+def _no_signal(x: Any_, level: float) -> _Finding | None:
     """Why a channel cannot be used."""
     if not np.isfinite(level):
         return "channel not finite", {"samples": int((~np.isfinite(x)).sum())}
     changes = int(np.count_nonzero(x[1:] != x[:-1]))
-    if changes <= x.size // limits.samples_a_change:
+    if changes < min(FEWEST, x.size // FEWEST):
         return "channel dead", {"value": float(np.median(x)), "changes": changes}
     t = np.linspace(-1.0, 1.0, x.size)
     size = float(t @ t)
@@ -156,12 +123,12 @@ def _no_signal(x: Any_, level: float, limits: ChannelLimits) -> _Finding | None:
     line = slope**2 * size / x.size
     if line > (1 - 1e-10) * level**2:  # nothing but rounding is left besides it
         return "channel straight", {}
-    if wraps := _wraps(x, limits):
+    if wraps := _wraps(x):
         return "channel wraps", {"count": wraps}
     return None
 
 
-def _wraps(x: Any_, limits: ChannelLimits) -> int:
+def _wraps(x: Any_) -> int:
     """How often a signal (sample,) leaves one end of its range and comes back at the other.
 
     A wrap is a step over more than half of the range that, less the range, is like the other steps.
@@ -172,32 +139,35 @@ def _wraps(x: Any_, limits: ChannelLimits) -> int:
     steps = np.diff(x.astype(np.float64))
     over = np.abs(steps) > 0.5 * span
     count = int(np.count_nonzero(over))
-    if count <= max(WRAPS.steps, x.size // 50000):
+    if count < FEWEST:
         return 0
     # most of them in one direction
     if np.abs(np.sign(steps[over]).sum()) > 0.5 * count:
         return 0
     others = steps[~over]
-    if not others.any() or _clipping(x, "", limits) is not None:
+    if not others.any() or _clipping(x, "") is not None:
         return 0
-    left = float(np.median(span - np.abs(steps[over])))
-    if left > WRAPS.left * np.sqrt(others @ others / others.size):
+    left = np.abs(span - np.abs(steps[over]))
+    # Gaussian steps cross an end the more often the larger they are: by the law of Rayleigh
+    most = np.sqrt(-2 * np.log(FALSE_ALARM) * (others @ others) / others.size)
+    if np.median(left) > most:
         return 0
     steps[over] -= np.sign(steps[over]) * span
     with_wraps = prediction_error(detrend(x[None])[0])
     without = prediction_error(detrend(np.cumsum(steps)[None])[0])
-    if without @ without < WRAPS.foreseen * (with_wraps @ with_wraps):
-        return count
-    return 0
+    chance = 1 - ndtri(1 - FALSE_ALARM) * 2 / np.sqrt(
+        x.size
+    )  # of the ratio of two variances
+    return count if without @ without < chance * (with_wraps @ with_wraps) else 0
 
 
-def _clipping(x: Any_, unit: str, limits: ChannelLimits) -> _Finding | None:
+def _clipping(x: Any_, unit: str) -> _Finding | None:
     levels = np.unique(x[:2000]).size
-    if levels < limits.coarse_levels:  # to sort more takes its time
+    if levels < FEWEST:  # to sort more takes its time
         levels = np.unique(x[: 1 << 16]).size
-    if levels < limits.coarse_levels:
+    if levels < FEWEST:
         return "channel coarse", {"levels": int(levels)}
-    ends = clipped_ends(x, limits.clipped_samples, limits.clipped_ratio)
+    ends = clipped_ends(x, FEWEST, LIMITS.clipped_ratio)
     if not ends:
         return None
     count = int(sum(np.count_nonzero(np.isclose(x, end, rtol=1e-9)) for end in ends))
@@ -261,15 +231,10 @@ def _same_samples(data: Any_, i: int, ids: Sequence[str]) -> _Finding | None:
 
 
 def unclipped_channels(
-    history: TimeHistory, notes: Sequence[Note], limits: ChannelLimits = LIMITS
+    history: TimeHistory, notes: Sequence[Note]
 ) -> TimeHistory | None:
     """The channels whose amplitudes are not cut off by clipping; None if there is none."""
-    most = limits.clipped_share * history.data.shape[1]
-    cut = {
-        n.subject
-        for n in notes
-        if n.code == "channel clipped" and float(n.values["samples"]) >= most
-    }
+    cut = {n.subject for n in notes if n.code == "channel clipped"}
     whole = [c.id for c in history.channels if c.id not in cut]
     if len(whole) == len(history.channels):
         return history
@@ -293,16 +258,14 @@ def usable(history: TimeHistory) -> tuple[TimeHistory, tuple[Note, ...]]:
     return (history.pick(good) if bad else history), notes
 
 
-def find_spikes(
-    history: TimeHistory, limits: ChannelLimits = LIMITS
-) -> tuple[Note, ...]:
+def find_spikes(history: TimeHistory) -> tuple[Note, ...]:
     """A note on each channel with spikes."""
     out = []
     for channel, x in zip(history.channels, history.data, strict=True):
         known = np.isfinite(x)
         if not known.any():
             continue
-        spike, size = _spikes(np.where(known, x, np.median(x[known])), limits.spike)
+        spike, size = _spikes(np.where(known, x, np.median(x[known])))
         at = np.flatnonzero(spike & known)
         if at.size:
             values: dict[str, float | int | str] = {
@@ -326,7 +289,7 @@ def equal_runs(x: Any_) -> tuple[Int, Int]:
     return first, np.diff(np.append(first, x.size))
 
 
-def _spikes(x: Any_, least: float) -> tuple[Bool, Float]:
+def _spikes(x: Any_) -> tuple[Bool, Float]:
     """Single or double samples that leave a quiet neighbourhood, and their size in robust standard
     deviations.
     """
@@ -334,7 +297,7 @@ def _spikes(x: Any_, least: float) -> tuple[Bool, Float]:
     off = np.abs(np.asarray(x, dtype=np.float64) - median_filter(x, 7, mode="nearest"))
     scale = 1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 1.0
     size = off / max(scale, 1e-300)
-    candidate = size > least
+    candidate = size > LIMITS.odd
     for a, b in runs(candidate):
         if b - a > 1:
             candidate[a : b + 1] = False
@@ -408,60 +371,6 @@ def mostly_overloaded(
     return lost if len(lost) < len(responses) else ()
 
 
-@dataclass(frozen=True, slots=True)
-class HeldSamples:
-    """When equal samples in a row are lost ones.
-
-    Attributes
-    ----------
-    least : int
-        Samples in a row.
-    typical : float
-        Times the runs of the record but for 1 %, and those next to them.
-    neighbours : int
-        Runs to each side: in the rest between events all are long in a coarse record.
-    leap : float
-        Median differences by which a lost stretch leaves an extreme of the record; a clipped one
-        does not.
-    together : int
-        Samples that are the same in all channels: fewer may be chance.
-    """
-
-    least: int = 16
-    typical: float = 20.0
-    neighbours: int = 8
-    leap: float = 8.0
-    together: int = 64
-
-
-HOLDS = HeldSamples()
-
-
-@dataclass(frozen=True, slots=True)
-class LostSamples:
-    """What is done with them.
-
-    Attributes
-    ----------
-    short : int
-        Missing samples in a row that are interpolated.
-    scattered : float
-        Share of the record that single channels lose.
-    each : float
-        Times over what one of them loses.
-    most : float
-        Share of the record beyond which a channel is left out.
-    """
-
-    short: int = 5
-    scattered: float = 0.1
-    each: float = 2.0
-    most: float = 0.3
-
-
-LOSSES = LostSamples()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaps:
     """What is lost of a record.
@@ -519,7 +428,8 @@ def bridge_gaps(history: TimeHistory) -> tuple[TimeHistory, Gaps]:
         for c in history.channels
     }
     typical = float(np.median(list(share.values())))
-    keep = [i for i, part in share.items() if part <= typical + LOSSES.most]
+    # what others have lost, or less than half of the record
+    keep = [i for i, part in share.items() if part <= typical or 2 * part < 1]
     notes += tuple(
         Note("channel lost", "error", i, {"percent": 100 * share[i]})
         for i in share
@@ -575,7 +485,8 @@ def _each_by_itself(
     )
     alone = {i: h & ~common for i, h in held.items()}
     most = max((float(h.mean()) for h in alone.values()), default=0.0)
-    if (lost & ~common).mean() < max(LOSSES.scattered, LOSSES.each * most):
+    # one channel has lost most of what all have
+    if (lost & ~common).mean() <= 2 * most:
         return history, lost, None
     data = np.array(history.data)
     for k, c in enumerate(history.channels):
@@ -610,7 +521,7 @@ def _filled(
         _bridge(data[i], none)
         long = none.copy()
         for a, b in runs(none):
-            long[a : b + 1] = b - a >= LOSSES.short
+            long[a : b + 1] = b - a >= LIMITS.odd
         if long.any():
             missing[name] = long
         if count := np.count_nonzero(none & ~long):
@@ -622,23 +533,14 @@ def _filled(
 
 def _held(x: Any_) -> Bool | None:
     """(sample,) samples that are held; None where none are."""
-    if np.count_nonzero(x[1:] == x[:-1]) < HOLDS.least:
+    if np.count_nonzero(x[1:] == x[:-1]) < LIMITS.odd:
         return None
     first, length = equal_runs(x)
-    if length.size < 2 or length.max() <= HOLDS.least:
-        return None
-    long = length > HOLDS.least + HOLDS.typical * float(np.percentile(length, 99))
-    at = np.flatnonzero(long)
-    near = length[
-        (at[:, None] + np.arange(-HOLDS.neighbours, HOLDS.neighbours + 1)).clip(
-            0, length.size - 1
-        )
-    ]
-    long[at] = length[at] > HOLDS.least + HOLDS.typical * np.median(near, axis=1)
+    long = length > LIMITS.odd * float(np.percentile(length, 99))
     if not long.any():  # as nearly always
         return None
     steps = np.abs(np.diff(x[first].astype(np.float64)))
-    leap = HOLDS.leap * float(np.median(steps))
+    leap = LIMITS.odd * float(np.median(steps))
     into = np.insert(steps, 0, np.inf) > leap
     out = np.append(steps, np.inf) > leap
     extreme = (x[first] == x.max()) | (x[first] == x.min())
@@ -658,12 +560,12 @@ def overlap(before: TimeHistory, later: TimeHistory) -> int:
     b = later.data
     if (
         a.shape[0] != b.shape[0]
-        or min(a.shape[1], b.shape[1]) < HOLDS.together
-        or not np.ptp(b[:, : HOLDS.together], axis=1).any()
+        or min(a.shape[1], b.shape[1]) < FEWEST
+        or not np.ptp(b[:, :FEWEST], axis=1).any()
     ):
         return 0
-    begin = np.flatnonzero(a[0, : a.shape[1] - HOLDS.together + 1] == b[0, 0])
-    for k in range(HOLDS.together):  # of coarse samples many begin with the same value
+    begin = np.flatnonzero(a[0, : a.shape[1] - FEWEST + 1] == b[0, 0])
+    for k in range(FEWEST):  # of coarse samples many begin with the same value
         begin = begin[(a[:, begin + k] == b[:, k : k + 1]).all(axis=0)]
     for at in begin.tolist():
         n: int = min(a.shape[1] - at, b.shape[1])

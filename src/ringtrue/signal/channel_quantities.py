@@ -20,52 +20,23 @@ from typing import cast
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.channels import DERIVATIVE
 from ringtrue.core.notes import Note
-from ringtrue.core.signals import Quantity, TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, Quantity, TimeHistory
 from ringtrue.signal.channel_checks import LIMITS
 from ringtrue.signal.clock_alignment import (
+    DELAY,
     in_one_motion,
+    least_weight,
     segment_lines,
     segments_of,
     summed_power,
 )
 
 MOTION_OF = {order: motion for motion, order in DERIVATIVE.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class QuantitySettings:
-    """When channels tell what they measure.
-
-    Attributes
-    ----------
-    segments : int
-        Of the record, that are looked at.
-    shortest : int
-        Samples of one, in records that are short: setups of five minutes.
-    coherence : float
-        Squared coherence of a line that counts.
-    lines : float
-        Sum of squared coherences of a channel with the others, below which it says nothing.
-    agreement : float
-        Mean of |J| of a channel with the others, at least.
-    peak : float
-        Standard deviations by which the spectrum of a column that measures a motion has peaks.
-    stray : float
-        Share of the typical coherence below which a column of an odd level is of another kind
-        (strain among accelerations).
-    """
-
-    segments: int = 64
-    shortest: int = 256
-    coherence: float = 0.25
-    lines: float = 20.0
-    agreement: float = 0.5
-    peak: float = 8.0
-    stray: float = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +62,7 @@ class _PhaseAgreement:
 
 
 def with_learned_quantities(
-    history: TimeHistory, settings: QuantitySettings | None = None
+    history: TimeHistory,
 ) -> tuple[TimeHistory, tuple[Note, ...]]:
     """The record with quantities that its channels do not state, without columns that show no
     motion; notes on both.
@@ -100,27 +71,26 @@ def with_learned_quantities(
     ----------
     history : TimeHistory
         Finite samples. Channels of a known quantity keep it.
-    settings : QuantitySettings, optional
     """
-    limits = settings or QuantitySettings()
     unknown = np.array([c.quantity == "unknown" for c in history.channels])
-    length, starts = segments_of(
-        history.data.shape[1], limits.segments, limits.shortest
-    )
+    length, starts = segments_of(history.data.shape[1])
     if len(unknown) < 3 or not unknown.any() or not starts.size:
         return history, ()
-    phases = _phase_agreement(segment_lines(history.data, length, starts), limits)
+    phases = _phase_agreement(segment_lines(history.data, length, starts))
     np.fill_diagonal(phases.weight, 0.0)
     total = phases.weight.sum(axis=1)
-    seen = total > limits.lines
+    seen = total > least_weight()
     if seen.sum() < 2:
         return history, ()
     ids = np.array([c.id for c in history.channels])
-    silent = unknown & (total < 1.0) & _without_peaks(phases.power, limits)
+    # less than one line that others answer as a whole
+    alone = total < 1.0
+    silent = unknown & alone & _without_peaks(phases.power)
     size = history.data.std(axis=1)
     ratio = size / np.median(size[seen])
     odd = (ratio > LIMITS.level_ratio) | (ratio * LIMITS.level_ratio < 1)
-    stray = unknown & odd & (total < limits.stray * np.median(total[seen])) & ~silent
+    # strain among accelerations
+    stray = unknown & odd & (total < np.median(total[seen]) / 2) & ~silent
     notes = []
     for code, out in (
         ("channel without motion", silent),
@@ -135,7 +105,7 @@ def with_learned_quantities(
         seen = seen[kept]
         phases = _picked(phases, kept)
     quantities = [c.quantity for c in history.channels]
-    for at, quantity in _learned(quantities, unknown & seen, seen, phases, limits):
+    for at, quantity in _learned(quantities, unknown & seen, seen, phases):
         names = " ".join(history.channels[i].id for i in at.tolist())
         notes.append(
             Note("channel quantity", "information", names, {"quantity": quantity})
@@ -149,9 +119,9 @@ def with_learned_quantities(
     return (replace(history, channels=channels) if notes else history), tuple(notes)
 
 
-def _phase_agreement(lines: Any_, limits: QuantitySettings) -> _PhaseAgreement:
+def _phase_agreement(lines: Any_) -> _PhaseAgreement:
     """Of the transforms (freq, segment, ch) of segments of the record."""
-    channels = lines.shape[2]
+    _, segments, channels = lines.shape
     agreement = np.empty((channels, channels))
     weight = np.empty((channels, channels))
     by_line = np.zeros(len(lines))
@@ -159,16 +129,14 @@ def _phase_agreement(lines: Any_, limits: QuantitySettings) -> _PhaseAgreement:
     same: Int = np.zeros(channels, dtype=np.int64)
     for k in range(channels):  # all pairs at once would be channels² spectra
         cross = np.einsum("fsc,fs->fc", lines, lines[:, :, k].conj())
-        turned, coherence = in_one_motion(
-            cross, power * power[:, [k]], limits.segments, same
-        )
-        counted = np.where(coherence > limits.coherence, coherence**2, 0.0)
+        turned, coherence = in_one_motion(cross, power * power[:, [k]], segments, same)
+        counted = coherence**2
         weight[k] = counted.sum(axis=0)
         agreement[k] = (counted * turned.real).sum(axis=0) / np.maximum(
             weight[k], 1e-12
         )
         by_line += counted.sum(axis=1) - counted[:, k]
-    return _PhaseAgreement(agreement, weight, by_line, power / limits.segments)
+    return _PhaseAgreement(agreement, weight, by_line, power / segments)
 
 
 def _picked(phases: _PhaseAgreement, kept: Bool) -> _PhaseAgreement:
@@ -180,10 +148,13 @@ def _picked(phases: _PhaseAgreement, kept: Bool) -> _PhaseAgreement:
     )
 
 
-def _without_peaks(power: Float, limits: QuantitySettings) -> Bool:
-    """(ch,) whether no line of the mean spectrum (freq, ch) stands out of its surroundings."""
+def _without_peaks(power: Float) -> Bool:
+    """(ch,) whether no line of the mean spectrum (freq, ch) stands out of its surroundings by more
+    than chance makes any of them.
+    """
     level = median_filter(power, size=(41, 1), mode="nearest")
-    chance = 1 + limits.peak / np.sqrt(limits.segments)
+    free = 2 * DELAY.segments
+    chance = chdtri(free, FALSE_ALARM / power.size) / free
     inside = power[8:-8] > chance * np.maximum(level[8:-8], np.finfo(np.float64).tiny)
     return np.asarray(~inside.any(axis=0))
 
@@ -193,13 +164,12 @@ def _learned(
     open_: Bool,
     seen: Bool,
     phases: _PhaseAgreement,
-    limits: QuantitySettings,
 ) -> list[tuple[Int, str]]:
     """Groups of the `open_` channels with their quantity; none where all are of one."""
     weighted = phases.weight * phases.agreement
     side = np.sign(np.linalg.eigh(weighted)[1][:, -1])
     total = np.maximum(phases.weight.sum(axis=1), 1e-12)
-    clear = seen & (side * (weighted @ side) / total > limits.agreement)
+    clear = seen & (side * (weighted @ side) / total > 0.5)
     order = np.array([DERIVATIVE.get(q, -1) for q in quantities])
     known = clear & (order >= 0)
     if known.any():

@@ -18,88 +18,50 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import isqrt
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.signal.spectra import window
 
 
 @dataclass(frozen=True, slots=True)
 class DelaySettings:
-    """When a delay is found.
+    """When a delay, or a drift of clocks, is found.
 
     Attributes
     ----------
     segments : int
-        Of the record, that are looked at.
-    coherence : float
-        Squared coherence of a line that counts.
-    lines : float
-        Sum of squared coherences of a channel that is known.
+        Of the record, that are looked at; drifts are sought between as many parts of it as a part
+        has segments.
     agreement : float
-        J at a delay, at least.
+        J with the delay or the drift, at least; of one that is sound.
     remainder : float
-        Of what is missing to 1 without a delay, that may be missing with it.
-    distinct : float
-        By how much J at any other delay is lower.
-    least : float, samples
-        Shortest delay: those of sound channels scatter by a tenth.
-    odd : float
-        J of a channel out of phase, at most.
+        Of what is missing to 1 otherwise, that may be missing with it.
+    most : float
+        Drift of one clock against another, s/s; quartz differs by 1e-6 to 1e-4.
     """
 
     segments: int = 64
-    coherence: float = 0.25
-    lines: float = 20.0
-    agreement: float = 0.93
-    remainder: float = 0.25
-    distinct: float = 0.15
-    least: float = 0.25
-    odd: float = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class DriftSettings:
-    """When a drift of clocks is found.
-
-    Attributes
-    ----------
-    parts : int
-        Of the record.
-    most : float
-        Drift of one clock against another, s/s; quartz differs by 1e-6 to 1e-4.
-    coherence : float
-        Squared coherence of a line that counts, of the few segments of a part.
-    lines : float
-        Sum of squared coherences, of a part.
-    loss : float
-        Of J by one delay for the whole record, from where on a drift is looked for.
-    agreement : float
-        J with the drift, at least.
-    remainder : float
-        Of what is missing to 1 without a drift, that may be missing with it.
-    least : float, samples
-        Shortest gain over the record.
-    """
-
-    parts: int = 8
-    most: float = 3e-4
-    coherence: float = 0.4
-    lines: float = 10.0
-    loss: float = 0.03
-    agreement: float = 0.8
+    agreement: float = 0.9
     remainder: float = 0.5
-    least: float = 0.2
+    most: float = 3e-4
+
+    @property
+    def parts(self) -> int:
+        """Of the record, between which clocks drift."""
+        return isqrt(self.segments)
 
 
 DELAY = DelaySettings()
-DRIFT = DriftSettings()
-DRIFT_STEP = 0.25  # samples
-DRIFT_FINE = 4  # values of J between those of the transform: eight to a sample
+# values of J between those of the transform: eight to a sample; delays and gains of less than two
+# of them are scatter
+FINE = 4
 # each side of the interpolation, Kaiser window of 90 dB: flat to 0.43 of the rate
 TAPS = 24
 
@@ -139,11 +101,10 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     """
     m = len(history.channels)
     samples = history.data.shape[1]
-    near = 0.3  # samples: gains of channels of one recorder
     nothing = Phases(
         np.zeros(m, np.bool_), np.zeros(m), np.zeros(m), np.zeros(m, np.bool_)
     )
-    length, starts = segments_of(samples, DELAY.segments)
+    length, starts = segments_of(samples)
     if m < 2 or not starts.size:
         return nothing
     order = np.asarray(derivatives)
@@ -152,22 +113,20 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     gain = gained(lines, root, order, starts)
     if gain.any():  # twice, as a large one smears the parts
         gain = shared(
-            gain + gained(turned_back(lines, gain, starts), root, order, starts), near
+            gain + gained(turned_back(lines, gain, starts), root, order, starts)
         )
         root, turned, coherence = _against_one(turned_back(lines, gain, starts), order)
-    weight = np.where(coherence > DELAY.coherence, coherence**2, 0.0)
+    weight = coherence**2
     total = weight.sum(axis=1)
-    known = (total > DELAY.lines) & (np.arange(m) != root)
+    known = (total > least_weight()) & (np.arange(m) != root)
     if not known.any():
         return nothing
     at, best, second = _delays(
         turned[known] * weight[known] / total[known, None], length
     )
     none = (turned[known].real * weight[known]).sum(axis=1) / total[known]
-    clear = (
-        (best > DELAY.agreement)
-        & (1 - best < DELAY.remainder * (1 - none))
-        & (best - second > DELAY.distinct)
+    clear = (best > DELAY.agreement) & (
+        1 - best < DELAY.remainder * (1 - np.maximum(none, second))
     )
     delay = np.zeros(m)
     agree = np.ones(m)
@@ -176,19 +135,26 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         np.where(clear, best, none),
     )
     seen = known | (np.arange(m) == root)
-    delay[seen] -= _usual(delay[seen], 0.25 / history.rate)
-    delay[np.abs(delay) < DELAY.least / history.rate] = 0.0
-    sound = np.median(agree[known]) > 0.8
-    gain[seen] -= _usual(gain[seen], near)
-    odd = (agree < DELAY.odd) & sound
+    delay[seen] -= _usual(delay[seen], 1 / (FINE * history.rate))
+    delay[np.abs(delay) < 1 / (FINE * history.rate)] = 0.0
+    sound = np.median(agree[known]) > DELAY.agreement
+    gain[seen] -= _usual(gain[seen], 1 / FINE)
+    # nearer to no agreement than to a whole one
+    odd = (agree < 0.5) & sound
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
 
 
-def segments_of(samples: int, segments: int, shortest: int = 1024) -> tuple[int, Int]:
+def least_weight() -> float:
+    """Sum of squared coherences from which on a mean of squared phase factors that agree is no
+    chance: of one at random the real part has a variance of a half.
+    """
+    return float(0.5 * ndtri(FALSE_ALARM) ** 2)
+
+
+def segments_of(samples: int) -> tuple[int, Int]:
     """Length of the segments of a record, and their first samples; none of one too short."""
-    length = int(
-        2 ** np.floor(np.log2(np.clip(2 * samples // segments, shortest, 4096)))
-    )
+    segments = DELAY.segments
+    length = int(2 ** np.floor(np.log2(np.clip(2 * samples // segments, 256, 4096))))
     if samples < 16 * length:
         return length, np.empty(0, dtype=np.int64)
     return length, np.linspace(0, samples - length, segments).astype(np.int64)
@@ -308,16 +274,15 @@ def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
     turned, weight = _by_parts(lines, root, order)
     total = weight.sum(axis=(0, 1))
     out = np.zeros(lines.shape[2])
-    middle = starts.reshape(DRIFT.parts, -1).mean(axis=1)
+    middle = starts.reshape(DELAY.parts, -1).mean(axis=1)
     u = np.asarray((middle - middle.mean()) / np.ptp(starts), dtype=np.float64)
-    most = max(int(np.ceil(DRIFT.most * np.ptp(starts) / DRIFT_STEP)), 1)
-    grid = DRIFT_STEP * np.arange(-most, most + 1, dtype=np.float64)
-    for i in np.flatnonzero(
-        (total > DRIFT.parts * DRIFT.lines) & (np.arange(out.size) != root)
-    ):
+    most = max(int(np.ceil(DELAY.most * np.ptp(starts) * FINE)), 1)
+    grid = np.arange(-most, most + 1, dtype=np.float64) / FINE
+    for i in np.flatnonzero((total > least_weight()) & (np.arange(out.size) != root)):
         j = _along(turned[:, :, i] * weight[:, :, i] / total[i], length)
         alone = float(j.sum(axis=0).max())
-        if j.max(axis=1).sum() - alone > DRIFT.loss:
+        # with any gain, J is no larger than each part at its best
+        if 1 - j.max(axis=1).sum() < DELAY.remainder * (1 - alone):
             out[i] = _best(j, u, grid, alone)
     return out
 
@@ -338,13 +303,13 @@ def turned_back(lines: Any_, gain: Float, starts: Int) -> Any_:
     return out
 
 
-def shared(values: Float, near: float) -> Float:
-    """Values within `near` of the next become their mean: channels of one recorder have one
-    clock.
+def shared(values: Float) -> Float:
+    """Gains (ch,), samples, that scatter about each other become their mean: channels of one
+    recorder have one clock.
     """
     order = np.argsort(values)
     out = np.empty_like(values)
-    for run in np.split(order, np.flatnonzero(np.diff(values[order]) > near) + 1):
+    for run in np.split(order, np.flatnonzero(np.diff(values[order]) > 1 / FINE) + 1):
         out[run] = 0.0 if (values[run] == 0).any() else values[run].mean()
     return out
 
@@ -353,14 +318,14 @@ def _by_parts(lines: Any_, root: int, order: Int) -> tuple[Complex, Float]:
     """Squared phase factors against the root, as of one motion, and weights, both (freq, part,
     ch).
     """
-    x = lines.reshape(len(lines), DRIFT.parts, -1, lines.shape[2])
+    x = lines.reshape(len(lines), DELAY.parts, -1, lines.shape[2])
     y = x[:, :, :, root]
     cross = np.einsum("fpsc,fps->fpc", x, y.conj())
     power = summed_power(x)
     turned, coherence = in_one_motion(
         cross, power * power[:, :, [root]], x.shape[2], order - order[root]
     )
-    return turned, np.where(coherence > DRIFT.coherence, coherence**2, 0.0)
+    return turned, coherence**2
 
 
 def summed_power(x: Any_) -> Any_:
@@ -376,7 +341,10 @@ def in_one_motion(
     cross: Any_, powers: Any_, segments: int, steps: Int
 ) -> tuple[Any_, Any_]:
     """Squared phase factors as of one motion, and squared coherences less the bias of few segments,
-    (freq, ...) each.
+    (freq, ...) each; 0 where chance may have made them.
+
+    Of n segments of noise a squared coherence is above c with the probability (1 - c)^(n - 1)
+    (Carter, Knapp, Nuttall 1973).
 
     Parameters
     ----------
@@ -389,7 +357,9 @@ def in_one_motion(
     """
     tiny = np.finfo(np.float32).tiny
     square = cross.real**2 + cross.imag**2
-    coherence = np.clip(square / np.maximum(powers, tiny) - 2 / segments, 0, 1)
+    coherence = np.clip(square / np.maximum(powers, tiny), 0, 1)
+    chance = 1 - FALSE_ALARM ** (1 / (segments - 1))
+    coherence = np.where(coherence > chance, coherence - 2 / segments, 0.0)
     coherence[:2] = coherence[-2:] = 0.0
     quarters = ((-1.0) ** steps).astype(np.float32)
     return cross * cross * (quarters / np.maximum(square, tiny)), coherence
@@ -397,17 +367,17 @@ def in_one_motion(
 
 def _along(z: Complex, length: int) -> Float:
     """J of each part (part, lag) from its weighted phases z (freq, part); the lags ascend, 2
-    `DRIFT_FINE` to a sample.
+    `FINE` to a sample.
     """
-    n = DRIFT_FINE * length
+    n = FINE * length
     j = np.fft.fftshift(irfft(z.T, n, axis=1) * (n / 2), axes=1)
-    reach = int(2 * DRIFT_FINE * 0.25 * length)
+    reach = int(2 * FINE * 0.25 * length)
     return np.asarray(j[:, n // 2 - reach : n // 2 + reach + 1])
 
 
 def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     """The gain with the largest J, 0 if that is not clearly more than `alone`."""
-    shift = np.rint(2 * DRIFT_FINE * grid[:, None] * u).astype(np.int64)
+    shift = np.rint(2 * FINE * grid[:, None] * u).astype(np.int64)
     room = int(np.abs(shift).max())
     if 2 * room >= j.shape[1]:
         return 0.0
@@ -423,16 +393,15 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     k = int(tops.argmax())
     if not (
         0 < k < grid.size - 1
-        and tops[k] > DRIFT.agreement
-        and 1 - tops[k] < DRIFT.remainder * (1 - alone)
+        and tops[k] > DELAY.agreement
+        and 1 - tops[k] < DELAY.remainder * (1 - alone)
     ):
         return 0.0
     left, mid, right = tops[k - 1 : k + 2]
     gain = float(
-        grid[k]
-        + 0.5 * DRIFT_STEP * (left - right) / min(left - 2 * mid + right, -1e-12)
+        grid[k] + 0.5 / FINE * (left - right) / min(left - 2 * mid + right, -1e-12)
     )
-    return gain if abs(gain) > DRIFT.least else 0.0
+    return gain if abs(gain) > 1 / FINE else 0.0
 
 
 def at_positions(data: Any_, positions: Float) -> Float:

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import ifft, next_fast_len
+from scipy.special import ndtr
 
 from ringtrue.core.arrays import Any_, Complex, Float
-from ringtrue.core.signals import TimeHistory
-from ringtrue.signal.spectra import step
-from ringtrue.signal.tonal_lines import FIT, excerpt_spectrum
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
+from ringtrue.signal.spectra import AT_ONCE, step
+from ringtrue.signal.tonal_lines import excerpt_spectrum
+from ringtrue.signal.transients import FEWEST
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,31 +25,15 @@ class AmplitudeSettings:
 
     Attributes
     ----------
-    kurtosis : float
-        Largest of a machine: the geometric mean of 1.5 of a sine and 3 of random response.
-    damping : float
-        Largest apparent damping of a machine that still has a speed.
-    near : float
-        Share of the power of a band that lies near its pole.
-    decay : float
-        Of the logarithm of an amplitude between impacts, whose kurtosis is then that of random
-        response.
     loud : float
         Share of the time that gives the loud level.
     peak : float
-        Largest power of a machine that switches, over its loud level: what is counted in `chance`
-        is more than the instants of a long record that are looked at.
-    chance : float
-        That a mode is as steady.
+        Largest power of a machine that switches, over its loud level: what is counted by chance is
+        more than the instants of a long record that are looked at.
     """
 
-    kurtosis: float = 2.1
-    damping: float = 0.05
-    near: float = 0.4
-    decay: float = 2.0
     loud: float = 0.05
     peak: float = 1.4
-    chance: float = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,19 +44,16 @@ class PhaseSettings:
     ----------
     orders : tuple of int
         Of one line over that of another.
-    near : float
-        Relative distance from a ratio of whole numbers, at most; half a band has twice as much of
-        its frequency at most.
-    lines : float
-        Half a band in lines of the record, at least.
-    evidence : float
-        Square of the mean phasor times the independent samples, at least.
     """
 
     orders: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 9, 12)
-    near: float = 0.03
-    lines: float = 30.0
-    evidence: float = 15.0
+
+    @property
+    def near(self) -> float:
+        """Relative distance from a ratio of whole numbers, at most: half of that between the
+        highest. Half a band has twice as much of its frequency at most.
+        """
+        return 0.5 / max(self.orders)
 
 
 AMPLITUDE = AmplitudeSettings()
@@ -130,7 +113,7 @@ def amplitude_evidence(
 
     A line that wanders looks like a mode of small damping, but its amplitude stays. The kurtosis of
     the band of the pole is that of random response, 3, with a standard deviation of 3/sqrt(2π ζ f
-    T); a pole is no mode where it is below 2.1 and more than three of these below 3. The
+    T); a pole is no mode where it is nearer to the 1.5 of a sine and too far below 3 by chance. The
     band is widened to four times its width, as a line may wander beyond its pole, while it holds
     most of its power near the pole and no known line. Poles of few cycles or of much damping are
     not tried.
@@ -155,7 +138,7 @@ def amplitude_evidence(
     """
     f = np.asarray(frequencies, dtype=np.float64)
     z = np.asarray(damping, dtype=np.float64)
-    samples = min(history.data.shape[1], FIT.longest)
+    samples = min(history.data.shape[1], AT_ONCE)
     duration = samples / history.rate
     width = np.maximum(6 * z * f, 20 / duration)
     cycles = 2 * np.pi * z * f * duration
@@ -165,9 +148,10 @@ def amplitude_evidence(
     )
     edge = 0.9 * np.minimum(f, history.rate / 2 - f)
     out = [""] * f.size
-    tried = (z < AMPLITUDE.damping) & (cycles > 40)
+    tried = cycles > 40
     if interval:
-        tried &= 2 * np.pi * z * f * interval > AMPLITUDE.decay
+        # their power falls below that of a false alarm between impacts
+        tried &= 4 * np.pi * z * f * interval > -np.log(FALSE_ALARM)
     if not (tried & (width < np.minimum(edge, distance / 0.75))).any():
         return tuple(out)
     spectrum, n = excerpt_spectrum(history)
@@ -187,13 +171,13 @@ def amplitude_evidence(
             )
             for w in widths
         ]
-        near = [band for band in bands if band[1] < bands[0][1] / AMPLITUDE.near]
+        near = [band for band in bands if band[1] < 2 * bands[0][1]]
         kurtosis = min(x[0] for x in near)
         top = min(x[2] for x in near)
         by_chance = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])
-        steady = top < AMPLITUDE.peak and by_chance < AMPLITUDE.chance
-        regular = steady and not interval
-        if kurtosis < AMPLITUDE.kurtosis and 3 - kurtosis > 3 * 3 / np.sqrt(cycles[k]):
+        regular = top < AMPLITUDE.peak and by_chance < FALSE_ALARM and not interval
+        by_chance = ndtr((kurtosis - 3) / (3 / np.sqrt(cycles[k])))
+        if kurtosis < np.sqrt(1.5 * 3) and by_chance < FALSE_ALARM:
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "
                 "has 3, a sine 1.5)"
@@ -239,11 +223,12 @@ def phase_evidence(
         return tuple(out)
     spectrum, n = excerpt_spectrum(history)
     step = history.rate / n
+    evidence = -np.log(FALSE_ALARM / len(pairs))  # of the test of Rayleigh
     for k, j, p, q in pairs:  # a few poles
         if out[k]:
             continue
         half = min(
-            max(3 * max(damping[k], damping[j]), PHASE.lines * step / min(f[k], f[j])),
+            max(3 * max(damping[k], damping[j]), FEWEST * step / min(f[k], f[j])),
             2 * PHASE.near,
         )
         count = int(next_fast_len(int(4 * half * max(f[k], f[j]) / step) + 8))
@@ -252,7 +237,7 @@ def phase_evidence(
         turn = np.exp(1j * (q * np.angle(a) - p * np.angle(b)))
         together = float(np.abs((weight * turn).sum()) / weight.sum())
         periods = 2 * half * min(f[k], f[j]) / step
-        if together**2 * periods > PHASE.evidence:
+        if together**2 * periods > evidence:
             out[k] = (
                 f"a machine: its phase goes with that of the line at {f[j]:.4g} Hz, {p}:{q}"
             )

@@ -6,7 +6,7 @@ differs from structures whose modes are evenly spaced. The evidence is counted o
 the angle was not taken from: θ is found from one half of the orders, and the lines are counted in
 the other half. The chance of as many without a machine is that of a binomial distribution. A line
 is one where Hotelling's T² of its amplitudes in some channels against those of its neighbours
-(Anderson 2003, section 5.2, for complex numbers) has a chance below one in a hundred.
+(Anderson 2003, section 5.2, for complex numbers) is rarer by chance than a false alarm.
 """
 
 from __future__ import annotations
@@ -21,69 +21,21 @@ from scipy.fft import fft
 from scipy.special import bdtrc, fdtrc
 
 from ringtrue.core.arrays import Any_, Bool, Float, FrozenArrays, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.signal.shaft_tracking import (
     SEARCH,
     OrderBlocks,
     SearchedSignals,
     ShaftCourse,
+    block_size,
     candidates,
     corrected,
     order_blocks,
     phase_errors,
 )
 from ringtrue.signal.tonal_lines import FIT
+from ringtrue.signal.tonal_lines import SEARCH as LINES
 
-
-@dataclass(frozen=True, slots=True)
-class MachineSettings:
-    """When harmonics are those of a machine.
-
-    Attributes
-    ----------
-    most : int
-        Machines.
-    orders : int
-        Highest harmonic that is taken out.
-    score : float
-        Standard deviations by which a comb stands out of the spectrum, at least: below, no evidence
-        is looked for.
-    line : float
-        Chance that an order shows a line where there is none.
-    false_alarm : float
-        Chance that as many orders do, of each candidate.
-    damping : float
-        Least of a structure. Orders below those where its half-power bandwidth is as wide as what
-        a line is compared with are no evidence.
-    """
-
-    most: int = 4
-    orders: int = 256
-    score: float = 8.0
-    line: float = 0.01
-    false_alarm: float = 1e-6
-    damping: float = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class RemovalSettings:
-    """How the harmonics are fitted, besides what `LineFit` says of all lines.
-
-    Attributes
-    ----------
-    speed : int
-        Polynomials of the amplitude over the speed, beyond its mean: the response of the structure
-        changes with it.
-    block : int
-        Samples that are fitted at a time, at least, and two revolutions.
-    """
-
-    speed: int = 3
-    block: int = 128
-
-
-MACHINES = MachineSettings()
-REMOVAL = RemovalSettings()
 NEIGHBOURS = np.concatenate([np.arange(-9, -1), np.arange(2, 10)])  # lines
 
 
@@ -153,23 +105,20 @@ class NearHarmonics(FrozenArrays):
     wander: Float
 
 
-def find_machines(
-    history: TimeHistory, settings: MachineSettings = MACHINES
-) -> tuple[Machine, ...]:
+def find_machines(history: TimeHistory) -> tuple[Machine, ...]:
     """Machines whose speed wanders slowly or stays, the clearest first.
 
     Parameters
     ----------
     history : TimeHistory
         `FIT.channels` of it are looked at, over their whole length.
-    settings : MachineSettings
     """
     at = np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64)
     data = _searched(history.data, np.unique(at))
     found = list[Machine]()
-    while len(data) and len(found) < settings.most:
+    while len(data) and len(found) < SEARCH.most:
         signals = SearchedSignals.of(data, history.rate)
-        machine = _clearest(signals, settings)
+        machine = _clearest(signals)
         if machine is None:
             break
         found.append(machine)
@@ -230,35 +179,35 @@ def _searched(data: Any_, at: Int) -> Any_:
     return np.asarray(out[moving] / size[moving, None].astype(np.float32))
 
 
-def _clearest(signals: SearchedSignals, settings: MachineSettings) -> Machine | None:
+def _clearest(signals: SearchedSignals) -> Machine | None:
     """The most likely candidate for which there is evidence."""
-    for candidate in candidates(signals, settings.score):
+    most_chance = FALSE_ALARM / SEARCH.most  # of each candidate
+    for candidate in candidates(signals):
         course = candidate.course
-        blocks = order_blocks(signals, course, _orders(signals, course, SEARCH.orders))
+        most = min(SEARCH.orders, _orders(signals, course))
+        blocks = order_blocks(signals, course, most)
         if blocks is None:
             continue
         error = phase_errors(blocks)
-        lines = _line_chances(blocks, error) < settings.line
-        if _chance(lines, settings.line) > settings.false_alarm:
+        lines = _line_chances(blocks, error) < FALSE_ALARM
+        if _chance(lines) > most_chance:
             continue
-        evidence = _held_out(blocks, course, signals.duration, settings)
-        if evidence.chance < settings.false_alarm:
-            fundamental = _fundamental(
-                signals, corrected(course, blocks, error), settings
-            )
-            return _whole(signals, fundamental, evidence, settings)
+        evidence = _held_out(blocks, course, signals.duration)
+        if evidence.chance < most_chance:
+            fundamental = _fundamental(signals, corrected(course, blocks, error))
+            return _whole(signals, fundamental, evidence)
     return None
 
 
-def _orders(signals: SearchedSignals, course: ShaftCourse, most: int) -> int:
+def _orders(signals: SearchedSignals, course: ShaftCourse) -> int:
     """Harmonics that the record holds."""
-    return max(1, min(most, int(signals.highest / course.frequency)))
+    return max(1, int(signals.highest / course.frequency))
 
 
-def _chance(lines: Bool, each: float) -> float:
-    """That of as many lines (order,) where each has the chance `each`."""
+def _chance(lines: Bool) -> float:
+    """That of as many lines (order,) where each is a false alarm."""
     count = int(lines.sum())
-    return float(bdtrc(count - 1, lines.size, each)) if count else 1.0
+    return float(bdtrc(count - 1, lines.size, FALSE_ALARM)) if count else 1.0
 
 
 def _line_chances(blocks: OrderBlocks, error: Float) -> Float:
@@ -299,7 +248,7 @@ class LineEvidence:
 
 
 def _held_out(
-    blocks: OrderBlocks, course: ShaftCourse, duration: float, settings: MachineSettings
+    blocks: OrderBlocks, course: ShaftCourse, duration: float
 ) -> LineEvidence:
     """LineEvidence of each half of the orders over the angle from the other one.
 
@@ -308,36 +257,35 @@ def _held_out(
     orders = blocks.orders
     half = np.array([int(k).bit_count() % 2 for k in orders], dtype=np.bool_)
     reach = int(NEIGHBOURS.max())
-    wide = 2 * settings.damping * orders * course.frequency * duration > reach
+    wide = 2 * LINES.damping * orders * course.frequency * duration > reach
     lines = list[Bool]()
     for used in (half, ~half):
         chances = _line_chances(blocks, phase_errors(blocks.taken(used)))
-        lines.append(chances[~used & wide] < settings.line)
+        lines.append(chances[~used & wide] < FALSE_ALARM)
     both = np.concatenate(lines)
-    return LineEvidence(int(both.sum()), both.size, _chance(both, settings.line))
+    return LineEvidence(int(both.sum()), both.size, _chance(both))
 
 
-def _fundamental(
-    signals: SearchedSignals, course: ShaftCourse, settings: MachineSettings
-) -> ShaftCourse:
+def _fundamental(signals: SearchedSignals, course: ShaftCourse) -> ShaftCourse:
     """The angle of the shaft whose multiples the lines are: orders between those of the course make
     it slower, a common factor of all orders faster.
     """
     for _ in range(4):  # parts of parts
         slow = course.geared(1 / 6)
-        blocks = order_blocks(signals, slow, _orders(signals, slow, 6 * SEARCH.orders))
+        most = min(6 * SEARCH.orders, _orders(signals, slow))
+        blocks = order_blocks(signals, slow, most)
         if blocks is None:
             return course
-        lines = _line_chances(blocks, np.zeros(len(blocks.values))) < settings.line
+        lines = _line_chances(blocks, np.zeros(len(blocks.values))) < FALSE_ALARM
         spacing = 6
         for part in (2, 3):
             own = lines[spacing // part - 1 :: spacing // part]
-            if _chance(_between(own, part), settings.line) < settings.false_alarm:
+            if _chance(_between(own, part)) < FALSE_ALARM / SEARCH.most:
                 spacing //= part
         own = lines[spacing - 1 :: spacing]
         ratio = spacing / 6
         for factor in (2, 3, 5, 7):
-            by_chance = _chance(_between(own, factor), settings.line) > settings.line
+            by_chance = _chance(_between(own, factor)) > FALSE_ALARM
             if by_chance and own[factor - 1 :: factor].any():
                 own = own[factor - 1 :: factor]
                 ratio *= factor
@@ -356,16 +304,15 @@ def _whole(
     signals: SearchedSignals,
     course: ShaftCourse,
     evidence: LineEvidence,
-    settings: MachineSettings,
 ) -> Machine:
     """The machine with all its harmonics, and its angle from all of them."""
     harmonics = np.ones(1, dtype=np.int64)
-    blocks = order_blocks(signals, course, _orders(signals, course, settings.orders))
+    blocks = order_blocks(signals, course, _orders(signals, course))
     if blocks is not None:
         error = phase_errors(blocks, shortest=4)
         chances = _line_chances(blocks, error)
         course = corrected(course, blocks, error)
-        harmonics = blocks.orders[chances < settings.line]
+        harmonics = blocks.orders[chances < FALSE_ALARM]
     return Machine(
         course.knots,
         course.revolutions,
@@ -383,30 +330,30 @@ def _take_out(data: Any_, rate: float, machine: Machine) -> None:
     """
     samples = data.shape[1]
     angle = machine.angle(np.arange(samples) / rate)
-    bounds = _bounds(
-        angle, max(2, int(np.ceil(REMOVAL.block * machine.frequency / rate)))
-    )
+    bounds = _bounds(angle, block_size(angle[-1] - angle[0]) // 2)
     inner = slice(bounds[0], bounds[-1])
     middles = (bounds[1:] + bounds[:-1]) / 2
     basis = _slow_basis(middles / samples, np.diff(angle[bounds]) / np.diff(bounds))
     offset = data[:, inner].mean(axis=1, dtype=np.float64).astype(np.float32)
-    amplitudes = np.empty(
-        (middles.size, 2 * machine.harmonics.size, len(data)), dtype=np.float32
-    )
-    for m, (part, waves) in enumerate(_waves(angle, bounds, machine.harmonics)):
-        own = data[:, part].T.astype(np.float32) - offset
-        amplitudes[m] = waves @ own * np.float32(2 / len(own))
-    flat = amplitudes.reshape(middles.size, -1)
     taper = (
         1.0 + 1e-3 - np.cos(2 * np.pi * (np.arange(middles.size) + 0.5) / middles.size)
     )
     weighted = basis * taper[:, None]
-    fitted = basis @ np.linalg.solve(weighted.T @ basis, weighted.T @ flat)
-    amplitudes = fitted.astype(np.float32).reshape(amplitudes.shape)
+    right = np.zeros((basis.shape[1], 2 * machine.harmonics.size, len(data)))
+    for own, (part, waves) in zip(
+        weighted, _waves(angle, bounds, machine.harmonics), strict=True
+    ):
+        block = data[:, part].T.astype(np.float32) - offset
+        right += np.multiply.outer(own, waves @ block * np.float32(2 / len(block)))
+    flat = right.reshape(len(right), -1)
+    slow = np.linalg.solve(weighted.T @ basis, flat).reshape(right.shape)
     whole = bounds.copy()
     whole[[0, -1]] = 0, samples
-    for m, (part, waves) in enumerate(_waves(angle, whole, machine.harmonics)):
-        data[:, part] -= (amplitudes[m].T @ waves).astype(data.dtype)
+    for own, (part, waves) in zip(
+        basis, _waves(angle, whole, machine.harmonics), strict=True
+    ):
+        amplitudes = np.einsum("b,bkc->ck", own, slow).astype(np.float32)
+        data[:, part] -= (amplitudes @ waves).astype(data.dtype)
 
 
 def _bounds(angle: Float, revolutions: int) -> Int:
@@ -426,7 +373,7 @@ def _slow_basis(places: Float, speed: Float) -> Float:
     spread = speed.std()
     if spread > 0:
         relative = np.clip((speed - speed.mean()) / (3 * spread), -1, 1)
-        columns.append(legvander(relative, REMOVAL.speed)[:, 1:])
+        columns.append(legvander(relative, FIT.slow - 1)[:, 1:])
     left, size, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
     return np.asarray(left[:, size > 1e-6 * size[0]])
 

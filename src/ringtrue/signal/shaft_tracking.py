@@ -19,8 +19,12 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.ndimage import map_coordinates, median_filter, spline_filter1d
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
+from ringtrue.core.signals import FALSE_ALARM
+from ringtrue.signal.spectra import AT_ONCE
+from ringtrue.signal.tonal_lines import DYNAMIC_RANGE
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,56 +33,31 @@ class SpeedSearch:
 
     Attributes
     ----------
-    lowest : float, Hz
-        Fundamental; the highest has a quarter of the `orders` below the Nyquist frequency.
     orders : int
         Harmonics that are summed, at most.
     cycles : tuple of int
         Revolutions in a frame, at least: short ones for a speed that wanders, long ones for lines
         that stand out little. Over so many bins as the first the mean spectrum is made level.
-    steps : int
-        Instants of the course, at most.
-    bound : float
-        Standard deviations that one harmonic adds to the score of a course, at most: modes are few.
+    revolutions : int
+        Of a block over which the angle is refined, at least.
     most : int
-        Candidates.
-    distance : float
-        Relative distance of two speeds, at least: less is one.
-    shared : float
-        Share of the time for which two candidates have one speed, at most.
+        Candidates, and machines.
     """
 
-    lowest: float = 2.0
     orders: int = 24
     cycles: tuple[int, ...] = (16, 64)
-    steps: int = 600
-    bound: float = 5.0
-    most: int = 8
-    distance: float = 0.03
-    shared: float = 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseLock:
-    """How the angle is refined.
-
-    Attributes
-    ----------
-    revolutions : int
-        Of a block, at least.
-    blocks : int
-        Of a record, at most.
-    gate : float
-        Standard deviations by which the phases of a harmonic must agree for it to count.
-    """
-
     revolutions: int = 4
-    blocks: int = 2000
-    gate: float = 2.5
+    most: int = 4
+
+    @property
+    def instants(self) -> int:
+        """Of a course and of its angle, at most: the levels of the longest frames stay in the
+        cache.
+        """
+        return AT_ONCE // (self.orders * self.cycles[-1])
 
 
 SEARCH = SpeedSearch()
-LOCK = PhaseLock()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,11 +123,12 @@ def _level(spectrum: Any_, group: int) -> Any_:
     groups = max(spectrum.size // group, 1)
     used = spectrum[: groups * group]
     power = (used.real**2 + used.imag**2).reshape(groups, -1).mean(axis=1)
-    level = np.sqrt(
-        median_filter(power, size=33, mode="nearest") + np.finfo(np.float32).tiny
-    )
+    floor = DYNAMIC_RANGE * power.max() + np.finfo(np.float32).tiny
+    level = np.sqrt(np.maximum(median_filter(power, size=33, mode="nearest"), floor))
     middles = (np.arange(groups) + 0.5) * group
-    return np.interp(np.arange(spectrum.size), middles, level).astype(np.float32)
+    return np.asarray(
+        np.interp(np.arange(spectrum.size), middles, level), dtype=np.float32
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,45 +178,48 @@ class CourseCandidate:
 
     Attributes
     ----------
-    score : float
-        Of its harmonics together, in standard deviations of noise; what one adds is bounded.
     strength : float
-        The same without the bound.
+        Of its harmonics together, in standard deviations of noise.
     course : ShaftCourse
     """
 
-    score: float
     strength: float
     course: ShaftCourse
 
 
-def candidates(signals: SearchedSignals, least: float) -> list[CourseCandidate]:
-    """Courses that combs might have, of a score of at `least` so much, the strongest first;
-    multiples and parts of one speed are all among them.
+def candidates(signals: SearchedSignals) -> list[CourseCandidate]:
+    """Courses that combs might have, the strongest first; multiples and parts of one speed are all
+    among them.
     """
     found = list[CourseCandidate]()
-    band = SearchedBand.of(signals, SEARCH.lowest)
-    low = SEARCH.lowest
+    # of the shortest frames there are as many as their cycles
+    low = SEARCH.cycles[0] ** 2 / signals.duration
+    band = SearchedBand.of(signals, low)
     while low * SEARCH.orders < 4 * signals.highest:
         if band.top < min(signals.highest, _top(low)):
             band = SearchedBand.of(signals, low)
         found += _octave(band, low)
         low *= 2
-    # of courses that are one for some of the time, the strongest
-    found = [candidate for candidate in found if candidate.score >= least]
+    # of courses that are one for most of the time, the strongest
     found.sort(key=lambda candidate: -candidate.strength)
-    times = np.linspace(0, signals.duration, SEARCH.steps)
+    times = np.linspace(0, signals.duration, SEARCH.instants)
     distinct = list[CourseCandidate]()
     speeds = list[Float]()
     for candidate in found:
         course = candidate.course
         speed = np.log(np.gradient(course.angle(times), times[1]).clip(min=1e-3))
-        if all(
-            (np.abs(speed - x) < SEARCH.distance).mean() < SEARCH.shared for x in speeds
-        ):
+        if not any(_one_speed(np.abs(speed - x)) for x in speeds):
             distinct.append(candidate)
             speeds.append(speed)
     return distinct[: SEARCH.most]
+
+
+def _one_speed(distance: Float) -> Any_:
+    """(...,) whether courses of a relative distance (..., instant) are one: for most of the time
+    within half a bin of the short frames.
+    """
+    near = distance < 1 / (2 * SEARCH.cycles[0])
+    return np.asarray(near.mean(axis=-1) > 0.5)
 
 
 def _top(low: float) -> float:
@@ -294,8 +277,14 @@ def _octave(band: SearchedBand, low: float) -> list[CourseCandidate]:
         grid: Float = low * np.exp(step * np.arange(-edge, count + edge))
         times = np.asarray((hop * np.arange(levels.shape[1]) + length / 2) / band.rate)
         for path in _paths(levels, grid * length / band.rate):
-            course = _integrated(times, path * band.rate / length, band.duration)
-            out.append(CourseCandidate(*_agreement(levels, path), course))
+            each = _agreement(levels, path)
+            # one line more or less, as of a mode, is no comb
+            score = np.minimum(each, -ndtri(FALSE_ALARM)).sum() / np.sqrt(each.size)
+            # rarer than a false alarm at any of the places that were tried
+            if score > -ndtri(FALSE_ALARM / (grid.size * path.size)):
+                course = _integrated(times, path * band.rate / length, band.duration)
+                strength = float(each.sum() / np.sqrt(each.size))
+                out.append(CourseCandidate(strength, course))
     return out
 
 
@@ -310,8 +299,7 @@ def _paths(levels: Any_, places: Float) -> list[Float]:
     while left.any() and len(out) < SEARCH.most:
         best = int(np.where(left, score, -np.inf).argmax())
         out.append(places[state[:, best]])
-        near = np.abs(course - course[:, best, None]) < SEARCH.distance
-        left &= near.mean(axis=0) < SEARCH.shared
+        left &= ~_one_speed(np.abs(course - course[:, best, None]).T)
     return out
 
 
@@ -319,12 +307,13 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
     """(bin, step) float32 log-levels of frames of `length` samples to `top` of the rate, in
     standard deviations about their mean, and the distance of steps in samples.
 
-    The logarithm of one plus the power bounds what a mode adds to a sum over many harmonics.
+    The logarithm of one plus the power bounds what a mode adds to a sum over many harmonics. A step
+    of a long record has two frames and more.
     """
     frames = x[:, : x.shape[1] // length * length].reshape(len(x), -1, length)
     win = np.sin(np.pi * (np.arange(length) + 0.5) / length).astype(np.float32)
     bins = int(top * length)
-    together = -(-frames.shape[1] // SEARCH.steps)
+    together = -(-2 * frames.shape[1] // SEARCH.instants)
     steps = frames.shape[1] // together
     total = np.zeros((steps, bins), dtype=np.float32)
     for own in frames:
@@ -355,17 +344,14 @@ def _comb_scores(levels: Any_, places: Float) -> Any_:
     return np.ascontiguousarray(total.T)
 
 
-def _agreement(levels: Any_, places: Float) -> tuple[float, float]:
-    """Sum over the harmonics of how far each stands up along `places` (step,), in bins of `levels`
-    (bin, step): what one can add is bounded in the first value.
+def _agreement(levels: Any_, places: Float) -> Float:
+    """(order,) standard deviations by which each harmonic stands up along `places` (step,), in bins
+    of `levels` (bin, step).
     """
     orders = np.arange(1, min(SEARCH.orders, int((len(levels) - 1) / places.max())) + 1)
     at = np.rint(orders[:, None] * places).astype(np.int64)
-    each = levels[at, np.arange(places.size)].sum(axis=1) / np.sqrt(places.size)
-    each /= np.sqrt(orders.size)
-    return float(np.minimum(each, SEARCH.bound / np.sqrt(orders.size)).sum()), float(
-        each.sum()
-    )
+    total = levels[at, np.arange(places.size)].sum(axis=1)
+    return np.asarray(total / np.sqrt(places.size), dtype=np.float64)
 
 
 def _courses(scores: Any_) -> tuple[Float, Any_]:
@@ -437,6 +423,12 @@ class OrderBlocks:
         return np.asarray(self.values * turn[:, :, None])
 
 
+def block_size(revolutions: float) -> int:
+    """Revolutions of a block of a record of so many."""
+    most = SEARCH.revolutions * SEARCH.instants
+    return SEARCH.revolutions * max(1, int(np.ceil(2 * revolutions / most)))
+
+
 def order_blocks(
     signals: SearchedSignals, course: ShaftCourse, orders: int
 ) -> OrderBlocks | None:
@@ -446,7 +438,7 @@ def order_blocks(
     """
     f = course.frequency
     turned = int(course.revolutions[-1] - course.revolutions[0])
-    size = LOCK.revolutions * max(1, -(-2 * turned // (LOCK.revolutions * LOCK.blocks)))
+    size = block_size(turned)
     if turned < 12 * size or not course.rises:
         return None
     # cubic splines need samples twice as near as the band
@@ -535,7 +527,7 @@ def _weights(products: Any_, box: int) -> Float:
     real = products.real
     coherent = real.mean(axis=0, dtype=np.float64)
     variance = np.maximum(real.var(axis=0, dtype=np.float64), 1e-12)
-    clear = coherent > LOCK.gate * np.sqrt(variance * 2 * box / len(real))
+    clear = coherent > -ndtri(FALSE_ALARM) * np.sqrt(variance * 2 * box / len(real))
     return np.asarray(np.where(clear, coherent / variance, 0.0))
 
 

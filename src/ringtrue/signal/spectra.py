@@ -84,7 +84,7 @@ def csd(history: TimeHistory, settings: Welch) -> Csd:
     data = history.data
     win, starts = _welch_segments(history, settings)
     total = np.zeros((win.size // 2 + 1, len(data), len(data)), dtype=np.complex128)
-    batch = max(1, 4_000_000 // (win.size * len(data)))
+    batch = max(1, AT_ONCE // (win.size * len(data)))
     # streamed: a batch of segments is what is in memory
     for i in range(0, starts.size, batch):
         y = np.ascontiguousarray(
@@ -107,7 +107,7 @@ def psd(history: TimeHistory, settings: Welch) -> tuple[Float, Float]:
     data = history.data
     win, starts = _welch_segments(history, settings)
     total = np.zeros((len(data), win.size // 2 + 1))
-    batch = max(1, 4_000_000 // (win.size * len(data)))
+    batch = max(1, AT_ONCE // (win.size * len(data)))
     for i in range(0, starts.size, batch):
         y = segments_spectrum(data, starts[i : i + batch], win)
         total += (y.real**2 + y.imag**2).sum(axis=0)
@@ -246,8 +246,8 @@ def block_weights(power: Float) -> Float:
 _STOP = 90.0  # dB
 # of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
 DEGREE = 24
-# samples at a time: a basis of the whole record would not fit in memory
-BLOCK = 1 << 16
+# numbers that are worked on together: they stay in the cache
+AT_ONCE = 1 << 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -376,7 +376,7 @@ def band_signals(
         new = rate * m / n
         edge = step(f, 0.5 * new, 0.4 * new) if m < n else np.ones(f.size)
         gains.append(step(f, b.low / 3, b.low / 1.5) * edge * (m / n))
-    batch = max(1, 8_000_000 // n)
+    batch = max(1, AT_ONCE // n)
     # the whole spectrum of all channels would double the memory
     for i in range(0, len(data), batch):
         spectrum = rfft(detrend(data[i : i + batch]), n, axis=1)
@@ -408,17 +408,18 @@ def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
     drifting = data[much]
     places = np.linspace(-1.0, 1.0, samples)
     offset = drifting[:, :1].astype(np.float64)
+    size = AT_ONCE // (degree + 1)
     gram = np.zeros((degree + 1, degree + 1))
     right = np.zeros((degree + 1, len(drifting)))
-    for start in range(0, samples, BLOCK):
-        part = slice(start, start + BLOCK)
+    for start in range(0, samples, size):
+        part = slice(start, start + size)
         basis = legvander(places[part], degree)
         gram += basis.T @ basis
         right += basis.T @ (drifting[:, part] - offset).T
     drift = np.linalg.solve(gram, right)
     drift[0] += offset[:, 0]
-    for start in range(0, samples, BLOCK):
-        part = slice(start, start + BLOCK)
+    for start in range(0, samples, size):
+        part = slice(start, start + size)
         basis = legvander(places[part], degree)
         drifting[:, part] -= (basis @ drift).T
     data[much] = drifting

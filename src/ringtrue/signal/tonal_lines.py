@@ -28,17 +28,15 @@ from scipy.ndimage import (
     find_objects,
     label,
     maximum_filter1d,
-    median_filter,
 )
+from scipy.special import fdtrc, gammainccinv, ndtri
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.band_correlations import Signals, detrended
-from ringtrue.signal.spectra import BLOCK, window
+from ringtrue.signal.spectra import AT_ONCE, window
 
-GROUP = 32  # bins with a common level
-QUIET = 0.5  # level of a frame, at least
 DYNAMIC_RANGE = 1e-14  # of a record, as power: no recorder has more than 140 dB
 
 
@@ -50,27 +48,12 @@ class RunUpSettings:
     ----------
     frames : tuple of int, samples
         Of the transforms: slow tones are sought first.
-    low : float
-        Times the level of bin and frame: what hangs together.
-    high : float
-        Times that level: what noise does not reach.
-    cells : int
-        Loud cells, and frames, of a ridge at least.
     ratio : float
         Largest over smallest frequency, at least: five half-power bandwidths of 3 % damping.
-    span : int
-        Bins that it moves by, at least.
-    jump : float
-        Typical step from frame to frame over its range, at most.
     """
 
     frames: tuple[int, ...] = (8192, 2048, 512, 128)
-    low: float = 4.0
-    high: float = 12.0
-    cells: int = 8
     ratio: float = 1.15
-    span: int = 6
-    jump: float = 0.25
 
 
 RUN_UPS = RunUpSettings()
@@ -139,9 +122,10 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in
     the frame.
 
-    Zero throughout where too few cells stand out for a ridge.
+    Zero throughout where no cell stands out of the noise.
     """
-    bins = n // 2 // GROUP * GROUP
+    group = RUN_UPS.frames[-1] // 4  # half of the bins of the shortest frames
+    bins = n // 2 // group * group
     taper = _window(n)
     total = np.zeros((len(_frames(mixes[0], n)), bins), dtype=np.float32)
     for x in mixes:
@@ -152,16 +136,24 @@ def _whitened(mixes: Any_, n: int) -> Any_:
         )
         total += power / np.maximum(typical, np.finfo(np.float32).tiny)
     total[:, :4] = 0
-    groups = total.reshape(len(total), -1, GROUP)
+    groups = total.reshape(len(total), -1, group)
     # levels take longer than all else
-    some = groups[groups.max(axis=2) > RUN_UPS.high * QUIET]
-    if (some > RUN_UPS.high * _levels(some)).sum() < RUN_UPS.cells:
+    some = groups[groups.max(axis=2) > _noise(total.size)]
+    if not (some > _noise(total.size) * _levels(some)).any():
         return np.zeros_like(total)
     return (groups / _levels(groups)).reshape(total.shape)
 
 
 def _levels(groups: Any_) -> Any_:
-    return np.maximum(_upper_median(groups), np.float32(QUIET))
+    """The level of a frame is at least that of the record."""
+    return np.maximum(_upper_median(groups), 1)
+
+
+def _noise(cells: int) -> float:
+    """What the largest of so many cells of noise exceeds in a false alarm: each is the mean power
+    of two mixes over its expectation.
+    """
+    return float(gammainccinv(2, FALSE_ALARM / cells)) / 2
 
 
 def _upper_median(a: Any_) -> Any_:
@@ -175,15 +167,15 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[MovingTone]]:
     """Cells (frame, bin) of ridges that move, and these; bins have a distance of `step` Hz."""
     mask = np.zeros(white.shape, dtype=np.bool_)
     sweeps = list[MovingTone]()
-    if np.count_nonzero(white > RUN_UPS.high) < RUN_UPS.cells:
+    loud = white > _noise(white.size)
+    if not loud.any():
         return mask, sweeps
-    cell, count = label(white > RUN_UPS.low, np.ones((3, 3)))
-    strong = np.bincount(cell[white > RUN_UPS.high], minlength=count + 1)[1:]
-    ridges = np.flatnonzero(strong >= RUN_UPS.cells).tolist()
-    places = find_objects(cell) if ridges else []
-    for k in ridges:  # a few
+    cell, _ = label(white > _noise(1), np.ones((3, 3)))
+    ridges = np.unique(cell[loud]) - 1
+    places = find_objects(cell)
+    for k in ridges.tolist():  # a few
         own = cell[places[k]] == k + 1
-        power = np.where(own & (white[places[k]] > RUN_UPS.high), white[places[k]], 0.0)
+        power = np.where(own & loud[places[k]], white[places[k]], 0.0)
         first = places[k][1].start
         if (ends := _ridge(power, first)) is not None:
             mask[places[k]] |= own
@@ -202,9 +194,15 @@ def _moving(white: Any_, step: float) -> tuple[Bool, list[MovingTone]]:
 def _ridge(power: Float, first: int) -> tuple[float, float] | None:
     """Lowest and highest bin of a ridge `power` (frame, bin from `first` on) that moves smoothly;
     None for others.
+
+    Steps from frame to frame are less than those of noise about one frequency, by the ratio of von
+    Neumann (1941).
     """
     seen = power.any(axis=1)
-    if seen.sum() < RUN_UPS.cells:
+    count = int(seen.sum())
+    # noise has the ratio 2, with a variance of 4 / count
+    limit = 2 + 2 * float(ndtri(FALSE_ALARM)) / np.sqrt(count)
+    if limit < 0:
         return None
     at = first + np.arange(power.shape[1])
     total = power[seen].sum(axis=1)
@@ -212,8 +210,9 @@ def _ridge(power: Float, first: int) -> tuple[float, float] | None:
     ranked = np.sort(centre)
     low = float(ranked[2])
     high = float(ranked[-1 - 2])
-    jumps = float(np.median(np.abs(np.diff(centre)))) > RUN_UPS.jump * (high - low)
-    if jumps or high < RUN_UPS.ratio * low or high - low < RUN_UPS.span:
+    jumps = np.mean(np.diff(centre) ** 2) > limit * np.var(centre)
+    # decays of two modes within one main lobe, 3 bins of the sine window, move between its ends
+    if jumps or high < RUN_UPS.ratio * low or high - low < 2 * 3:
         return None
     return low, high
 
@@ -232,54 +231,19 @@ def _masked(x: Any_, mask: Bool, n: int) -> Any_:
 
 
 @dataclass(frozen=True, slots=True)
-class LineShares:
-    """How the powers of lines are estimated from segments.
-
-    Attributes
-    ----------
-    channels : int
-        Channels that show the lines of machines, at most.
-    batch : int
-        Segments that are transformed together.
-    clear : tuple of float
-        Times the power next to a steady line and around it, and its moment.
-    """
-
-    channels: int = 32
-    batch: int = 8
-    clear: tuple[float, ...] = (30.0, 10.0, 1.35)
-
-
-SHARES = LineShares()
-
-
-@dataclass(frozen=True, slots=True)
 class LineSearch:
     """When a line of the periodogram is one of a machine.
 
     Attributes
     ----------
-    cycles : float
-        Cycles of the lowest frequency in which the least damped structure (0.05 %) spreads over
-        four lines.
-    above : float
-        Power over the median around; noise reaches it once in 2^50.
-    next_to : float
-        Power over the median just outside of the lobe.
-    around : int
-        Lines to each side of which the median is taken.
     lobe : int
         Lines to each side of a sine that the window holds.
-    most : int
-        Lines of machines, the strongest.
+    damping : float
+        Least of a structure in operation.
     """
 
-    cycles: float = 3600.0
-    above: float = 50.0
-    next_to: float = 25.0
-    around: int = 40
     lobe: int = 5
-    most: int = 256
+    damping: float = 2e-3
 
 
 SEARCH = LineSearch()
@@ -294,17 +258,15 @@ class LineFit:
     slow : int
         Polynomials of amplitude and phase.
     together : int
-        Lines that are fitted at a time: a fit of all would cost the square of their number.
+        Lines that are fitted at a time, and such parts at most: a fit of all would cost the square
+        of their number.
     channels : int
         Channels that are searched; four transforms go in step.
-    longest : int
-        Samples that are searched at most.
     """
 
     slow: int = 4
-    together: int = 32
+    together: int = 16
     channels: int = 4
-    longest: int = 1 << 21
 
 
 FIT = LineFit()
@@ -355,15 +317,8 @@ def harmonics(history: TimeHistory, *, low: float = 0.0) -> tuple[Harmonic, ...]
     length = int(next_fast_len(max(fewest, 2 * data.shape[1] // 121), real=True))
     if data.shape[1] < 16 * length // 2:
         return ()
-    side, floor, limit = SHARES.clear
-    if length > fewest:
-        # each fourth segment of so many shows a line half as clearly, its moment half as
-        # far from that of a mode, if there is any
-        some = _moments(data, length, every=4)
-        if not _steady(*some, side / 2, floor / 2, limit / 2 + 1).size:
-            return ()
     second, kurtosis = _moments(data, length)
-    line = _steady(second, kurtosis, side, floor, limit)
+    line = _steady(second, kurtosis, 2 * data.shape[1] // length - 1)
     freqs = rfftfreq(length, 1 / rate)
     found = [float(freqs[i]) for i in line if freqs[i] > low]
     names = [line_name(f, freqs[1], found[:i]) for i, f in enumerate(found)]
@@ -378,41 +333,39 @@ def harmonics(history: TimeHistory, *, low: float = 0.0) -> tuple[Harmonic, ...]
     )
 
 
-def _steady(
-    second: Float, moment: Float, over_side: float, over_floor: float, limit: float
-) -> Int:
-    """Lines of the spectrum `second` (freq,) as narrow as the window, whose `moment` (freq,) is
-    below the limit.
+def _steady(second: Float, moment: Float, segments: int) -> Int:
+    """Peaks of the spectrum `second` (freq,) whose `moment` (freq,) is below that of noise.
+
+    The moment of so many powers of noise has a standard deviation of 2 / sqrt(segments).
     """
-    floor = median_filter(second, size=41, mode="nearest")
+    limit = 2 + 2 * float(ndtri(FALSE_ALARM / second.size)) / np.sqrt(segments)
     at = np.arange(8, second.size - 8)
-    side = np.maximum(second[at - 5], second[at + 5])
     peak = (second[at] >= second[at - 1]) & (second[at] > second[at + 1])
-    clear = (second[at] > over_side * side) & (second[at] > over_floor * floor[at])
-    return np.asarray(at[peak & clear & (moment[at] < limit)], dtype=np.int64)
+    return np.asarray(at[peak & (moment[at] < limit)], dtype=np.int64)
 
 
-def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
+def _moments(data: Any_, length: int) -> tuple[Float, Float]:
     """Power (freq,) summed over normalised channels, and its normalised second moment over time.
 
-    Of half-overlapped segments of `length` samples, all or one of `every` so many. The moment is
-    the mean of those of the channels by their power: the sum of the powers of two modes in
-    different directions would look steadier than either.
+    Of half-overlapped segments of `length` samples. The moment is the mean of those of the channels
+    by their power: the sum of the powers of two modes in different directions would look steadier
+    than either.
     """
     win = window("blackmanharris", length)
     total, moment = np.zeros((2, length // 2 + 1))
-    room = np.empty((SHARES.batch, length), dtype=np.float32)
-    for i in np.unique(np.linspace(0, len(data) - 1, SHARES.channels).astype(np.int64)):
+    batch = max(1, AT_ONCE // (FIT.channels * length))
+    room = np.empty((batch, length), dtype=np.float32)
+    for i in np.unique(np.linspace(0, len(data) - 1, FIT.channels).astype(np.int64)):
         some = data[i, :: max(1, data.shape[1] // 20000)]
         level = some.mean(dtype=np.float64)
         scale = max(float(np.std(some, dtype=np.float64)), 1e-30)
         gain = (win / scale).astype(np.float32)
-        parts = sliding_window_view(data[i], length)[:: every * (length // 2)]
+        parts = sliding_window_view(data[i], length)[:: length // 2]
         first, second = np.zeros((2, length // 2 + 1))
         # in the cache, and in place: most of the time is that of the transforms
-        for k in range(0, len(parts), SHARES.batch):
-            x = room[: min(SHARES.batch, len(parts) - k)]
-            np.subtract(parts[k : k + SHARES.batch], level, out=x, casting="same_kind")
+        for k in range(0, len(parts), batch):
+            x = room[: min(batch, len(parts) - k)]
+            np.subtract(parts[k : k + batch], level, out=x, casting="same_kind")
             x *= gain
             y = rfft(x, axis=1).view(np.float32)
             y *= y
@@ -427,8 +380,7 @@ def _moments(data: Any_, length: int, *, every: int = 1) -> tuple[Float, Float]:
 def find_tonal_lines(
     history: TimeHistory, *, low: float = 0.0, high: float = np.inf
 ) -> tuple[Harmonic, ...]:
-    """Sines of constant frequency between `low` and `high` Hz, the strongest where there are more
-    than `SEARCH.most`.
+    """Sines of constant frequency between `low` and `high` Hz, the strongest where there are many.
 
     Parameters
     ----------
@@ -436,39 +388,40 @@ def find_tonal_lines(
         At most 4 channels and 2 million samples of it are looked at.
     """
     power, step = _periodogram(history)
-    samples = min(history.data.shape[1], FIT.longest)
-    if samples < 16 * SEARCH.around:
-        return ()
+    samples = min(history.data.shape[1], AT_ONCE)
     k = np.flatnonzero(
         power >= maximum_filter1d(power, 2 * SEARCH.lobe + 1, mode="nearest")
     )
+    # the least damped structure spreads over the lobe
+    cycles = SEARCH.lobe / (2 * SEARCH.damping)
+    beyond = np.arange(SEARCH.lobe + 1, 3 * SEARCH.lobe + 1)
     k = k[
-        (k > SEARCH.around)
-        & (k < power.size - SEARCH.around)
-        & (step * k * samples / history.rate > SEARCH.cycles)
+        (k >= beyond[-1])
+        & (k < power.size - beyond[-1])
+        & (step * k * samples / history.rate > cycles)
     ]
     k = k[power[k] > DYNAMIC_RANGE * power.max()]
-    beyond = np.arange(SEARCH.lobe + 1, SEARCH.lobe + 5)
-    side = np.median(power[k + np.concatenate([-beyond, beyond])[:, None]], axis=0)
-    k = k[power[k] > SEARCH.next_to * side]
-    k = k[
-        power[k]
-        > SEARCH.above
-        * np.median(
-            power[k + np.arange(-SEARCH.around, SEARCH.around + 1)[:, None]], axis=0
-        )
-    ]
+    around = power[k + np.concatenate([-beyond, beyond])[:, None]]
+    chance = _line_chance(power[k], np.median(around, axis=0) / np.log(2), beyond.size)
+    k = k[chance < FALSE_ALARM / power.size]
     bend = np.log(np.maximum(power[k + np.arange(-1, 2)[:, None]], 1e-300))
     f = step * (k + 0.5 * (bend[0] - bend[2]) / (bend[0] - 2 * bend[1] + bend[2]))
     inside = (f > low) & (f < high)
     k = k[inside]
     f = f[inside]
-    f = f[np.sort(np.argsort(-power[k], kind="stable")[: SEARCH.most])]
+    f = f[np.sort(np.argsort(-power[k], kind="stable")[: FIT.together**2])]
     why = "steady frequency, taken out before modes are sought"
     names = [line_name(float(x), 2 * step, f[:i].tolist()) for i, x in enumerate(f)]
     return tuple(
         Harmonic(float(x), f"{name}: {why}") for x, name in zip(f, names, strict=True)
     )
+
+
+def _line_chance(power: Float, around: Float, lines: int) -> Float:
+    """(k,) chance that noise of one channel has such a power, where that of so many independent
+    lines around has a mean `around` (k,): F with 2 and twice as many degrees of freedom.
+    """
+    return np.asarray(fdtrc(2, 2 * lines, power / np.maximum(around, 1e-300)))
 
 
 def _periodogram(history: TimeHistory) -> tuple[Float, float]:
@@ -547,25 +500,26 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
     gram = np.zeros((columns, columns))
     right = np.zeros((columns, len(data)))
     # a basis of the whole record would not fit in memory
-    for start in range(0, samples, BLOCK):
-        a = _basis(rate, samples, frequencies, start)
-        weighted = a * taper[start : start + BLOCK, None]
+    size = AT_ONCE // columns
+    for start in range(0, samples, size):
+        a = _basis(rate, samples, frequencies, start, size)
+        weighted = a * taper[start : start + size, None]
         gram += weighted.T @ a
-        right += weighted.T @ data[:, start : start + BLOCK].T.astype(np.float64)
+        right += weighted.T @ data[:, start : start + size].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
-    for start in range(0, samples, BLOCK):
-        data[:, start : start + BLOCK] -= (
-            _basis(rate, samples, frequencies, start) @ x
+    for start in range(0, samples, size):
+        data[:, start : start + size] -= (
+            _basis(rate, samples, frequencies, start, size) @ x
         ).T.astype(data.dtype)
 
 
 def _basis(
-    rate: float, samples: int, frequencies: Sequence[float], start: int
+    rate: float, samples: int, frequencies: Sequence[float], start: int, size: int
 ) -> Float:
-    """(sample, column) sines and cosines times Legendre polynomials over the record, from a sample
-    on.
+    """(sample, column) sines and cosines times Legendre polynomials over the record, of so many
+    samples from one on.
     """
-    t = np.arange(start, min(start + BLOCK, samples))
+    t = np.arange(start, min(start + size, samples))
     slow = legvander(2 * t / samples - 1, FIT.slow - 1)
     turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)
     both = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)
@@ -574,12 +528,12 @@ def _basis(
 
 def searched_part(history: TimeHistory) -> Any_:
     """(ch, sample) float32, less about their means: at most `FIT.channels` channels and
-    `FIT.longest` samples.
+    `AT_ONCE` samples.
     """
     at = np.unique(
         np.linspace(0, len(history.channels) - 1, FIT.channels).astype(np.int64)
     )
-    return Signals.of(history.data).part(0, min(history.data.shape[1], FIT.longest), at)
+    return Signals.of(history.data).part(0, min(history.data.shape[1], AT_ONCE), at)
 
 
 def excerpt_spectrum(history: TimeHistory) -> tuple[Any_, int]:

@@ -21,14 +21,14 @@ from scipy.linalg import solve_toeplitz
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from ringtrue.core.arrays import Any_, Bool, Float, Int
-from ringtrue.core.signals import TimeHistory
+from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.signal.band_correlations import Signals, lowered
 from ringtrue.signal.spectra import decimator
 from ringtrue.signal.tonal_lines import channel_mixes
 
-FRAME = 1024  # samples: longer transforms leave the cache
 ORDER = 60  # of the prediction
-WIDTH = 16  # samples of a window
+WIDTH = 16  # samples of a window, and orders of a frame
+FEWEST = 32  # changes, values or impacts: fewer say nothing
 IMPACT_WINDOW = 4  # samples
 
 
@@ -42,63 +42,17 @@ class EventSettings:
         Times the median power around and of the record: noise does not reach it in ten million
         windows.
     fading : float
-        Of the loudest of the `memory` windows before: what is below only rings.
-    memory : int, windows
-    pause : int, windows
-        Without force between two events.
+        Of the loudest window of the last frame: what is below only rings.
     spread : int, windows
         To either side, in which the force of an event rises and falls.
-    power : float
-        Of the record, that a lower rate must hold to be looked at.
-    fewest : int
-        Events that tell lines: those of fewer are nearer than the window of a periodogram.
-    in_step : float
-        Mean phasor of the events at the frequency of a line that they make.
     """
 
     loud: float = 10.0
     fading: float = 0.05
-    memory: int = 64
-    pause: int = 8
     spread: int = 2
-    power: float = 0.5
-    fewest: int = 8
-    in_step: float = 0.7
-
-
-@dataclass(frozen=True, slots=True)
-class RegularImpactSettings:
-    """What regular impacts are.
-
-    Attributes
-    ----------
-    faint : float
-        Times the median power of the error, where an impact is due; `EventSettings.loud` elsewhere.
-    spacing : int, windows
-        To either side without a second impact.
-    fewest : int
-        Impacts.
-    share : float
-        Of the intervals, that are regular.
-    scatter : float
-        Of a regular interval about the median, relative, at most.
-    taps : int, samples
-        Of the response to an impact, at most.
-    taps_share : float
-        Of the samples of the record, that the response has at most.
-    """
-
-    faint: float = 4.0
-    spacing: int = 4
-    fewest: int = 30
-    share: float = 0.8
-    scatter: float = 0.15
-    taps: int = 2000
-    taps_share: float = 0.05
 
 
 EVENT = EventSettings()
-REGULAR = RegularImpactSettings()
 
 
 def prediction_error(x: Any_) -> Any_:
@@ -107,8 +61,9 @@ def prediction_error(x: Any_) -> Any_:
     """
     from scipy.signal import oaconvolve  # slow to import, and few commands need it
 
-    frames = x[: x.size // FRAME * FRAME].reshape(-1, FRAME)
-    spectra = rfft(frames, 2 * FRAME, axis=1)
+    size = WIDTH * ORDER
+    frames = x[: x.size // size * size].reshape(-1, size)
+    spectra = rfft(frames, 2 * size, axis=1)
     r = irfft((spectra.real**2 + spectra.imag**2).sum(axis=0, dtype=np.float64))[
         : ORDER + 1
     ]
@@ -160,18 +115,17 @@ class Events:
 
     def in_step(self, frequencies: Float) -> Bool:
         """(line,) whether lines at (line,) `frequencies`, Hz, are those of the events: they act at
-        one phase of it.
+        one phase of it, by the test of Rayleigh on the mean phasor.
         """
-        if self.times.size < EVENT.fewest:
-            return np.zeros(frequencies.size, dtype=bool)
         turns = np.exp(-2j * np.pi * frequencies[:, None] * self.times)
-        return np.asarray(np.abs(turns.mean(axis=1)) > EVENT.in_step)
+        together = np.abs(turns.sum(axis=1)) ** 2 / max(self.times.size, 1)
+        return np.asarray(together > -np.log(FALSE_ALARM))
 
     def lines_near(self, frequency: float) -> bool:
         """Whether the events have lines about a frequency, Hz: at the multiple of their rate that
         is nearest to it.
         """
-        if self.times.size < EVENT.fewest:
+        if self.times.size < 2:
             return False
         rate = (self.times.size - 1) / float(np.ptp(self.times))
         return bool(self.in_step(np.array([round(frequency / rate) * rate]))[0])
@@ -248,9 +202,9 @@ def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
 
     The error of a linear prediction is the force of the moment: decays are foreseen, and so are
     steady machines. An event is seen by most channels: a spike of one sensor is none. Where the
-    record shows none, it is looked at again at lower rates that still hold half of its power: a
-    soft impact is lost among the noise of a fast recorder. After the first sample, and samples
-    (sample,) that are `gone`, nothing is foreseen.
+    record shows none, it is looked at again at lower rates: a soft impact is lost among the noise
+    of a fast recorder. After the first sample, and samples (sample,) that are `gone`, nothing is
+    foreseen.
     """
     lost = np.zeros(data.shape[1], dtype=bool) if gone is None else gone.copy()
     lost[:1] = True
@@ -258,17 +212,11 @@ def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
     some = np.unique(np.linspace(0, len(data) - 1, 4).round().astype(np.int64))
     signals = Signals.of(data[some])
     part = signals.part(0, signals.samples)
-    power = np.square(part).mean(axis=1, dtype=np.float64)
     while True:
         found = _at_one_rate(part, rate / step, lost[::step])
         part = lowered(Signals.of(part), decimator(4))
         step *= 4
-        left = np.square(part).mean(axis=1, dtype=np.float64)
-        if (
-            found.count
-            or part.shape[1] < 16 * FRAME
-            or np.median(left) < EVENT.power * np.median(power)
-        ):
+        if found.count or part.shape[1] < WIDTH**2 * ORDER:
             return found if gone is None else replace(found, gone=gone, rate=rate)
 
 
@@ -285,11 +233,9 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
     force = force[alive] / middle[alive, None]
     power = np.median(power[alive] / middle[alive, None], axis=0)
     level = np.maximum(
-        median_filter(power, 2 * EVENT.memory + 1, mode="reflect"), np.median(power)
+        median_filter(power, 2 * ORDER + 1, mode="reflect"), np.median(power)
     )
-    recent = maximum_filter1d(
-        power, EVENT.memory, origin=(EVENT.memory - 1) // 2, mode="nearest"
-    )
+    recent = maximum_filter1d(power, ORDER, origin=(ORDER - 1) // 2, mode="nearest")
     struck = (
         (power > EVENT.loud * level)
         & (power > EVENT.fading * recent)
@@ -298,7 +244,8 @@ def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:
     if not struck.any():
         return NONE
     at = np.flatnonzero(struck)
-    runs = np.split(at, np.flatnonzero(np.diff(at) > EVENT.pause) + 1)
+    # windows around two events do not meet
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 2 * EVENT.spread + 1) + 1)
     loudest = np.array([r[power[r].argmax()] for r in runs])
     inside = WIDTH * loudest[:, None] + np.arange(WIDTH)
     largest = np.median(force[:, inside], axis=0).argmax(axis=1)
@@ -378,7 +325,8 @@ def remove_regular_impacts(
     at = _impact_samples(channel_mixes(history.data) if mixes is None else mixes)
     if not _regular(at):
         return history, None
-    taps = min(REGULAR.taps, int(REGULAR.taps_share * history.data.shape[1]))
+    # the response is as long as the prediction is known from, in a long record
+    taps = min(WIDTH * ORDER, history.data.shape[1] // WIDTH)
     usual = float(np.median(np.diff(at)))
     return replace(history, data=_left(history.data, at, taps)), RegularImpacts(
         at.size, usual / history.rate
@@ -386,14 +334,14 @@ def remove_regular_impacts(
 
 
 def _regular(at: Int) -> bool:
-    """Whether there are many impacts (k,), most of them at equal intervals."""
-    if at.size < REGULAR.fewest:
+    """Whether there are many impacts (k,), the phasors of whose intervals agree in most of their
+    power.
+    """
+    if at.size < FEWEST:
         return False
     interval = np.diff(at)
-    return bool(
-        (np.abs(interval / np.median(interval) - 1) < REGULAR.scatter).mean()
-        >= REGULAR.share
-    )
+    turns = np.exp(2j * np.pi * interval / np.median(interval))
+    return bool(2 * np.abs(turns.mean()) ** 2 > 1)
 
 
 def _impact_samples(some: Any_) -> Int:
@@ -410,7 +358,7 @@ def _impact_samples(some: Any_) -> Int:
     top = _with_faint(
         np.flatnonzero(
             (power > EVENT.loud)
-            & (power >= maximum_filter1d(power, 2 * REGULAR.spacing + 1))
+            & (power >= maximum_filter1d(power, 2 * (WIDTH // IMPACT_WINDOW) + 1))
         ),
         power,
     )
@@ -432,17 +380,14 @@ def _with_faint(top: Int, power: Any_) -> Int:
     if not _regular(top):
         return top
     usual = float(np.median(np.diff(top)))
-    reach = int(REGULAR.scatter * usual)
+    off = np.abs(np.diff(top) - usual)
+    reach = int(off[off < usual / 2].max())
     faint = []
     for a, b in pairwise(top.tolist()):
-        for k in range(1, round((b - a) / usual)):
-            middle = round(a + k * (b - a) / round((b - a) / usual))
-            at = (
-                middle
-                - reach
-                + int(power[middle - reach : middle + reach + 1].argmax())
-            )
-            faint += [at] if power[at] > REGULAR.faint else []
+        count = round((b - a) / usual)
+        for k in range(1, count):
+            first = max(round(a + k * (b - a) / count) - reach, 0)
+            faint.append(first + int(power[first : first + 2 * reach + 1].argmax()))
     return np.union1d(top, np.array(faint, dtype=np.int64))
 
 

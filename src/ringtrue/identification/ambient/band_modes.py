@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Complex, Float, Int
+from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.ambient.close_modes import loosened, refined, with_pairs
 from ringtrue.identification.ambient.confidence import (
     BandModes,
@@ -25,7 +27,6 @@ from ringtrue.identification.ambient.record_bands import BandSums
 from ringtrue.identification.ambient.record_checks import RecordFacts
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
-    PeakSettings,
     RecordSpectrum,
     candidates,
     singular_values,
@@ -40,26 +41,6 @@ from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.manual_selection import with_picks
 from ringtrue.identification.common.stabilisation import StableDiagram, unit
 from ringtrue.signal.spectra import block_weights
-
-
-@dataclass(frozen=True, slots=True)
-class WanderLimits:
-    """When the frequencies of a record wander along it.
-
-    Attributes
-    ----------
-    significant : float
-        Standard deviations of the mean correlation of neighbouring blocks, above which it is no
-        chance.
-    matters : float
-        Standard deviation of the frequency over the damping; below it adds 3 % of damping.
-    wider : float
-        What it adds to the damping, over the square of that ratio; by its shape 0.2 to 0.8.
-    """
-
-    significant: float = 3.0
-    matters: float = 0.25
-    wider: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +76,7 @@ def modes_of_band(
     table = search.table
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
-    freqs, _, values = singular_values(sums.bins, PeakSettings(lines=1))
+    freqs, values = singular_values(sums.bins)
     level = 10 * np.log10(values * np.mean(sums.scale[sums.eyes] ** 2))
     found = BandModes(
         table=table,
@@ -110,12 +91,11 @@ def modes_of_band(
     at = np.array([i for _, i in select([found], confidence_min)], dtype=np.int64)
     if not at.size or facts.driven:
         return found
-    limits = WanderLimits()
-    wander = frequency_wander(table, at, search.poles.deviation.shape[1], limits)
+    wander = frequency_wander(table, at, search.poles.deviation.shape[1])
     if steady(table, at, power, sums.stretches * sums.bins.duration):
         table = refined(table, at, references=sums.eyes, bins=bins, slope=facts.slope)
         table = loosened(table, search.pairs)
-    table = with_wander_doubt(table, wander, limits)
+    table = with_wander_doubt(table, wander)
     shape, std = _in_units(sums, table, facts)
     return replace(found, table=table, shape=shape, shape_std=std, wander=wander)
 
@@ -178,11 +158,9 @@ def event_weights(power: Float) -> Float:
     return np.asarray(w / w.sum())
 
 
-def frequency_wander(
-    c: CandidateModes, at: Int, blocks: int, limits: WanderLimits
-) -> Float:
+def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
     """(m,) standard deviation of the frequency along the record over the frequency; 0 where it may
-    be scatter.
+    be scatter, or adds less to the damping than its standard deviation.
 
     Parameters
     ----------
@@ -192,7 +170,6 @@ def frequency_wander(
         Rows that are modes; whatever moves them moves most of them.
     blocks : int
         The first columns of the deviations.
-    limits : WanderLimits
     """
     out = np.zeros(c.pole.size)
     if blocks < 2 or not at.size:
@@ -205,21 +182,20 @@ def frequency_wander(
     # the mean over the blocks is taken off
     both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (blocks - 1) + own / blocks
     like = both / np.maximum(own, np.finfo(np.float64).tiny)
-    if like.mean() > limits.significant / np.sqrt(blocks * at.size):
+    if like.mean() > ndtri(1 - FALSE_ALARM) / np.sqrt(blocks * at.size):
         out[at] = np.sqrt(np.maximum(both, 0))
-    return np.where(out > limits.matters * c.damping, out, 0.0)
+    return np.where(out**2 > c.stds()[1] * c.damping, out, 0.0)
 
 
-def with_wander_doubt(
-    c: CandidateModes, wander: Float, limits: WanderLimits
-) -> CandidateModes:
-    """The candidates with what a wandering frequency may add to the damping, a column each."""
+def with_wander_doubt(c: CandidateModes, wander: Float) -> CandidateModes:
+    """The candidates with what a wandering frequency may add to the damping, a column each: its
+    relative variance over the damping, at most.
+    """
     rows = np.flatnonzero(wander)
     if not rows.size:
         return c
     zeta = c.damping[rows]
-    share = limits.wider * (wander[rows] / zeta) ** 2
     by_damping = np.abs(c.pole[rows]) * (-1 - 1j * zeta / np.sqrt(1 - zeta**2))
     more = np.zeros((c.pole.size, rows.size), dtype=np.complex128)
-    more[rows, np.arange(rows.size)] = share * zeta * by_damping
+    more[rows, np.arange(rows.size)] = wander[rows] ** 2 / zeta * by_damping
     return replace(c, deviation=np.concatenate([c.deviation, more], axis=1))

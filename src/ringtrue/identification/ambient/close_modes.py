@@ -22,12 +22,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.signals import FALSE_ALARM
+from ringtrue.identification.ambient.confidence import LIMITS as CONFIDENCE
 from ringtrue.identification.ambient.confidence import confidence
 from ringtrue.identification.ambient.maximum_likelihood import (
-    CHANCE,
-    LIMITS,
     EstimatedModes,
     refine_by_likelihood,
 )
@@ -41,67 +42,9 @@ from ringtrue.identification.ambient.spectral_bins import (
     stacked,
 )
 from ringtrue.identification.ambient.ssi_cov import BandPoles
-from ringtrue.identification.common.stabilisation import PoleSet, unit
-from ringtrue.shapes import mac, mpc
+from ringtrue.identification.common.stabilisation import unit
+from ringtrue.shapes import mpc
 
-
-@dataclass(frozen=True, slots=True)
-class MixingLimits:
-    """When the spectra of two modes show how their estimates mix.
-
-    Attributes
-    ----------
-    close, next : float
-        Sums of half bandwidths between modes that mix; for neighbours in frequency.
-    reach : float
-        Half bandwidths on each side of a mode that are looked at.
-    bins : int
-        Least number of bins within the bandwidth of a mode.
-    prior : float
-        Standard deviation of the mixing. What subspace estimates of a close pair state of it is too
-        small.
-    misfit : float
-        Squared error over its expectation, above which something else than two modes is there.
-    like : float
-        MAC of shapes that may be those of one mode, found twice.
-    """
-
-    close: float = 4.0
-    next: float = 8.0
-    reach: float = 8.0
-    bins: int = 4
-    prior: float = 0.2
-    misfit: float = 1.5
-    like: float = 0.6
-
-
-@dataclass(frozen=True, slots=True)
-class PairLimits:
-    """When the poles of most orders show a pair in one plane of shapes.
-
-    Attributes
-    ----------
-    channels : int
-        Least number of channels: in a plane of three any shape nearly lies.
-    orders : float
-        Share of the orders that must show two poles in one plane.
-    within : float
-        Share of a squared shape that must lie in the plane.
-    separate : float
-        Standard deviations between poles that are separated.
-    damping : float
-        Ratio to that of the place, within which a pole may be one of a pair.
-    """
-
-    channels: int = 4
-    orders: float = 0.3
-    within: float = 0.8
-    separate: float = 2.0
-    damping: float = 3.0
-
-
-MIXING = MixingLimits()
-PAIRS = PairLimits()
 ANY_TURN = float(np.sqrt(0.5))
 
 
@@ -149,9 +92,7 @@ def unmix(
     if len(modes.shape) < 3:
         return Mixing(matrix, variance)
     distance = np.abs(frequency[:, None] - frequency) / (half[:, None] + half)
-    rank = np.argsort(np.argsort(frequency, kind="stable"), kind="stable")
-    adjacent = np.abs(rank[:, None] - rank) == 1
-    near = distance < np.where(adjacent, MIXING.next, MIXING.close)
+    near = distance < CONFIDENCE.mixing
     mixed = replace(modes, shape=modes.shape @ begin)
     for i in range(m):
         for j in range(i):
@@ -177,16 +118,13 @@ def _pair_mixing(
     f = modes.frequency[pair]
     z = modes.damping[pair]
     # the bins around both modes
-    low = np.searchsorted(b.freqs, f - MIXING.reach * z * f)
-    high = np.searchsorted(b.freqs, f + MIXING.reach * z * f)
+    low = np.searchsorted(b.freqs, f - CONFIDENCE.mixing * z * f)
+    high = np.searchsorted(b.freqs, f + CONFIDENCE.mixing * z * f)
     at = np.union1d(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     freqs = b.freqs[at]
     nu = freqs[:, None] / f
     inside = (np.abs(nu - 1) < z).sum(0)
-    similar = (
-        mac(modes.shape[:, pair[:1]], modes.shape[:, pair[1:]])[0, 0] > MIXING.like
-    )
-    if inside.min() < MIXING.bins or similar:
+    if not inside.all():
         return None
     h: Complex = (2 * z * nu ** (slope / 2) / (1 - nu**2 + 2j * z * nu)).astype(complex)
     w = _filters(b, at, modes, pair)
@@ -256,10 +194,11 @@ def _solve_mixing(
     """ε_ij and ε_ji and their variances from the cross spectrum (bin,) of the two coordinates.
 
     Errors of bins in one `cell` (bin,), half a bandwidth wide, that go together are no noise: other
-    modes, or forces that modes share. `x` (bin, 4) are what the four unknowns make of it.
+    modes, or forces that modes share. `x` (bin, 4) are what the four unknowns make of it. A
+    subspace estimate of a close pair may be any turn of it.
     """
     wx = x.conj() * weight[:, None]
-    hold = np.array([MIXING.prior**-2, MIXING.prior**-2, 1.0, 1.0])
+    hold = np.array([ANY_TURN**-2, ANY_TURN**-2, 1.0, 1.0])
     n = wx.T @ x + np.diag(hold)
     value = np.array([known[0], known[1].conj(), 0.0, 0.0])
     step = np.linalg.solve(n, wx.T @ cross - hold * value)
@@ -267,11 +206,12 @@ def _solve_mixing(
     misfit = float((np.abs(error) ** 2).mean())
     size = np.bincount(cell)
     sums = np.bincount(cell, error.real) + 1j * np.bincount(cell, error.imag)
-    waves = float((np.abs(sums[size > 0]) ** 2 / size[size > 0]).mean())
-    if misfit > MIXING.misfit or waves > LIMITS.waves:
+    cells = size > 0
+    waves = float((np.abs(sums[cells]) ** 2 / size[cells]).sum())
+    if 2 * waves > chdtri(2 * cells.sum(), FALSE_ALARM):
         return None
     found = value + step
-    by_chance = max(misfit, waves / CHANCE, 1.0)
+    by_chance = max(misfit, 1.0)
     spread = np.diagonal(np.linalg.solve(n, np.eye(4))).real * by_chance
     return np.array([found[0], found[1].conj()]), spread[:2]
 
@@ -291,7 +231,9 @@ def refined(
     shape = c.shape[np.ix_(references, at)]
     modes = EstimatedModes(c.frequencies[at], c.damping[at], shape)
     rough = unmix(bins, modes, slope[0]).matrix
-    fit = refine_by_likelihood(bins, replace(modes, shape=shape @ rough), slope, doubt)
+    blocks = c.deviation.shape[1]
+    separated = replace(modes, shape=shape @ rough)
+    fit = refine_by_likelihood(bins, separated, slope, doubt, blocks)
     modes = EstimatedModes(fit.frequency, fit.damping, shape)
     mix = unmix(bins, modes, slope[0], start=rough)
     c = _unmixed(c, at, mix)
@@ -303,7 +245,6 @@ def refined(
     pole = 2 * np.pi * f * (-z + 1j * root)
     by = np.stack([pole, 2 * np.pi * f * z * (-1 - 1j * z / root)], axis=1)
     own = (by[:, None] @ np.linalg.cholesky(fit.covariance[ok]))[:, 0]
-    blocks = c.deviation.shape[1]
     m = rows.size
     deviation = np.concatenate([c.deviation, np.zeros((len(c.pole), 2 * m))], axis=1)
     deviation[rows, :blocks] = 0.0
@@ -383,7 +324,7 @@ def with_pairs(
         Confidence of what is reported.
     """
     free: list[tuple[int, int]] = []
-    if table.shape.shape[0] < PAIRS.channels:
+    if len(table.shape) < 3:  # any shape lies in a plane of two channels
         return table, free
     worth = table.stable | stable_poles(band)
     for f, z in _places(table):
@@ -393,7 +334,7 @@ def with_pairs(
         near = np.abs(table.frequencies / f - 1) < z
         in_plane = (np.abs(pair.basis.conj().T @ table.shape) ** 2).sum(0)
         inside = in_plane / (np.abs(table.shape) ** 2).sum(0)
-        own = np.flatnonzero(near & (inside > PAIRS.within))
+        own = np.flatnonzero(near & (inside > CONFIDENCE.same))
         if (
             pair.turn < ANY_TURN
             and (confidence(table, spectrum.duration)[own] > least).sum() > 1
@@ -441,23 +382,17 @@ def _places(table: CandidateModes) -> list[tuple[float, float]]:
     return out
 
 
-def _near(p: PoleSet, f: float, z: float, slack: float = 1.0) -> Int:
-    most = PAIRS.damping * slack
-    like = (p.damping > z / most) & (p.damping < z * most)
-    return np.flatnonzero((np.abs(p.frequencies / f - 1) < slack * z) & like)
-
-
 def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     """The pair at a place, if enough orders show two poles in one plane."""
     p = band.poles
-    near = np.intersect1d(_near(p, f, z), np.flatnonzero(stable))
+    near = np.flatnonzero((np.abs(p.frequencies / f - 1) < z) & stable)
     two = []
     for n in np.unique(p.order[near]):
         here = near[p.order[near] == n]
         best = here[np.argsort(p.std_frequency[here], kind="stable")[:2]]
         if best.size == 2:
             two.append(best)
-    fewest = PAIRS.orders * p.orders.size
+    fewest = CONFIDENCE.shown * p.orders.size
     if len(two) < fewest:
         return None
     at = np.array(two)
@@ -467,7 +402,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
     basis = np.linalg.eigh(np.einsum("nik,njk->ij", planes, planes.conj()))[1][:, -2:]
     like = (
         np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2
-        > PAIRS.within
+        > CONFIDENCE.same
     )
     if like.sum() < fewest:
         return None
@@ -484,7 +419,7 @@ def _solved(band: BandPoles, at: Int, basis: Complex) -> Pair:
     pole, vectors = np.linalg.eig(mean)
     std = np.sqrt(2 * (np.abs(w @ _mean_deviation(band, at) / w.sum()) ** 2).sum())
     turn = np.sqrt(2) * std / abs(pole[0] - pole[1])
-    separated = turn < 1 / PAIRS.separate
+    separated = turn < ANY_TURN
     real, size, _ = np.linalg.svd(
         np.concatenate([basis.real, basis.imag], axis=1), full_matrices=False
     )

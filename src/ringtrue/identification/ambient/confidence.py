@@ -15,16 +15,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import betaincinv, expit, ndtri
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import Uncertainty
 from ringtrue.core.notes import Note, sentence, summary
+from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.stabilisation import StableDiagram, least_deviations
 from ringtrue.shapes import mpc
 from ringtrue.signal import channel_checks
+from ringtrue.signal.tonal_lines import SEARCH as LINES
 from ringtrue.signal.tonal_lines import Harmonic
 
 Row = tuple[int, int]  # a band, and a row of its table
@@ -67,22 +69,22 @@ class ConfidenceLimits:
     mixing : float
         Sums of half bandwidths between modes whose estimates mix.
     shown : float
-        Share of the orders that show a mode that others mix with.
+        Share of the orders that show a mode that others mix with, or a pair.
+    same : float
+        MAC of shapes that may be those of one mode.
     doubtful, certain : float
         Confidence below which a candidate is not mentioned, and above which it is a mode beyond
         doubt.
-    crowd : float
-        Number of possible modes over the largest order, above which more orders are tried.
-    sharp : float
-        Damping below which a mode may be a machine of unsteady speed.
+    forced : float
+        Times the modes near it that a peak of the force is wider and less known, or times sharper.
     """
 
-    mixing: float = 4.0
+    mixing: float = 8.0
     shown: float = 0.3
+    same: float = 0.8
     doubtful: float = 0.1
     certain: float = 0.8
-    crowd: float = 0.2
-    sharp: float = 2.5e-3
+    forced: float = 3.5
 
 
 WEIGHTS = EvidenceWeights()
@@ -220,9 +222,11 @@ def all_clear(c: CandidateModes, duration: float) -> bool:
 
 
 def crowded(c: CandidateModes, duration: float, largest: int) -> bool:
-    """Whether possible modes take two fifths of the largest order: some appear late."""
+    """Whether possible modes take so much of the largest order, two states each, that the orders
+    left show a last one too rarely.
+    """
     possible = confidence(c, duration) > LIMITS.doubtful
-    return bool(possible.sum() > LIMITS.crowd * largest)
+    return bool(2 * possible.sum() > (1 - LIMITS.shown) * largest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,7 +289,7 @@ def select(found: list[BandModes], least: float) -> list[Row]:
         better = better[np.argsort(np.abs(f[better] - f[k]), kind="stable")][:most]
         # two clusters of one band beyond doubt must be more similar to be one mode
         certain = (band[better] == band[k]) & (conf[better] > LIMITS.certain)
-        limit = 0.95 if conf[k] > LIMITS.certain and certain.all() else 0.8
+        limit = 0.95 if conf[k] > LIMITS.certain and certain.all() else LIMITS.same
         basis = np.linalg.qr(psi[:, better])[0]
         if np.linalg.norm(basis.conj().T @ psi[:, k]) ** 2 < limit:
             keep.append(k)
@@ -316,8 +320,6 @@ def remarks(found: BandModes, i: int) -> tuple[Note, ...]:
     if found.wander[i]:
         values = {"wander": float(100 * found.wander[i])}
         out.append(Note("mode wanders", "information", subject, values))
-    if c.damping[i] < LIMITS.sharp:
-        out.append(Note("mode sharp", "information", subject))
     return tuple(out)
 
 
@@ -365,55 +367,6 @@ def uncertainty(found: list[BandModes], at: list[Row], channels: int) -> Uncerta
     return Uncertainty(size[:m], size[m:], shape, factor)
 
 
-@dataclass(frozen=True, slots=True)
-class LineLimits:
-    """When a pole is a line of a machine.
-
-    Attributes
-    ----------
-    damping : float
-        Damping that a line may seem to have.
-    sharper : float
-        And times less of it than the modes have, where a line was taken out.
-    deviations : float
-        By which the fourth moment of the amplitude must be below that of a mode (ln, standard
-        deviations).
-    """
-
-    damping: float = 2e-3
-    sharper: float = 5.0
-    deviations: float = 2.5
-
-
-@dataclass(frozen=True, slots=True)
-class ForceLimits:
-    """When a pole is a peak of the force.
-
-    Attributes
-    ----------
-    each_side : int
-        Modes of each side that carry most of the motion at a frequency between them.
-    channels : int
-        Channels for each of these modes.
-    outside : float
-        Share of the squared shape that may lie outside their span.
-    blind : float
-        That share of the modes among themselves, over that of the peak, where sensors separate
-        them.
-    sharper : float
-        Times less damping than the modes have, beyond which a pole is in doubt.
-    doubt : float
-        Least uncertainty of the damping over that of the modes, times the damping over theirs.
-    """
-
-    each_side: int = 3
-    channels: int = 4
-    outside: float = 0.01
-    blind: float = 4.0
-    sharper: float = 3.0
-    doubt: float = 4.0
-
-
 def machine(
     f: float,
     zeta: float,
@@ -428,13 +381,12 @@ def machine(
     of a mode is steady too: the logarithm of its fourth moment, 2, scatters by 1/sqrt(2π ζ f T). A
     pole with a width is a line only where that of the line is far below.
     """
-    limits = LineLimits()
     cycles = 2 * np.pi * zeta * f * duration
-    scatter = limits.deviations / np.sqrt(cycles)
+    scatter = ndtri(1 - FALSE_ALARM) / np.sqrt(cycles)
     least_moment = np.log(2 * cycles / (cycles + 1)) - scatter
     reach = max(0.5 * resolution, zeta * f, 1e-3 * f)
     for line in lines:
-        narrow = zeta < limits.damping
+        narrow = zeta < LINES.damping
         steady = zeta < resolution / f and np.log(line.moment) < least_moment
         if abs(line.frequency - f) < reach and (narrow or steady):
             return line
@@ -447,16 +399,14 @@ def line_remainders(
     """For each pole (m,) the line of `sines`, Hz, that was taken out and left this much of itself;
     0 for modes.
 
-    A sine whose phase wanders leaves its sides, in place of the mode they stand on: far sharper
-    than the modes are.
+    A sine whose phase wanders leaves its sides, in place of the mode they stand on: as sharp as a
+    line, and far sharper than the modes are.
     """
-    limits = LineLimits()
     off = np.abs(sines[:, None] - frequency)
     near = off < np.maximum(damping * frequency, 2 / duration)
-    modes = damping[~near.any(axis=0) | (damping > limits.damping)]
+    modes = damping[~near.any(axis=0) | (damping > LINES.damping)]
     usual = float(np.median(modes)) if modes.size else 0.0
-    sharp = damping < min(limits.damping, usual / limits.sharper)
-    left = near & sharp
+    left = near & (damping < min(LINES.damping, usual / LIMITS.forced))
     return tuple(
         float(max(sines[left[:, k]], default=0.0)) for k in range(frequency.size)
     )
@@ -483,7 +433,6 @@ def carriers(
     """
     if not frequency.size:
         return []
-    limits = ForceLimits()
     level = np.linalg.norm(shape, axis=1)
     typical = float(np.median(level))
     # a channel of another unit
@@ -493,37 +442,36 @@ def carriers(
     # over the statistical floor, up to the length of the record
     loose = deviation / np.sqrt(damping / frequency)
     usual = np.median(damping)
-    loose = loose * np.maximum(usual / (limits.sharper * damping), 1.0)
+    loose = loose * np.maximum(usual / (LIMITS.forced * damping), 1.0)
     out = [np.empty(0, dtype=np.int64) for _ in frequency]
     accepted = np.zeros(frequency.size, dtype=np.bool_)
     for k in np.argsort(
         loose * np.maximum(damping / usual, 1.0), kind="stable"
     ).tolist():
         at = np.flatnonzero(accepted)
-        near = _neighbours(at[at < k], at[at > k], len(psi), limits)
+        near = _neighbours(at[at < k], at[at > k], len(psi))
         if near.size:
             known = min(np.median(loose[near]), np.median(loose[at]))
             doubt = max(damping[k] / np.median(damping[near]), 1.0) * loose[k] / known
             basis = np.linalg.qr(psi[:, near])[0]
             outside = float(1 - np.linalg.norm(basis.conj().T @ psi[:, k]) ** 2)
             inverse = np.linalg.pinv(psi[:, near])
-            # least share of these shapes that lies outside the span of the others
+            # least share of these shapes that lies outside the span of the others: a mode that
+            # the sensors separate as little has a part of it there, one of any direction
             own = (1 / np.maximum((np.abs(inverse) ** 2).sum(axis=1), 1.0)).min()
-            within = min(limits.outside, float(own) / limits.blind)
-            if doubt > limits.doubt and outside < within:
+            free = 0.5 * (len(psi) - near.size)
+            within = own * betaincinv(free, 0.5 * near.size, FALSE_ALARM)
+            if doubt > LIMITS.forced and outside < within:
                 out[k] = near
         accepted[k] = not out[k].size
     return out
 
 
-def _neighbours(below: Int, above: Int, channels: int, limits: ForceLimits) -> Int:
-    """The nearest accepted modes of either side; room that one side leaves, as below all modes, is
-    the other's.
+def _neighbours(below: Int, above: Int, channels: int) -> Int:
+    """The nearest accepted modes of either side, in all half as many as there are channels; room
+    that one side leaves, as below all modes, is the other's.
     """
-    most = limits.each_side
-    each = min(most, channels // limits.channels)
-    low = min(below.size, each)
-    high = min(above.size, each)
-    more_low = min(below.size, most, 2 * each - high)
-    more_high = min(above.size, most, 2 * each - low)
-    return np.concatenate([below[below.size - more_low :], above[:more_high]])
+    most = channels // 2
+    low = min(below.size, most - min(above.size, most // 2))
+    high = min(above.size, most - low)
+    return np.concatenate([below[below.size - low :], above[:high]])

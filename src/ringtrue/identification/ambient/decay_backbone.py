@@ -9,6 +9,7 @@ over time: weighted least squares, not derivatives of noisy signals (Feldman 199
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 from typing import ClassVar
 
 import numpy as np
@@ -18,8 +19,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Complex, Float, Int, freeze_arrays
 from ringtrue.core.display import Displayed
-
-DEGREE = 3  # of the polynomials, at most
+from ringtrue.core.signals import FALSE_ALARM
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,14 +148,13 @@ def fit_backbone(
     parts: list[Envelope],
     pole: complex,
     rate: float,
-    false_alarm: float,
     degree: int | None = None,
 ) -> tuple[Backbone, list[Complex]] | None:
     """The backbone from the envelopes of a mode, and the slow factor that each decay has over
     e^{λt} from it; None where no decay shows it long enough.
 
     The degree is the lowest that explains the data: a higher one must lower the sum of squares as
-    noise does with a probability below `false_alarm`; or as given.
+    noise rarely does, and odd and even ones are tried; or as given.
     """
     used = [k for k, e in enumerate(parts) if e.end - e.begin > 6 * e.step]
     if not used:
@@ -171,7 +170,11 @@ def fit_backbone(
     smooth = [
         _smooth(values[i], weights[i], at[i], parts[k]) for i, k in enumerate(used)
     ]
-    for d in range(DEGREE + 1) if degree is None else (degree,):
+    for d in count() if degree is None else (degree,):
+        if (
+            best is not None and d > best[1] + 2
+        ):  # odd and even degrees lower it no more
+            break
         columns = []
         for i, k in enumerate(used):
             power = (smooth[i] / reference)[:, None] ** np.arange(d + 1)
@@ -186,7 +189,7 @@ def fit_backbone(
         linear = inverse @ (a.T @ y)
         squares = float((np.abs(y - a @ linear) ** 2).sum())
         if best is None or best[0] - squares > chdtri(
-            2 * max(d - best[1], 1), false_alarm
+            2 * max(d - best[1], 1), FALSE_ALARM
         ):
             best = (squares, d, linear, inverse)
     assert best is not None

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ringtrue.core.arrays import Any_, Complex, Float, Int
+from ringtrue.identification.ambient.confidence import LIMITS
 from ringtrue.identification.ambient.decay_backbone import (
     Envelope,
     envelope,
@@ -34,9 +35,7 @@ from ringtrue.identification.ambient.decay_fit import (
 )
 from ringtrue.identification.common.stabilisation import unit
 from ringtrue.signal.spectra import Band, check_band
-
-# what other bands leave in a band stays below the noise of any recorder
-STOP_DB = 120.0
+from ringtrue.signal.tonal_lines import DYNAMIC_RANGE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,11 +120,12 @@ def decays_of(
 
 
 def _filter(passing: float, stopped: float, kind: Literal["low", "high"]) -> Float:
-    """(section, 6) elliptic filter, edges in cycles a sample."""
+    """(section, 6) elliptic filter, edges in cycles a sample; what is stopped is rounding."""
     from scipy.signal import ellip, ellipord  # slow to import, and few commands need it
 
-    order, edge = ellipord(2 * passing, 2 * stopped, 0.02, STOP_DB)
-    return np.asarray(ellip(int(order), 0.02, STOP_DB, float(edge), kind, output="sos"))
+    stop = -10 * np.log10(DYNAMIC_RANGE)
+    order, edge = ellipord(2 * passing, 2 * stopped, 0.02, stop)
+    return np.asarray(ellip(int(order), 0.02, stop, float(edge), kind, output="sos"))
 
 
 def _backwards(sections: Float, y: Float) -> Float:
@@ -163,9 +163,6 @@ def _sounding(y: Float, memory: int) -> Float:
     return np.ascontiguousarray(y[:, :end])
 
 
-MOST = 30  # modes of a band
-
-
 @dataclass(frozen=True, slots=True)
 class DecaySettings:
     """Settings; the defaults need no tuning.
@@ -174,29 +171,13 @@ class DecaySettings:
     ----------
     fmin, fmax : float, Hz
         Band of interest; None: eight cycles in the longest decay, and what the rate allows.
-    false_alarm : float
-        Probability that noise alone makes a mode in a band.
-    near : float
-        Half widths of a mode, within which a much smaller decay of the same shape is what its
-        amplitude does to it.
-    locked : float
-        Standard deviations, within which a pole is a multiple of another, or a sum of two.
     decades : float
         That the power falls by behind the impacts in a record of free decays.
-    early : float
-        Share of their energy that is in their first halves there.
-    frames : int
-        Of a record, whose powers are compared before anything else is looked at.
     """
 
     fmin: float | None = None
     fmax: float | None = None
-    false_alarm: float = 1e-3
-    near: float = 12.0
-    locked: float = 5.0
     decades: float = 1.5
-    early: float = 0.9
-    frames: int = 50
 
     def __post_init__(self) -> None:
         check_band(self.fmin, self.fmax)
@@ -257,7 +238,7 @@ class BandFit:
         return out
 
 
-def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
+def fit_band(part: BandDecays) -> BandFit:
     """All modes of the decays of a band, one after the other."""
     longest = max(part.decays, key=lambda y: y.shape[1])
     quarter = longest.shape[1] // 4
@@ -266,18 +247,16 @@ def fit_band(part: BandDecays, settings: DecaySettings) -> BandFit:
     seen = part.freqs[part.gain > 1e-3]
     limits = (float(seen[0]), float(seen[-1]))
     found = _state(part, scale, EMPTY, np.inf)
-    for _ in range(MOST):
+    for _ in range(quarter):  # four unknowns each, at least
         rest = left_over(found.scaled, part.rate, found.sums)
-        peak = strongest_decay(
-            rest, part.rate, found.floor, limits, settings.false_alarm
-        )
+        peak = strongest_decay(rest, part.rate, found.floor, limits)
         if peak.gain < peak.critical:
             return _without_weak(replace(found, critical=peak.critical))
         scale = found.scale * np.sqrt(
             np.median(found.floor.variance[:, part.gain > 0.7], axis=1)
         )
         more = _state(part, scale, found.sums.model.plus(peak.pole), peak.critical)
-        bent = _with_backbone(found, scale, peak, settings)
+        bent = _with_backbone(found, scale, peak)
         found = more if bent is None or _squares(more) <= _squares(bent) else bent
     return _without_weak(found)
 
@@ -287,11 +266,9 @@ def _state(
     scale: Float,
     model: DecayModel,
     critical: float,
-    *,
-    rough: bool = True,
 ) -> BandFit:
     scaled = tuple(y / scale[:, None] for y in part.decays)
-    sums = fit(scaled, part.rate, model, rough=rough)
+    sums = fit(scaled, part.rate, model)
     floor = noise_floor(
         left_over(scaled, part.rate, sums), part.rate, part.freqs, part.gain
     )
@@ -306,9 +283,7 @@ def _squares(found: BandFit) -> float:
     return float(found.sums.squares + parameters * np.log(samples))
 
 
-def _with_backbone(
-    found: BandFit, scale: Float, peak: DecayPeak, settings: DecaySettings
-) -> BandFit | None:
+def _with_backbone(found: BandFit, scale: Float, peak: DecayPeak) -> BandFit | None:
     """The fit with the strongest mode near a peak as its amplitude bends it, in the place of the
     weaker ones of its shape; None where there is none, or it is not bent.
     """
@@ -316,12 +291,12 @@ def _with_backbone(
     if not model.poles.size:
         return None
     distance = np.abs(model.poles.imag - peak.pole.imag)
-    near = distance < settings.near * np.maximum(-model.poles.real, -peak.pole.real)
+    near = distance < LIMITS.mixing * np.maximum(-model.poles.real, -peak.pole.real)
     if not near.any():
         return None
     k = int(np.where(near, found.sums.gain, -1.0).argmax())
     away = np.abs(model.poles.imag - model.poles.imag[k])
-    close = away < settings.near * np.maximum(-model.poles.real, -model.poles.real[k])
+    close = away < LIMITS.mixing * np.maximum(-model.poles.real, -model.poles.real[k])
     gain = found.sums.gain
     shape = found.shape(k)
     like = np.array([shape_mac(found.shape(j), shape) > 0.9 for j in range(gain.size)])
@@ -335,9 +310,7 @@ def _with_backbone(
     for _ in range(4):  # the envelope is the better known the better the mode is
         model = now.sums.model
         parts = now.envelopes(k)
-        fitted = fit_backbone(
-            parts, model.poles[k], now.part.rate, settings.false_alarm
-        )
+        fitted = fit_backbone(parts, model.poles[k], now.part.rate)
         if fitted is None or not fitted[0].nonlinear:
             return best
         backbone, factors = fitted
@@ -367,6 +340,4 @@ def _without_weak(found: BandFit) -> BandFit:
         rest = np.delete(np.arange(found.sums.gain.size), found.sums.gain.argmin())
         model = found.sums.model.take(rest)
         found = _state(found.part, found.scale, model, found.critical)
-    return _state(
-        found.part, found.scale, found.sums.model, found.critical, rough=False
-    )
+    return found

@@ -9,14 +9,15 @@ import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
 from ringtrue.core.notes import Note
+from ringtrue.identification.ambient.confidence import LIMITS
 from ringtrue.identification.ambient.decay_backbone import Backbone, fit_backbone
 from ringtrue.identification.ambient.decay_band_fit import (
     BandFit,
-    DecaySettings,
     shape_mac,
 )
 from ringtrue.identification.ambient.decay_fit import covariance, deviations, is_steady
 from ringtrue.identification.common.stabilisation import DAMPING_MAX
+from ringtrue.identification.common.uncertainty import by_chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +106,7 @@ class DecayCandidate:
         return bool(is_steady(self.found.sums.model, longest)[self.k])
 
 
-def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandidate]:
+def candidates(fits: list[BandFit]) -> list[DecayCandidate]:
     """The poles of all bands, ascending, each from one band."""
     out: list[DecayCandidate] = []
     for i, found in enumerate(fits):
@@ -129,7 +130,7 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
         for k in np.flatnonzero(inside).tolist():
             parts = found.envelopes(k)
             pole = complex(model.poles[k])
-            fitted = fit_backbone(parts, pole, found.part.rate, settings.false_alarm)
+            fitted = fit_backbone(parts, pole, found.part.rate)
             new = DecayCandidate(
                 found,
                 k,
@@ -149,13 +150,15 @@ def candidates(fits: list[BandFit], settings: DecaySettings) -> list[DecayCandid
     return sorted(out, key=lambda c: c.frequency)
 
 
-def is_remainder(c: DecayCandidate, others: list[DecayCandidate], near: float) -> bool:
+def is_remainder(c: DecayCandidate, others: list[DecayCandidate]) -> bool:
     """Whether a decay is what the fit of a bent mode near it leaves: small, of its shape."""
     for other in others:
         if other is c or other.found is not c.found or not other.bent:
             continue
         low, high = other.span
-        reach = near * max(other.damping * other.frequency, c.damping * c.frequency)
+        reach = LIMITS.mixing * max(
+            other.damping * other.frequency, c.damping * c.frequency
+        )
         close = low - reach < c.frequency < high + reach
         like = shape_mac(c.found.shape(c.k), other.found.shape(other.k)) > 0.8
         if (
@@ -167,9 +170,7 @@ def is_remainder(c: DecayCandidate, others: list[DecayCandidate], near: float) -
     return False
 
 
-def sum_of(
-    c: DecayCandidate, stronger: list[DecayCandidate], settings: DecaySettings
-) -> tuple[float, ...]:
+def sum_of(c: DecayCandidate, stronger: list[DecayCandidate]) -> tuple[float, ...]:
     """The frequencies, Hz, of the modes whose multiple or sum a decay is; () if it is none.
 
     The product of decays has the sum of their poles, some of them conjugate: twice the frequency
@@ -180,26 +181,18 @@ def sum_of(
     far = [a for a in stronger if c.gain < 0.1 * a.gain]
     for a in far:
         for n in (2, 3, 4, 5):
-            if (
-                _is_multiple(c, a, n, settings)
-                or _is_locked(c, a, n)
-                or _is_in_span(c, a, n)
-            ):
+            if _is_multiple(c, a, n) or _is_locked(c, a, n) or _is_in_span(c, a, n):
                 return (a.frequency,) * n
     signed = [(a, sign) for a in far for sign in (1, -1)]
     for order in (2, 3):
         for parts in combinations_with_replacement(signed, order):
-            if _is_sum(c, parts, settings):
+            if _is_sum(c, parts):
                 ordered = sorted(parts, key=lambda part: -part[1])
                 return tuple(sign * a.frequency for a, sign in ordered)
     return ()
 
 
-def _is_sum(
-    c: DecayCandidate,
-    parts: tuple[tuple[DecayCandidate, int], ...],
-    settings: DecaySettings,
-) -> bool:
+def _is_sum(c: DecayCandidate, parts: tuple[tuple[DecayCandidate, int], ...]) -> bool:
     """Whether the pole of a weak decay is the sum of those of `parts`, conjugate for a sign of -1.
 
     A pole that is not known to 0.3 % of the largest part is near some sum, whatever it is.
@@ -210,19 +203,17 @@ def _is_sum(
     each = {id(a): turns[id(a)] * float(a.std[0]) for a, _ in parts}
     std = 2 * np.pi * float(np.sqrt(c.std[0] ** 2 + sum(x**2 for x in each.values())))
     away = c.pole - total
-    reach = settings.locked * std
+    reach = by_chance() * std
     known = reach < 3e-3 * max(abs(a.pole) for a, _ in parts)
     weak = c.gain < 1e-3 * max(a.gain for a, _ in parts)
-    return known and weak and abs(away.real) < reach and abs(away.imag) < reach
+    return known and weak and abs(away) < reach
 
 
-def _is_multiple(
-    c: DecayCandidate, a: DecayCandidate, n: int, settings: DecaySettings
-) -> bool:
+def _is_multiple(c: DecayCandidate, a: DecayCandidate, n: int) -> bool:
     """Whether a weak decay is at n times the frequency of a mode, and decays about n times as
     fast.
     """
-    reach = settings.locked * float(np.hypot(c.std[0], n * a.std[0]))
+    reach = by_chance() * float(np.hypot(c.std[0], n * a.std[0]))
     near = abs(c.pole.imag - n * a.pole.imag) / (2 * np.pi) < reach < 0.01 * c.frequency
     return near and c.pole.real < 0.7 * n * a.pole.real
 

@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome, iterate
+from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
 Decays = tuple[Float, ...]  # (ch, sample) each, of equal channels
@@ -173,15 +174,11 @@ class DecayFit:
         In units of the noise of each channel.
     rate : float, Hz
     start : DecayModel
-    tolerance : float
-        Of the sum of squares, noise of variance 1: less than 1e-4 moves no pole by a hundredth of
-        its standard deviation.
     """
 
     decays: Decays
     rate: float
     start: DecayModel
-    tolerance: float = 1e-4
 
     def init(self) -> DecayFitState:
         """The start."""
@@ -211,12 +208,9 @@ class DecayFit:
         return DecayFitState(sums, 10 * state.factor, np.inf)
 
     def terminate(self, state: DecayFitState) -> Outcome | None:
-        """Converged when a step lowers the squares by nothing that counts: compared with what is
-        left to be explained, where that is more than noise.
-        """
-        samples = sum(y.size for y in self.decays)
-        much = max(state.sums.squares / samples, 1.0)
-        return Outcome.CONVERGED if state.lowered < self.tolerance * much else None
+        """Converged when a step lowers the squares by less than their derivatives are rounded."""
+        rounding = np.sqrt(np.finfo(np.float64).eps) * state.sums.squares
+        return Outcome.CONVERGED if state.lowered <= rounding else None
 
     def merit(self, state: DecayFitState) -> float:
         """The sum of squares."""
@@ -232,20 +226,12 @@ def _sizes(normal: Float) -> Float:
 
 
 def fit(
-    decays: Decays,
-    rate: float,
-    start: DecayModel,
-    *,
-    rough: bool = False,
-    limit: int = 60,
+    decays: Decays, rate: float, start: DecayModel, *, limit: int = 60
 ) -> DecaySums:
-    """The most likely poles from a start; `rough` where more poles are to come."""
+    """The most likely poles from a start."""
     if not start.poles.size:
         return decay_sums(decays, rate, start)
-    rules = DecayFit(decays, rate, start)
-    if rough:
-        rules = replace(rules, tolerance=1e-6 * sum(y.size for y in decays))
-    return iterate(rules, limit=limit).last.sums
+    return iterate(DecayFit(decays, rate, start), limit=limit).last.sums
 
 
 def left_over(
@@ -332,7 +318,6 @@ def strongest_decay(
     rate: float,
     floor: DecayFloor,
     limits: tuple[float, float],
-    false_alarm: float,
 ) -> DecayPeak:
     """The decay that a rest holds most likely: the generalised likelihood ratio over a grid.
 
@@ -341,8 +326,6 @@ def strongest_decay(
     rest : tuple of (ch, sample) float64
     floor : DecayFloor
     limits : (low, high), Hz
-    false_alarm : float
-        Probability that noise alone exceeds the critical gain anywhere.
     """
     samples = max(y.shape[1] for y in rest)
     longest = samples / rate
@@ -376,7 +359,7 @@ def strongest_decay(
                 complex(-sigma, 2 * np.pi * f[at]), float(total[at]), np.inf
             )
     freedom = 2 * len(rest[0]) * len(rest)
-    critical = float(chdtri(freedom, false_alarm / (count * samples)))
+    critical = float(chdtri(freedom, FALSE_ALARM / (count * samples)))
     return replace(best, critical=critical)
 
 

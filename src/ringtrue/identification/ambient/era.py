@@ -62,17 +62,15 @@ def era(decays: Float, rate: float, settings: SsiCov) -> PoleSet:
     u, sv, v = decompose(h0, min(settings.order_max, min(h0.shape)))
     root = np.sqrt(sv)
     a = (u.T @ h1 @ v) / np.outer(root, root)
-    return orders_of(a, u[:ch] * root, rate, settings)
+    return orders_of(a, u[:ch] * root, rate)
 
 
-def orders_of(a: Float, c: Float, rate: float, s: SsiCov) -> PoleSet:
-    """Poles of the orders 2, 2 + step, .. from leading blocks of the transition matrix `a` and of
+def orders_of(a: Float, c: Float, rate: float) -> PoleSet:
+    """Poles of the orders 2, 4, .. from leading blocks of the transition matrix `a` and of
     `c` (ch, n).
     """
-    parts = [
-        modal(a[:n, :n], c[:, :n], rate) for n in range(2, len(a) + 1, s.order_step)
-    ]
-    return gathered(list(range(2, len(a) + 1, s.order_step)), parts)
+    orders = range(2, len(a) + 1, 2)
+    return gathered(orders, [modal(a[:n, :n], c[:, :n], rate) for n in orders])
 
 
 def modal(a: Float, c: Float, rate: float) -> tuple[Complex, Complex]:

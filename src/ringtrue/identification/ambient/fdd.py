@@ -18,9 +18,9 @@ from scipy.optimize import least_squares
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import TimeHistory
-from ringtrue.errors import ConfigError, DataError
+from ringtrue.errors import DataError
+from ringtrue.identification.ambient.confidence import LIMITS
 from ringtrue.identification.ambient.pipeline import AmbientSettings
-from ringtrue.identification.ambient.spectral_bins import oscillator_spectrum
 from ringtrue.identification.common.stabilisation import DAMPING_MAX, unit
 from ringtrue.signal.spectra import Csd, Welch, csd, window
 
@@ -33,31 +33,14 @@ class FddSettings:
     ----------
     fmin, fmax : float, Hz
         Band of the peaks; fmax 0: what the rate allows.
-    mac : float
-        Lines around the peak belong to its bell while their singular vector has this MAC with it
-        (Brincker et al. 2001).
-    damping : (float, float)
-        Least and largest damping ratio of the fit.
-    reach : float
-        Half bandwidths on each side of the peak that the fit uses at most. One slope and one
-        background do not describe more.
     foot : float
-        Level, over the peak, at which a bell of one channel ends.
-    filtered : float
-        Level, over that of the fitted mode, below which a filter of the recorder cuts the bell.
+        Level, over the peak, at which the upper side of a bell ends, as a filter of the recorder
+        may cut what is below, and both sides of the bell of one channel.
     """
 
     fmin: float = 0.0
     fmax: float = 0.0
-    mac: float = 0.8
-    damping: tuple[float, float] = (1e-4, DAMPING_MAX)
-    reach: float = 10.0
     foot: float = 0.05
-    filtered: float = 0.3
-
-    def __post_init__(self) -> None:
-        if not 0 < self.mac < 1:
-            raise ConfigError(f"FDD: mac {self.mac} must lie between 0 and 1")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,9 +126,9 @@ def fdd(
     fitted = np.empty((lines.size, 4))
     shapes = np.empty((scale.size, lines.size), dtype=np.complex128)
     for row, k in enumerate(lines.tolist()):
-        bell = _bell(k, u, sv, least=s.mac, borders=_borders(lines, k, sv, s.foot))
+        bell = _bell(k, u, sv, _borders(lines, k, sv, s.foot))
         mean_mac[row] = bell.mean_mac
-        fitted[row] = _fit(bell, taper, s)
+        fitted[row] = _fit(bell, taper, s.foot)
         shapes[:, row] = bell.vector * scale
     modes = ModeSet(
         fitted[:, 0],
@@ -182,7 +165,7 @@ def _peaks(spectra: Csd, vector: Complex, level: Float, s: FddSettings) -> Int:
     found = found[inside]
     around = vector[found[:, None] + np.array([-2, -1, 1, 2])]
     like = np.abs(np.einsum("pkc,pc->pk", around.conj(), vector[found])) ** 2
-    return np.asarray(found[like.mean(1) > 0.8], dtype=np.int64)
+    return np.asarray(found[like.mean(1) > LIMITS.same], dtype=np.int64)
 
 
 def _borders(lines: Int, k: int, sv: Float, foot: float) -> tuple[int, int]:
@@ -202,16 +185,14 @@ def _borders(lines: Int, k: int, sv: Float, foot: float) -> tuple[int, int]:
     )
 
 
-def _bell(
-    k: int, u: Complex, sv: Float, *, least: float, borders: tuple[int, int]
-) -> _Bell:
-    """Lines around `k` with a singular vector like that of the peak, at least three on each
-    side.
+def _bell(k: int, u: Complex, sv: Float, borders: tuple[int, int]) -> _Bell:
+    """Lines around `k` with a singular vector like that of the peak (Brincker et al. 2001), at
+    least three on each side.
     """
     psi = u[k, :, 0]
     like = np.abs(np.einsum("fci,c->fi", u.conj(), psi)) ** 2
     best = like.max(axis=1)
-    out = np.flatnonzero(uniform_filter1d(best, 5) < least)
+    out = np.flatnonzero(uniform_filter1d(best, 5) < LIMITS.same)
     low = out[out < k]
     high = out[out > k]
     first = max(min(int(low[-1]) + 1 if low.size else 0, k - 3), borders[0])
@@ -221,31 +202,18 @@ def _bell(
     return _Bell(first, last, psi, enhanced, float(best[part].mean()))
 
 
-def _fit(b: _Bell, taper: _Taper, s: FddSettings) -> tuple[float, float, float, float]:
-    """Frequency, damping and their standard deviations from ψᴴGψ over the bell.
-
-    Where a filter of the recorder leaves lines lower than any mode has them, the fit uses the lines
-    around the peak alone.
-    """
+def _fit(b: _Bell, taper: _Taper, foot: float) -> tuple[float, float, float, float]:
+    """Frequency, damping and their standard deviations from ψᴴGψ over the bell, up to its foot."""
     f = np.arange(b.first, b.last + 1) * taper.rate / taper.length
     peak = int(np.argmax(b.enhanced))
     level = b.enhanced / b.enhanced[peak]
-    low = np.flatnonzero(level < s.foot)
-    after = low[low > peak + 3]
-    if after.size:
-        narrow = _one_mode(f[: after[0]], level[: after[0]], taper, s.damping)
-        mode = oscillator_spectrum(f / narrow[0], narrow[1])
-        if ((level < s.filtered * mode) & (f > f[peak + 3])).any():
-            return narrow
-    fit = _one_mode(f, level, taper, s.damping)
-    near = np.abs(f - fit[0]) <= max(s.reach * fit[0] * fit[1], 4 * (f[1] - f[0]))
-    if near.all() or near.sum() < 8:
-        return fit
-    return _one_mode(f[near], level[near], taper, s.damping)
+    low = np.flatnonzero(level < foot)
+    end = int(low[low > peak + 3].min(initial=level.size))
+    return _one_mode(f[:end], level[:end], taper)
 
 
 def _one_mode(
-    f: Float, level: Float, taper: _Taper, damping: tuple[float, float]
+    f: Float, level: Float, taper: _Taper
 ) -> tuple[float, float, float, float]:
     """Fit of the logarithmic spectrum by one mode seen through the taper, a slope, a background.
 
@@ -279,7 +247,9 @@ def _one_mode(
 
     background = float(np.log(max(level.min(), 1e-6)))
     start = np.array([0.0, np.log(0.01), 0.0, background - 1.0, 2.0])
-    low_z, high_z = np.log(damping)
+    # the slowest decay has the half-overlapped record for its time constant
+    least = rate / (np.pi * f[peak] * length * taper.segments)
+    low_z, high_z = np.log([min(least, 0.5 * DAMPING_MAX), DAMPING_MAX])
     bounds = ([-0.3, low_z, -12.0, -25.0, -8.0], [0.3, high_z, 12.0, 1.0, 12.0])
     fit = least_squares(
         misfit,

@@ -38,6 +38,7 @@ from ringtrue.identification.ambient.decay_candidates import (
 from ringtrue.identification.ambient.decay_fit import covariance, deviations
 from ringtrue.identification.ambient.era import era
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for
+from ringtrue.identification.ambient.record_bands import MOST_BLOCKS
 from ringtrue.identification.ambient.ssi_cov import SsiCov
 from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, unit
 from ringtrue.signal.channel_checks import bridge_gaps, usable
@@ -172,8 +173,8 @@ def identify_decay(
             (k + 1) / (len(parts) + 1),
             f"{part.band.low:.3g} .. {part.band.high:.3g} Hz",
         )
-        fits.append(fit_band(part, settings))
-    found = _assembled(fits, good, settings)
+        fits.append(fit_band(part))
+    found = _assembled(fits, good)
     of_record = Note(
         "decay record",
         "information",
@@ -245,11 +246,9 @@ def era_diagram(found: BandFit) -> tuple[StableDiagram, Float]:
     return StableDiagram(full, cluster >= 0, cluster, lines, level[None]), share
 
 
-def _assembled(
-    fits: list[BandFit], history: TimeHistory, settings: DecaySettings
-) -> DecayResult:
+def _assembled(fits: list[BandFit], history: TimeHistory) -> DecayResult:
     """The candidates of all bands as natural modes, multiples of these and notes."""
-    every = candidates(fits, settings)
+    every = candidates(fits)
     notes = []
     decaying = []
     for c in every:
@@ -258,7 +257,7 @@ def _assembled(
             notes.append(
                 Note("decay steady", "information", f"{c.frequency:.5g} Hz", values)
             )
-        elif is_remainder(c, every, settings.near):
+        elif is_remainder(c, every):
             notes.append(
                 Note("decay remainder", "information", f"{c.frequency:.5g} Hz", values)
             )
@@ -267,7 +266,7 @@ def _assembled(
     natural: list[DecayCandidate] = []
     multiples = []
     for c in sorted(decaying, key=lambda c: -c.gain):
-        of = sum_of(c, natural, settings)
+        of = sum_of(c, natural)
         if of:
             std = c.std.tolist()
             multiples.append(DecayMultiple(c.frequency, std[0], c.damping, std[1], of))
@@ -406,17 +405,15 @@ class DecayEvidence:
 def decay_evidence(history: TimeHistory, settings: DecaySettings) -> DecayEvidence:
     """How far the energy of a record falls behind its impacts, band by band.
 
-    A stationary record ends at the first look: its frames are of one power within a decade.
+    A stationary record, or one of many impacts, ends at the first look: its blocks are of one power
+    within a decade.
     """
-    if (
-        history.data.shape[1] < 16 * settings.frames
-        or not np.isfinite(history.data).all()
-    ):
-        return DecayEvidence()
-    count = settings.frames
+    count = MOST_BLOCKS
     size = history.data.shape[1] // count
-    frames = history.data[:, : size * count].reshape(len(history.data), count, size)
-    power = frames.var(axis=2, dtype=np.float64)
+    if size < 2 or not np.isfinite(history.data).all():
+        return DecayEvidence()
+    blocks = history.data[:, : size * count].reshape(len(history.data), count, size)
+    power = blocks.var(axis=2, dtype=np.float64)
     range_ = power.max(axis=1) / np.maximum(np.quantile(power, 0.1, axis=1), 1e-300)
     if np.median(np.log10(np.maximum(range_, 1.0))) < settings.decades:
         return DecayEvidence()
@@ -456,7 +453,9 @@ def free_decay_note(
     """The note that a record holds free decays and next to nothing else; None for another one."""
     settings = settings or DecaySettings()
     found = decay_evidence(history, settings)
-    if found.decades <= settings.decades or found.early <= settings.early:
+    # what an exponential that falls so far has in its first half
+    early = 1 - 10 ** (-settings.decades / 2)
+    if found.decades <= settings.decades or found.early <= early:
         return None
     values = {"decades": found.decades, "impacts": found.impacts}
     return Note("decay automatic", "information", history.source or "record", values)

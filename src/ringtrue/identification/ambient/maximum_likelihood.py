@@ -13,16 +13,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.ambient.spectral_bins import SpectralBins
-
-CHANCE = 1.5  # of the squared errors of bins half a bandwidth wide, reached by chance
 
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodLimits:
-    """The lines that a fit uses, and when it is rejected.
+    """The lines that a fit uses, and what it takes for granted.
 
     Attributes
     ----------
@@ -30,28 +30,13 @@ class LikelihoodLimits:
         Half bandwidths on each side of a mode: fewer where something else is there. Ten leave a
         damping 18 % more scatter than the whole spectrum does, and a frequency with an unknown
         slope 27 %; twenty leave 8 and 12 %.
-    span : float
-        Share of the frequency on each side, at most.
     level : float
         Standard deviation of ln of the levels that noise and other modes leave in a filtered
         spectrum.
-    null : float
-        Weight of other modes over noise in the filter: they move in step with the mode, noise does
-        not.
-    waves : float
-        Squared error of bins half a bandwidth wide over its expectation: above, the mode does not
-        move alone.
-    blur : float
-        Times the standard deviation of the start: a fit that knows less, as its errors or other
-        things in the spectrum say, is rejected.
     """
 
     reaches: tuple[float, ...] = (20.0, 10.0)
-    span: float = 0.35
     level: float = 1.5
-    null: float = 10.0
-    waves: float = 2.5
-    blur: float = 3.0
 
 
 LIMITS = LikelihoodLimits()
@@ -225,7 +210,7 @@ class _SpectrumFit:
         return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
 
     def waves(self, theta: Float) -> float:
-        """Mean squared error, over its expectation, of bins a half bandwidth wide: forces that
+        """Squared error of bins a half bandwidth wide, over what chance makes of it: forces that
         modes share bend it.
         """
         error = self.count * (self.power / self.spectrum(theta)[0] - 1)
@@ -234,7 +219,9 @@ class _SpectrumFit:
         ).astype(np.int64)
         k -= k.min()
         lines = np.bincount(k, self.count)
-        return float((np.bincount(k, error)[lines > 0] ** 2 / lines[lines > 0]).mean())
+        some = lines > 0
+        square = np.bincount(k, error)[some] ** 2 / lines[some]
+        return float(square.sum() / chdtri(square.size, FALSE_ALARM))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -321,7 +308,7 @@ def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _
     for row, k in enumerate(mode.others):
         there = b.cross[np.abs(b.freqs - f[k]).argmin()]
         peaks[row] = np.trace(there).real / np.vdot(psi[:, k], psi[:, k]).real
-    nulls = LIMITS.null * (shapes[:, 1:] * (peaks * mode.near)) @ shapes[:, 1:].conj().T
+    nulls = (shapes[:, 1:] * (peaks * mode.near)) @ shapes[:, 1:].conj().T
     x = np.linalg.solve(np.diag(noise.mean(0)) + nulls, psi[:, i])
     w = x / np.vdot(psi[:, i], x)
     ends = np.full(2, np.nan)
@@ -331,7 +318,11 @@ def _filter(b: SpectralBins, modes: EstimatedModes, mode: _ModeAmongOthers) -> _
 
 
 def refine_by_likelihood(
-    bins: SpectralBins, modes: EstimatedModes, slope: tuple[float, float], doubt: Float
+    bins: SpectralBins,
+    modes: EstimatedModes,
+    slope: tuple[float, float],
+    doubt: Float,
+    blocks: int,
 ) -> LikelihoodFit:
     """Refine modes by maximum likelihood, two rounds, the others held.
 
@@ -344,12 +335,18 @@ def refine_by_likelihood(
         velocities, 0 for displacements.
     doubt : (m,) float64
         Relative standard deviation of `damping`; a fit that ends far beyond it has found something
-        else, and one that knows far less is of no use: its filter took the mode with the others.
+        else, and one that knows clearly less is of no use: its filter took the mode with the
+        others.
+    blocks : int
+        Of the record, from whose scatter `doubt` is.
     """
     frequency = modes.frequency
     damping = modes.damping
     m = frequency.size
     reach = np.minimum(0.3 + 3 * doubt, 0.9)  # of ln damping
+    # a variance is known to a chi-square distribution of its blocks
+    free = blocks - 1
+    most = doubt**2 * free / chdtri(free, 1 - FALSE_ALARM)
     f = frequency.copy()
     z = damping.copy()
     cov = np.full((m, 2, 2), np.nan)
@@ -367,12 +364,10 @@ def refine_by_likelihood(
                 new_z = np.exp(theta[1])
                 near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
                 near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
-                sharp = c[1, 1] * max(chi, 1.0) < (LIMITS.blur * doubt[i]) ** 2
+                sharp = c[1, 1] * max(chi, 1.0) < most[i]
                 if not (good and near and sharp):
                     continue
-                waves = fit.waves(theta)
-                chi = max(chi, waves / CHANCE)
-                if waves < LIMITS.waves:
+                if fit.waves(theta) < 1:
                     f[i] = new_f
                     z[i] = new_z
                     cov[i] = c[:2, :2] * max(chi, 1.0)
@@ -406,11 +401,11 @@ def _prepare(
     f = modes.frequency
     z = modes.damping
     half = z[i] * f[i]
-    at = np.flatnonzero(np.abs(b.freqs - f[i]) < min(far * half, LIMITS.span * f[i]))
+    at = np.flatnonzero(np.abs(b.freqs - f[i]) < far * half)
     if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
         return None
     others = np.flatnonzero(
-        (np.abs(f - f[i]) < 2 * LIMITS.span * f[i]) & (np.arange(f.size) != i)
+        (np.abs(f - f[i]) < 2 * far * half) & (np.arange(f.size) != i)
     )
     begin = _joined(b.freqs[at] / f[i], z[i])
     lines = b.count[at]

@@ -422,8 +422,8 @@ def _unexplained(
         [result.modes.frequencies, result.others.modes.frequencies, lines]
     )
     out: list[SpectrumPeak] = []
-    for x in sums:
-        for peak in spectrum_peaks(x.bins, x.band.low, x.band.high):
+    for x, seen in zip(sums, result.diagrams, strict=True):
+        for peak in spectrum_peaks(x.bins, seen.level, x.band.low, x.band.high):
             there = np.append(known, [p.frequency for p in out])
             if (np.abs(there - peak.frequency) > peak.width).all():
                 out.append(peak)
@@ -527,7 +527,9 @@ def _among(of: ListedCandidates, reported: ListedCandidates) -> Bool:
     """(m,) whether candidates are modes that are reported, as after a pick by hand."""
     half = (of.damping * of.frequency)[:, None]
     near = np.abs(of.frequency[:, None] - reported.frequency) < half
-    return np.asarray((near & (mac(of.shape, reported.shape) > 0.8)).any(axis=1))
+    return np.asarray(
+        (near & (mac(of.shape, reported.shape) > LIMITS.same)).any(axis=1)
+    )
 
 
 def _doubt(

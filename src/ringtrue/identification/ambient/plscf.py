@@ -19,7 +19,7 @@ from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.modes import ModeSet, Uncertainty
 from ringtrue.core.signals import FrfSet, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.era import SAMPLES_A_LAG
+from ringtrue.identification.ambient.era import SAMPLES_A_LAG, fewest_samples
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import choose_references, prepared
 from ringtrue.identification.common.stabilisation import (
@@ -27,6 +27,7 @@ from ringtrue.identification.common.stabilisation import (
     least_deviations,
     unit,
 )
+from ringtrue.identification.common.uncertainty import by_chance
 from ringtrue.identification.frf.confidence import CandidatePoles, assess_candidates
 from ringtrue.identification.frf.lines import Noise, prepare
 from ringtrue.identification.frf.plscf import Plscf, grouped, merged, plscf
@@ -45,22 +46,10 @@ class HalfSpectrumSettings:
         Of a half spectrum.
     ends_at : float
         What the exponential window leaves at the last of them.
-    fewest_lags : int
-        Lags at least.
-    states : int
-        Order times references, at most.
-    deviations : float
-        Largest distance of poles of both halves, in deviations of the record's
-    bandwidths : float
-        and in half bandwidths.
     """
 
     lags: int = 400
     ends_at: float = 0.01
-    fewest_lags: int = 64
-    states: int = 120
-    deviations: float = 6.0
-    bandwidths: float = 0.5
 
 
 HALF = HalfSpectrumSettings()
@@ -94,7 +83,7 @@ def half_spectra_modes(
     """
     data, scale = prepared(history)
     refs = choose_references(history, data, settings.references or None)
-    lags = _lags(history)
+    lags = _lags(history, settings)
     whole, *halves = (
         _half_spectra(replace(history, data=x), band, refs, lags)
         for x in (data, *np.array_split(data, 2, axis=1))
@@ -107,7 +96,7 @@ def half_spectra_modes(
     everywhere = np.ones(whole.freqs.size, dtype=np.bool_)
     # with the window, and participation vectors for shapes
     most = DAMPING_MAX + whole.window_decay / (2 * np.pi * whole.freqs[0])
-    top = max(6, min(40, HALF.states // len(whole.inputs), whole.freqs.size // 3))
+    top = max(6, min(settings.order_max // len(whole.inputs), whole.freqs.size // 3))
     poles = plscf(whole.data, whole.freqs, Plscf(max(2, top // 4), top, most))
     found = grouped(poles, whole.data, sigma=level, frfs=whole, at=everywhere)[1]
     start = merged([found], whole.freqs, whole.window_decay)
@@ -134,19 +123,13 @@ def half_spectra_modes(
     return modes, Uncertainty.independent(none, none, np.full(shape.shape, np.nan))
 
 
-def fewest_samples(channels: int, settings: AmbientSettings) -> int:
-    """Samples of a band that the half spectra need, whatever the channels."""
-    return SAMPLES_A_LAG * HALF.fewest_lags
-
-
-def _lags(history: TimeHistory) -> int:
-    samples = int(history.data.shape[1])
-    if (lags := min(HALF.lags, samples // SAMPLES_A_LAG)) < HALF.fewest_lags:
+def _lags(history: TimeHistory, settings: AmbientSettings) -> int:
+    channels, samples = history.data.shape
+    if samples < (needed := fewest_samples(channels, settings)):
         raise DataError(
-            f"{history.source}: {samples} samples are too few for half spectra; needed: "
-            f"{SAMPLES_A_LAG * HALF.fewest_lags}"
+            f"{history.source}: {samples} samples are too few for half spectra; needed: {needed}"
         )
-    return lags
+    return int(min(HALF.lags, samples // SAMPLES_A_LAG))
 
 
 def _half_spectra(
@@ -210,10 +193,12 @@ def _settled(
 
 def _agreement(pole: Complex, one: Refined, two: Refined, duration: float) -> Float:
     """(m,) 0..1: MAC of the shapes that both halves of the record give, less where their poles
-    differ.
+    differ by more than chance makes of them.
+
+    Both parts of the difference of two halves have twice the standard deviation of the record.
     """
     size = np.abs(pole)
     std, _ = least_deviations(size / (2 * np.pi), -pole.real / size, duration)
-    reach = np.maximum(2 * np.pi * HALF.deviations * std, HALF.bandwidths * -pole.real)
+    reach = 4 * np.pi * by_chance() * std
     near: Float = np.clip(2 - np.abs(one.poles - two.poles) / reach, 0, 1)
     return near * np.diag(mac(one.shapes, two.shapes))

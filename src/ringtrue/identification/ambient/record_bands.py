@@ -38,7 +38,7 @@ from ringtrue.signal.tonal_lines import (
 from ringtrue.signal.transients import NONE, Events, find_events, remove_regular_impacts
 
 STEP = 4  # from one rate to the next
-MOST_BLOCKS = 32  # of a band, all stretches together
+MOST_BLOCKS = 32  # of a record, all stretches together
 SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
 
@@ -204,7 +204,9 @@ def first_sums(
         blocks = ssi.blocks or var.blocks_for(y.samples, 2 * rows - 1)
         own = replace(ssi, block_rows=rows)
         high, down = _filters(band, factor)
-        cut = band_correlations.segments(y.samples, blocks, 2 * rows - 1, high, down)
+        cut = band_correlations.segments(
+            y.samples, blocks, 2 * rows - 1, high, down, references=MAX_REFERENCES
+        )
         scale, lagged = band_correlations.glance(y, cut, high)
         refs = spanning(lagged, MAX_REFERENCES) if references is None else references
         # they separate the modes for the maximum likelihood fit
@@ -261,7 +263,12 @@ def _pass(
     """The sums of one stretch at the rate of its band, and the signals of the next one."""
     high, down = _filters(x.band, factor)
     cut = band_correlations.segments(
-        y.samples, x.blocks, 2 * x.ssi.block_rows - 1, high, down
+        y.samples,
+        x.blocks,
+        2 * x.ssi.block_rows - 1,
+        high,
+        down,
+        references=x.references.size,
     )
     keep = events.free(y.samples, x.band.rate, cut.lags)
     share = band_correlations.pairs(cut, y.samples, keep)[:, 0] / (cut.each * cut.hop)

@@ -164,20 +164,8 @@ def in_phase(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeLimits:
-    """Where the filter of a recorder ends the spectrum.
-
-    Attributes
-    ----------
-    begins : float
-        Over the rate, where filters begin to end the spectrum.
-    fall : float
-        Level above the pole, over that of an oscillator, below which a filter has cut it.
-    """
-
-    begins: float = 0.35
-    fall: float = 0.4
+# level above a pole, over that of an oscillator, below which the filter of a recorder keeps it
+EDGE_FALL = 0.4
 
 
 def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool:
@@ -187,19 +175,18 @@ def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool
     Above a mode a displacement falls most, by what an oscillator does; velocities and accelerations
     fall less.
     """
-    limits = EdgeLimits()
-    high = frequency > limits.begins * history.rate
-    if not high.any():
-        return np.zeros(frequency.size, dtype=np.bool_)
     pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
     some = history.pick([history.channels[i].id for i in pick])
-    freqs, auto = psd(some, Welch(history.rate / 256))
+    lines = 256
+    some = replace(some, data=some.data[:, : lines**2])
+    freqs, auto = psd(some, Welch(history.rate / lines))
     level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
     top = np.minimum(frequency * (1 + 3 * damping), freqs[-1])
-    mode = oscillator_spectrum(top / frequency, damping)
     here = np.interp(frequency, freqs, level)
-    there = np.interp(top, freqs, level)
-    return np.asarray(high & (there < limits.fall * mode * here))
+    mode = here * oscillator_spectrum(freqs[:, None] / frequency, damping)
+    # all the way up: behind an antiresonance the spectrum comes back
+    cut = (level[:, None] < EDGE_FALL * mode) | (freqs[:, None] < top)
+    return np.asarray(cut.all(axis=0))
 
 
 def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:

@@ -36,8 +36,6 @@ from ringtrue.identification.common.merging import Merged, MergeRecord, mended
 from ringtrue.identification.common.stabilisation import unit
 from ringtrue.signal.spectra import Welch, block_weights, detrend, psd
 
-REACH = 0.5  # of the limits of a band: poles beyond it have no part in its correlations
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandCorrelations:
@@ -122,9 +120,7 @@ class RecordCorrelations:
             inside = (frequency >= band.low) & (frequency <= band.high)
             if not inside.any():
                 continue
-            near = (frequency > REACH * band.low) & (frequency < band.high / REACH)
-            near &= frequency < 0.45 * band.rate
-            near |= inside
+            near = inside | (frequency < 0.45 * band.rate)
             residue, by_block = band.residues(pole[near])
             own = inside[near]
             scale: Any_ = band.scale[:, None]
@@ -181,9 +177,6 @@ def mode_levels(history: TimeHistory, frequency: Float, damping: Float) -> Float
     step = float(freqs[1])
     near = np.abs(freqs[:, None] - frequency) <= np.maximum(width, step)
     return np.asarray(np.sqrt((mean[:, None] * near).sum(axis=0) * step))
-
-
-ROUNDS = 3  # of scaling before shares of other modes are taken out
 
 
 class ShapeReader(Protocol):
@@ -288,8 +281,8 @@ def _joined(
         half[:, None] + half
     )
     share = 1 / np.maximum(distance, 1.0)
-    for step in range(ROUNDS + 1):
-        expected = share if step == ROUNDS else np.zeros(share.shape)
+    # records are scaled before shares of other modes are taken out
+    for expected in (np.zeros(share.shape), share):
         total = np.zeros(shape.shape, dtype=np.complex128)
         weight = np.zeros(shape.shape)
         spread = np.zeros(shape.shape)

@@ -13,9 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
+from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.ambient.ssi_cov import BandPoles, transition
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.stabilisation import (
@@ -383,28 +384,6 @@ def spectral_bins(
 
 
 @dataclass(frozen=True, slots=True)
-class PeakSettings:
-    """When a singular value of the spectral matrix has a peak.
-
-    Attributes
-    ----------
-    lines : int
-        Lines of a channel that are averaged, over the number of channels.
-    values : int
-        Singular values that are looked at.
-    chance : float
-        Standard deviations of the logarithm by which a peak stands out.
-    prominence : float
-        Ratio by which it stands out at least.
-    """
-
-    lines: int = 4
-    values: int = 3
-    chance: float = 6.0
-    prominence: float = 2.0
-
-
-@dataclass(frozen=True, slots=True)
 class SpectrumPeak:
     """A peak of a singular value.
 
@@ -423,53 +402,54 @@ class SpectrumPeak:
     prominence: float
 
 
-def singular_values(
-    bins: SpectralBins, settings: PeakSettings | None = None
-) -> tuple[Float, Float, Float]:
-    """The first singular values of the spectral matrix, of lines that are averaged.
-
-    Returns
-    -------
-    freqs : (f,) float64, Hz
-    count : (f,) float64
-        Lines averaged.
-    values : (value, f) float64
-        Positive, descending.
+def averaged_lines(bins: SpectralBins) -> tuple[Int, Float, Float]:
+    """The first bin (f,), the frequency (f,), Hz, and the number of lines (f,) of averages over at
+    least as many lines as the spectral matrix has channels.
     """
-    limits = settings or PeakSettings()
-    channels = bins.cross.shape[1]
-    group = np.floor(np.cumsum(bins.count) / (limits.lines * channels))
+    group = np.floor(np.cumsum(bins.count) / bins.cross.shape[1])
     start = np.flatnonzero(np.diff(group, prepend=-1.0))
     count = np.add.reduceat(bins.count, start)
-    freqs = np.add.reduceat(bins.freqs * bins.count, start) / count
+    return start, np.add.reduceat(bins.freqs * bins.count, start) / count, count
+
+
+def singular_values(bins: SpectralBins) -> tuple[Float, Float]:
+    """Frequencies (f,), Hz, and the three singular values (3, f) of the averaged spectral matrix
+    that diagrams show, positive and descending.
+    """
+    start, freqs, count = averaged_lines(bins)
     weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
-    sums = np.linalg.eigvalsh(np.add.reduceat(weighted, start)).T[::-1]
-    values = sums[: limits.values] / count
-    return freqs, count, np.maximum(values, np.finfo(np.float32).tiny)
+    sums = np.linalg.eigvalsh(np.add.reduceat(weighted, start)).T[:-4:-1]
+    return freqs, np.maximum(sums / count, np.finfo(np.float32).tiny)
 
 
 def spectrum_peaks(
-    bins: SpectralBins, low: float, high: float, settings: PeakSettings | None = None
+    bins: SpectralBins, decibel: Float, low: float, high: float
 ) -> tuple[SpectrumPeak, ...]:
-    """Peaks of the first singular values between `low` and `high`, Hz, higher than chance makes
-    them.
+    """Peaks of the singular values between `low` and `high`, Hz, that have half power points and
+    are higher than chance makes any of them.
 
     The singular values of the spectral matrix peak at the modes (Brincker, Zhang and Andersen
     2001). Where the curves of two modes cross, the lower value has a peak under a dip of the upper:
     that is none.
+
+    Parameters
+    ----------
+    bins : SpectralBins
+    decibel : (value, f) float64
+        Levels of their singular values.
+    low, high : float, Hz
     """
     from scipy.signal import find_peaks  # slow to import, and few commands need it
 
-    limits = settings or PeakSettings()
-    freqs, count, size = singular_values(bins, limits)
+    _, freqs, count = averaged_lines(bins)
     if freqs.size < 8:
         return ()
-    level = np.log(size)
+    level = decibel * np.log(10) / 10
+    # by chance the logarithm of a line differs from that of another one by this at most
+    chance = -ndtri(FALSE_ALARM / level.size) * np.sqrt(2 / np.median(count))
+    least = max(chance, np.log(2))
     found = []
     for k, curve in enumerate(level):
-        least = max(
-            limits.chance / np.sqrt(np.median(count)), np.log(limits.prominence)
-        )
         places, about = find_peaks(curve, prominence=least, width=0, rel_height=0.5)
         for at, prominence, width in zip(
             places, about["prominences"], about["widths"], strict=True
@@ -479,8 +459,8 @@ def spectrum_peaks(
             dip = k > 0 and 0 < above.argmin() < above.size - 1  # where two modes cross
             if low <= frequency <= high and not dip:
                 step = float(freqs[min(at + 1, freqs.size - 1)] - freqs[at - 1]) / 2
-                decibel = float(10 * prominence / np.log(10))
+                height = float(10 * prominence / np.log(10))
                 found.append(
-                    SpectrumPeak(frequency, float(width) * step, k + 1, decibel)
+                    SpectrumPeak(frequency, float(width) * step, k + 1, height)
                 )
     return tuple(found)

@@ -35,26 +35,22 @@ class SsiCov:
         Block rows (and columns) of the Hankel matrix; lags up to 2·block_rows − 1 are used.
     order_max : int
         Largest model order (states; two for each mode), even.
-    order_step : int
+    odd_orders : bool
+        Take these, too.
     blocks : int
         Blocks of the record for the variance; 0 chooses, 1 leaves the standard deviations out.
     """
 
     block_rows: int
     order_max: int
-    order_step: int = 2
+    odd_orders: bool = False
     blocks: int = 0
 
     def __post_init__(self) -> None:
-        if (
-            self.block_rows < 2
-            or self.order_max < 2
-            or self.order_step < 1
-            or self.blocks == 2
-        ):
+        if self.block_rows < 2 or self.order_max < 2 or self.blocks == 2:
             raise ConfigError(
                 f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
-                f"order_step {self.order_step} >= 1, blocks {self.blocks} not 2"
+                f"blocks {self.blocks} not 2"
             )
 
 
@@ -257,8 +253,9 @@ def all_orders(
     settings: SsiCov,
     band: tuple[float, float],
 ) -> tuple[PoleSet, Complex, Float]:
-    """Poles of the orders 2, 2 + step, .. within the band (Hz), their deviations and strengths."""
-    orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, settings.order_step)
+    """Poles of the orders within the band (Hz), their deviations and strengths."""
+    step = 1 if settings.odd_orders else 2
+    orders = np.arange(2, min(sub.s.size, settings.order_max) + 1, step)
     back = solve_triangular(sub.r, np.eye(len(sub.r)))
     parts = [
         _order(sub, back, p, n=int(n), settings=settings, band=band) for n in orders

@@ -37,7 +37,6 @@ from ringtrue.identification.frf.split_modes import support
 from ringtrue.shapes import mac
 
 WITHIN = 0.01  # of its frequency: so near a pick must be to what it means
-EXACT = 20  # a penalty makes no distance more than this many times as far
 
 
 def as_choice(
@@ -57,14 +56,14 @@ def match(wanted: Float, there: Float, penalty: Float | None = None) -> Int:
     """Position (w,) in `there` (n,) Hz of each frequency `wanted` (w,), one to one within `WITHIN`;
     -1 for none.
 
-    `penalty` (n,), 0..2, makes a position less likely to be taken, but not one that is meant to
-    the digits of a table.
+    `penalty` (n,), 0..2, makes a position as much farther away, but not one that is meant to the
+    digits of a table.
     """
     at = np.full(wanted.size, -1, dtype=np.int64)
     if not wanted.size or not there.size:
         return at
     far = np.abs(there / wanted[:, None] - 1) / WITHIN
-    cost = far if penalty is None else np.minimum(far + penalty, EXACT * far)
+    cost = far if penalty is None else far * (1 + penalty)
     cost = np.where(far <= 1, cost, 1e6)
     rows, cols = linear_sum_assignment(cost)
     good = far[rows, cols] <= 1

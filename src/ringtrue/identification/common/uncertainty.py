@@ -16,8 +16,14 @@ from scipy.fft import next_fast_len, rfft
 from scipy.linalg import solve_triangular
 
 from ringtrue.core.arrays import Any_, Complex, Float
+from ringtrue.core.signals import FALSE_ALARM
 
-TOGETHER = 4  # blocks whose perturbations are in the cache
+
+def by_chance() -> float:
+    """Standard deviations of both parts of a pole within which it is from its place by chance: a
+    Rayleigh distribution.
+    """
+    return float(np.sqrt(-2 * np.log(FALSE_ALARM)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +90,9 @@ def perturb(dr: Any_, rows: int, u: Float, vs: Float, q: Float) -> Perturbations
     by = np.concatenate([_apart(by), _apart(1j * by)], axis=1)
     left = _spectral(q.reshape(-1, ch, n), size)
     both = np.empty((nb, 2 * n, n), dtype=np.float32)
-    for k in range(0, nb, TOGETHER):
-        # (block, freq, ch, order): real, then imaginary parts
-        t = _apart(rfft(d[k : k + TOGETHER], size, axis=1)) @ by
-        both[k : k + TOGETHER] = left @ t.reshape(len(t), -1, n)
+    for k in range(nb):  # one block at a time stays in the cache
+        # (freq, ch, order): real, then imaginary parts
+        both[k] = left @ (_apart(rfft(d[k], size, axis=0)) @ by).reshape(-1, n)
     first, last = (
         np.tensordot(d[:, k : k + rows], v, ((1, 3), (0, 1))) for k in (0, rows - 1)
     )
