@@ -208,54 +208,20 @@ def pair_modes(
         If channels of A are not in B, or shapes have gaps.
     """
     b = b.rows(a.channels)
-    for name, m in zip(names, (a, b), strict=True):
-        if gaps := [
-            m.channels[i] for i in np.flatnonzero(~np.isfinite(m.shapes).all(axis=1))
-        ]:
-            raise InputError(
-                f"shapes of {name} have gaps (NaN) at "
-                f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
-                "take the channels (rows) and modes (take) that have none"
-            )
+    for name, modes in zip(names, (a, b), strict=True):
+        _refuse_gaps(modes, name)
     hidden = _hidden(b, settings)
     a, b = (replace(m, shapes=above_rounding(m.shapes)) for m in (a, b))
     usable_a = a.confidence >= settings.min_confidence
     if a.channels:
         usable_a &= a.shapes.any(axis=0)
     usable_b = np.array([not why for why in hidden], dtype=np.bool_)
-
-    modes = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
-    score = scores(modes, settings)
-    if a.channels:
-        paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
-        free = (
-            np.logical_and.outer(usable_a, usable_b) & locks.mask((len(a), len(b)))[1]
-        )
-        more = pairs_by_shape(
-            modes,
-            score,
-            paired=paired,
-            free=free,
-            gates=settings,
-        )
-        rows = more.rows
-        cols = more.columns
-        score = more.score
-        beyond = more.beyond
-        rival = np.zeros(0, dtype=np.int64)
-    else:
-        loose = replace(settings, frequency_gate=settings.frequency_gate / WORTH.hold)
-        wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
-        allowed, forced = within(
-            score, settings, usable_a, usable_b=usable_b, locks=locks
-        )
-        found = by_frequency(
-            a.frequencies, b.frequencies, allowed, forced=forced, wide=wide
-        )
-        rows = found.rows
-        cols = found.columns
-        rival = found.rival
-        beyond = np.zeros(0, dtype=np.bool_)
+    by = _by_shape if a.channels else _by_frequency
+    modes_of_both = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
+    found = by(modes_of_both, settings, (usable_a, usable_b), locks)
+    rows = found.rows
+    cols = found.columns
+    score = found.score
 
     unpaired_a = np.setdiff1d(np.arange(len(a)), rows)
     unpaired_b = np.setdiff1d(np.arange(len(b)), cols)
@@ -285,12 +251,68 @@ def pair_modes(
         ),
         unpaired_b=unpaired_b,
         reasons_b=tuple(hidden[j] or why.of_b(j, a, b) for j in unpaired_b.tolist()),
-        rival=rival,
-        beyond=beyond,
+        rival=found.rival,
+        beyond=found.beyond,
         gated_a=np.array(
             [bool(gated.get(i)) for i in unpaired_a.tolist()], dtype=np.bool_
         ),
     )
+
+
+def _refuse_gaps(modes: ModeSet, name: str) -> None:
+    """Shapes with gaps cannot be compared."""
+    whole = np.isfinite(modes.shapes).all(axis=1)
+    if gaps := [modes.channels[i] for i in np.flatnonzero(~whole)]:
+        raise InputError(
+            f"shapes of {name} have gaps (NaN) at "
+            f"{' '.join(gaps[:8])}{' ...' * (len(gaps) > 8)}: "
+            "take the channels (rows) and modes (take) that have none"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Positions in A and B that are pairs (k,), what they were judged by, and `rival` and `beyond`
+    of `Pairing`.
+    """
+
+    rows: Int
+    columns: Int
+    score: Scores
+    rival: Int = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    beyond: Bool = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+
+def _by_shape(
+    modes: ComparedModes,
+    settings: PairingSettings,
+    usable: tuple[Bool, Bool],
+    locks: Locks,
+) -> _Pairs:
+    """By MAC and frequency, then beyond the frequency gate by MAC alone."""
+    score = scores(modes, settings)
+    usable_a, usable_b = usable
+    paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
+    allowed = locks.mask((usable_a.size, usable_b.size))[1]
+    free = np.logical_and.outer(usable_a, usable_b) & allowed
+    found = pairs_by_shape(modes, score, paired=paired, free=free, gates=settings)
+    return _Pairs(found.rows, found.columns, found.score, beyond=found.beyond)
+
+
+def _by_frequency(
+    modes: ComparedModes,
+    settings: PairingSettings,
+    usable: tuple[Bool, Bool],
+    locks: Locks,
+) -> _Pairs:
+    """By frequencies alone."""
+    score = scores(modes, settings)
+    usable_a, usable_b = usable
+    loose = replace(settings, frequency_gate=settings.frequency_gate / WORTH.hold)
+    wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
+    allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
+    found = by_frequency(modes.fa, modes.fb, allowed, forced=forced, wide=wide)
+    return _Pairs(found.rows, found.columns, score, rival=found.rival)
 
 
 UNSEEN = "not observable: it does not move the channels that are compared"

@@ -7,6 +7,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -464,39 +465,14 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     were left out of the updating.
     """
     alone = all(t.frequency_only for _, t in stages)
-    low = 0.0 if alone else 0.58
-    fig = figure(
-        300 if alone else 580,
-        xaxis=axis(
-            type="category",
-            anchor="y",
-            matches="x2",
-            showticklabels=False,
-        ),
-        yaxis=axis(
-            "Δf, % of the test",
-            domain=[low, 1],
-            zeroline=True,
-            zerolinecolor="#5c6b7a",
-            zerolinewidth=1,
-        ),
-        xaxis2=axis(
-            "Test mode, Hz",
-            type="category",
-            anchor="y2",
-            tickangle=-45,
-        ),
-        yaxis2=axis("Subspace MAC, %", domain=[0, 0.24], anchor="x2"),
-        xaxis3=axis(
-            type="category",
-            anchor="y3",
-            matches="x2",
-            showticklabels=False,
-        ),
-        yaxis3=axis("MAC, %", domain=[0.29, 0.53], anchor="x3", matches="y2"),
-    )
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
     names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
+    fig = _with_mac()
+    if alone:
+        modes = axis("Test mode, Hz", type="category", tickangle=-45)
+        fig = figure(300, xaxis=modes, yaxis=_deviation_axis(0.0))
+    for x_axis in fig.select_xaxes():
+        x_axis.update(categoryorder="array", categoryarray=list(names.values()))
     for size, (name, table) in zip((13, 10, 9), stages, strict=False):
         color = STAGE_COLORS.get(name, FINAL)
         rows = table.rows()
@@ -537,14 +513,35 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
             )
             text = f"{name}, %{{text}}: {measure} %{{y:.1f}} %"
             fig.data[-1].hovertemplate = f"{text}<extra>%{{x}} Hz</extra>"
-    for a in (fig.layout.xaxis, fig.layout.xaxis2, fig.layout.xaxis3):
-        a.update(categoryorder="array", categoryarray=list(names.values()))
-    if alone:
-        fig.layout.xaxis.update(
-            title=fig.layout.xaxis2.title,
-            matches=None,
-            showticklabels=True,
-            tickangle=-45,
-        )
-        fig.update_layout(xaxis2=None, yaxis2=None, xaxis3=None, yaxis3=None)
     return fig
+
+
+def _deviation_axis(low: float) -> dict[str, Any]:
+    """The axis of the frequency deviations, from `low` of the height on."""
+    return axis(
+        "Δf, % of the test",
+        domain=[low, 1],
+        zeroline=True,
+        zerolinecolor="#5c6b7a",
+        zerolinewidth=1,
+    )
+
+
+def _with_mac() -> go.Figure:
+    """An empty figure of frequency deviations over MAC over subspace MAC; names of the modes stand
+    at the bottom.
+    """
+    above: dict[str, Any] = {
+        "type": "category",
+        "matches": "x2",
+        "showticklabels": False,
+    }
+    return figure(
+        580,
+        xaxis=axis(anchor="y", **above),
+        yaxis=_deviation_axis(0.58),
+        xaxis2=axis("Test mode, Hz", type="category", anchor="y2", tickangle=-45),
+        yaxis2=axis("Subspace MAC, %", domain=[0, 0.24], anchor="x2"),
+        xaxis3=axis(anchor="y3", **above),
+        yaxis3=axis("MAC, %", domain=[0.29, 0.53], anchor="x3", matches="y2"),
+    )

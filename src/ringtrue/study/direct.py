@@ -14,8 +14,10 @@ from ringtrue.core.arrays import Float
 from ringtrue.core.dofs import DofSet
 from ringtrue.core.iterate import Progress, part, quiet
 from ringtrue.core.modes import ModeSet
+from ringtrue.core.parameters import ParameterSet
 from ringtrue.core.testmodel import Observation
 from ringtrue.core.units import UNIT_SYSTEMS
+from ringtrue.eigen.eigenpairs import EigenModes
 from ringtrue.errors import DataError, NumericalError, about
 from ringtrue.io.modes import read_modes, read_std
 from ringtrue.io.sheets import SensorSheet, read_sensor_sheet
@@ -32,6 +34,7 @@ from ringtrue.reduction.parametric import (
     reduced_model,
 )
 from ringtrue.shapes import realise_modes
+from ringtrue.solvers.embedded import EmbeddedAnalysis
 from ringtrue.solvers.observed import FullModel, reduced
 from ringtrue.study.config import StudyConfig
 from ringtrue.study.measured_data import (
@@ -193,28 +196,20 @@ def direct_problem(
         full = FullModel(opened.model, parameters, look, request, engine)
         model = full.reaching(top)
     elif opened.engine is not None:
-        with opened.engine.open(whole_mesh(opened.model)) as analysis:
-            assert isinstance(analysis, ReducingAnalysis)
-            count = len(opened.modes_by(analysis, top).modes)
-            look = observed(modes.channels)
-            held = analysis.reduced(parameters, look.matrix, count, top)
-        model = ProjectedAtChannels(held, np.arange(len(modes.channels)))
+        look = observed(modes.channels)
+        model = _reduced_there(opened, parameters, look, top)
     else:
         measured = _measured(config, modes, base, sheet)
-        top = max([top, *(m.highest for m in measured)])
-        every = dict.fromkeys((*modes.channels, *channels_of(measured)))
-        at = {name: i for i, name in enumerate(every)}
         look = observed(modes.channels)
-        if more := tuple(every)[len(modes.channels) :]:
+        more = [c for c in channels_of(measured) if c not in set(modes.channels)]
+        if more:
             with about("[[residual]]"):
-                look = look.and_also(observed(more))
-        basis = reduced(opened.model, parameters, look, len(opened.modes(top).modes))
-        check_moving(measured, at, basis.basis.observe)
-        loaded = excited(measured, at)
-        rows = np.arange(len(modes.channels))
-        model = AtChannels(flexible(basis, measured, loaded), rows, loaded)
+                look = look.and_also(observed(tuple(more)))
+        model = _reduced_here(
+            opened, parameters, look, measured=measured, modes=modes, top=top
+        )
         on = MeasuredModel(
-            at,
+            {name: i for i, name in enumerate(look.channels)},
             UNIT_SYSTEMS[config.model.units],
             lambda: rigid_mass(opened.model, parameters),
             tuple(range(len(parameters))),
@@ -231,6 +226,39 @@ def direct_problem(
         limits=limits,
     )
     return problem, data, seats(look, sheet.model) if sheet is not None else ()
+
+
+def _reduced_there(
+    opened: Opened, parameters: ParameterSet, look: Observation, top: float
+) -> ProjectedAtChannels:
+    """The model that the solver of the deck reduces, with its modes up to `top`, Hz."""
+    assert opened.engine is not None
+    with opened.engine.open(whole_mesh(opened.model)) as analysis:
+        assert isinstance(analysis, ReducingAnalysis)
+        count = len(opened.modes_by(analysis, top).modes)
+        held = analysis.reduced(parameters, look.matrix, count, top)
+    return ProjectedAtChannels(held, np.arange(len(look.channels)))
+
+
+def _reduced_here(
+    opened: Opened,
+    parameters: ParameterSet,
+    look: Observation,
+    *,
+    measured: Sequence[Measured],
+    modes: ModeSet,
+    top: float,
+) -> AtChannels:
+    """The reduced model at the channels of the test modes, which are the first of `look`, with the
+    modes up to `top`, Hz, and as far up as other data were measured.
+    """
+    top = max([top, *(m.highest for m in measured)])
+    basis = reduced(opened.model, parameters, look, len(opened.modes(top).modes))
+    at = {name: i for i, name in enumerate(look.channels)}
+    check_moving(measured, at, basis.basis.observe)
+    loaded = excited(measured, at)
+    rows = np.arange(len(modes.channels))
+    return AtChannels(flexible(basis, measured, loaded), rows, loaded)
 
 
 def not_told_apart(problem: Problem) -> dict[str, tuple[str, ...]]:
@@ -447,31 +475,7 @@ def propose_parameters(
     modes = analysis.eigen(ModesRequest(modes_of(count)), part(progress, 0.0, 0.1))
     progress(0.1, f"energies of {len(every)} candidates")
     moved, lost = effective(model, analysis.system, every, modes.values, modes.vectors)
-
-    def reduced_to(
-        some: tuple[Candidate, ...], progress: Progress = quiet
-    ) -> ReducedModel:
-        early = part(progress, 0.0, 0.5)
-        affine = observed_system(
-            model, analysis.system, candidate_parameters(some), bridge, progress=early
-        )
-        known = KnownModes(analysis.pencil, modes)
-        return reduced_model(
-            affine, count, known=known, progress=part(progress, 0.5, 1.0)
-        )
-
-    def small(whole: ReducedModel, some: tuple[Candidate, ...]) -> ReducedModel:
-        points = drawn(
-            whole.parameters, conflicts(model, some), np.random.default_rng(0)
-        )
-        return condensed(whole, points, max(SIZES.vectors, 2 * whole.count))
-
-    def look(some: tuple[Candidate, ...]) -> tuple[ReducedModel, ReducedModel]:
-        whole = reduced_to(some)
-        return small(
-            replace(whole, count=min(whole.count, mode_count(SIZES.modes))), some
-        ), whole
-
+    over = _OverCandidates(model, analysis, bridge, modes, count)
     progress(0.15, f"what {len(moved)} candidates explain")
     deck = ScreenedDeck(
         model=model,
@@ -482,13 +486,14 @@ def propose_parameters(
         vectors=modes.vectors,
     )
     search = SearchSettings(most)
+    screening = part(progress, 0.15, 0.4)
     keep = screened(
-        deck, aim, look, pool, settings=search, progress=part(progress, 0.15, 0.4)
+        deck, aim, over.screening, pool, settings=search, progress=screening
     )
-    reduced = reduced_to(keep, part(progress, 0.4, 0.55))
+    reduced = over.reduced(keep, part(progress, 0.4, 0.55))
     progress(0.55, "error indicators")
     found = propose(
-        single(small(reduced, keep), aim),
+        single(over.condensed(reduced, keep), aim),
         replace(search, passed_over=passed_over(moved, keep)),
         conflicts=conflicts(model, keep),
         errors=_local_errors(opened, reduced, aim, keep),
@@ -507,6 +512,51 @@ def propose_parameters(
         made=len(every),
         members=missing_members(model, fitted),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OverCandidates:
+    """A deck with its modes, to be reduced over some of its candidates; `count` modes are compared
+    with a test.
+    """
+
+    model: Model
+    analysis: EmbeddedAnalysis
+    bridge: Observation
+    modes: EigenModes
+    count: int
+
+    def reduced(
+        self, some: tuple[Candidate, ...], progress: Progress = quiet
+    ) -> ReducedModel:
+        """The reduced model over candidates."""
+        affine = observed_system(
+            self.model,
+            self.analysis.system,
+            candidate_parameters(some),
+            self.bridge,
+            progress=part(progress, 0.0, 0.5),
+        )
+        known = KnownModes(self.analysis.pencil, self.modes)
+        late = part(progress, 0.5, 1.0)
+        return reduced_model(affine, self.count, known=known, progress=late)
+
+    def condensed(
+        self, whole: ReducedModel, some: tuple[Candidate, ...]
+    ) -> ReducedModel:
+        """A smaller one, for the search, that holds the modes at points drawn at random."""
+        points = drawn(
+            whole.parameters, conflicts(self.model, some), np.random.default_rng(0)
+        )
+        return condensed(whole, points, max(SIZES.vectors, 2 * whole.count))
+
+    def screening(
+        self, some: tuple[Candidate, ...]
+    ) -> tuple[ReducedModel, ReducedModel]:
+        """Both, the smaller one with as few modes as candidates are screened by."""
+        whole = self.reduced(some)
+        few = replace(whole, count=min(whole.count, mode_count(SIZES.modes)))
+        return self.condensed(few, some), whole
 
 
 def mode_count(modes: int) -> int:

@@ -30,6 +30,7 @@ from ringtrue.study.results import (
     PlanStage,
     PredictStage,
     SensorPlacement,
+    SetResult,
     TuneStage,
     UncertaintyStage,
     UpdateStage,
@@ -396,67 +397,15 @@ def _measured(update: UpdateStage) -> dict[str, Any]:
 
 
 def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
+    """What the updating, the tuning of the suspension and the delivered model have reached."""
     out: dict[str, Any] = {}
     update: UpdateStage | None = r.get("update")
     tune: TuneStage | None = r.get("tune")
     final: FinalStage | None = r.get("final")
-    known: UncertaintyStage | None = r.get("uncertainty")
     if update is not None:
-        best = update.best
-        std = best.std if known is None else known.posterior.relative
-        out |= (
-            {"solver": {"name": update.solver, "runs": update.runs}}
-            if update.runs
-            else {}
-        )
-        out["parameter_set"] = {"name": best.name, "why": update.why}
-        out["parameters"] = [
-            {
-                "name": n,
-                "initial": update.initial_values[n],
-                "updated": update.updated_values[n],
-                "factor": float(a),
-                "std": float(s) * update.updated_values[n],
-            }
-            for n, a, s in zip(best.parameters, best.factor, std, strict=True)
-        ]
-        out["sets"] = [
-            {
-                "name": s.name,
-                "parameters": list(s.parameters),
-                "mean_deviation_percent": s.fit.mean_deviation,
-                "max_deviation_percent": s.fit.max_deviation,
-                "mean_subspace_mac_percent": s.fit.mean_subspace_mac,
-                "mean_deviation_left_out_percent": finite(
-                    s.fit.mean_deviation_left_out
-                ),
-                "condition": s.fit.condition,
-                "aicc": s.fit.criterion,
-                "outcome": s.outcome.value,
-                "discrepancy_percent": dict(
-                    zip(
-                        ("frequency", "mac"),
-                        map(finite, 100 * s.discrepancy),
-                        strict=True,
-                    )
-                ),
-            }
-            | ({"settings": s.settings} if s.settings else {})
-            for s in update.sets
-        ]
-        out |= _measured(update)
+        out |= _parameters(update, r.get("uncertainty"))
     if tune is not None:
-        out["suspension"] = [
-            {"name": n, "factor": a, "std": tune.std[n] * a}
-            for n, a in tune.factors.items()
-        ]
-        if notes := [*tune.ambiguity, *tune.flags]:
-            out["suspension_notes"] = notes
-        if tune.others:
-            out["suspension_configurations"] = [
-                {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)}
-                for o in tune.others
-            ]
+        out |= _suspension(tune)
     if final is not None:
         repeats = _repeats(r)
         out["final"] = pairs(final.table, repeats)
@@ -468,6 +417,67 @@ def _updated(r: Mapping[str, Any]) -> dict[str, Any]:
         }
         out["rigid_body_unpaired"] = unpaired(final.rigid)
     return out
+
+
+def _parameters(update: UpdateStage, known: UncertaintyStage | None) -> dict[str, Any]:
+    """The chosen parameters with their standard deviations, after `known` where it was made, and
+    all sets.
+    """
+    best = update.best
+    std = best.std if known is None else known.posterior.relative
+    runs = {"solver": {"name": update.solver, "runs": update.runs}}
+    return {
+        **(runs if update.runs else {}),
+        "parameter_set": {"name": best.name, "why": update.why},
+        "parameters": [
+            {
+                "name": n,
+                "initial": update.initial_values[n],
+                "updated": update.updated_values[n],
+                "factor": float(a),
+                "std": float(s) * update.updated_values[n],
+            }
+            for n, a, s in zip(best.parameters, best.factor, std, strict=True)
+        ],
+        "sets": [_set(s) for s in update.sets],
+        **_measured(update),
+    }
+
+
+def _set(updated: SetResult) -> dict[str, Any]:
+    """A set of parameters, and where it ends."""
+    fit = updated.fit
+    frequency, mac = map(finite, 100 * updated.discrepancy)
+    return {
+        "name": updated.name,
+        "parameters": list(updated.parameters),
+        "mean_deviation_percent": fit.mean_deviation,
+        "max_deviation_percent": fit.max_deviation,
+        "mean_subspace_mac_percent": fit.mean_subspace_mac,
+        "mean_deviation_left_out_percent": finite(fit.mean_deviation_left_out),
+        "condition": fit.condition,
+        "aicc": fit.criterion,
+        "outcome": updated.outcome.value,
+        "discrepancy_percent": {"frequency": frequency, "mac": mac},
+        **({"settings": updated.settings} if updated.settings else {}),
+    }
+
+
+def _suspension(tune: TuneStage) -> dict[str, Any]:
+    """The factors of the suspension, and what is to be said of them."""
+    notes = [*tune.ambiguity, *tune.flags]
+    others = [
+        {"name": o.name, "before": pairs(o.before), "after": pairs(o.after)}
+        for o in tune.others
+    ]
+    return {
+        "suspension": [
+            {"name": n, "factor": a, "std": tune.std[n] * a}
+            for n, a in tune.factors.items()
+        ],
+        **({"suspension_notes": notes} if notes else {}),
+        **({"suspension_configurations": others} if others else {}),
+    }
 
 
 def _used(r: Mapping[str, Any]) -> dict[str, Any]:

@@ -96,31 +96,12 @@ def run(session: Session, progress: Progress) -> PlanStage:
     ambient = _ambient(problem, first) if plan.ambient else np.zeros(0, dtype=np.int64)
     fixed = np.isin(np.arange(able.at.size), ambient) | np.isin(able.node, plan.fixed)
     progress(0.3, "measuring points")
-    # where alone may be excited: chosen before the points
-    spots = np.flatnonzero(np.isin(able.node, plan.strike_at))
-    if plan.strike_at and not spots.size:
-        raise ConfigError(
-            f"[plan] strike_at: none of {plan.strike_at[:8]} is a candidate"
-        )
-    if spots.size:
-        found = problem.excitation(spots, targets)
-        excited = spots[found // able.each]
-        fixed |= np.isin(np.arange(able.at.size), excited)
-        chosen = _points(problem, targets, fixed)
-        found = np.searchsorted(chosen, excited) * able.each + found % able.each
-    else:
-        chosen = _points(problem, targets, fixed)
-        progress(0.5, "where to excite")
-        found = problem.excitation(chosen, targets)
-    where = spots if spots.size else chosen
-    excitation = _excitation(problem, targets, chosen=chosen, where=where, found=found)
+    chosen, where, found = _points_and_exciters(problem, targets, fixed, progress)
     seen_rows = shapes[chosen][:, :, targets]
     mac = auto_mac(seen_rows.reshape(-1, targets.size))
     lost = min(max(1, plan.redundancy), chosen.size)
-    need = resolution(
-        f[timed], plan.damping, error=plan.error, coherence=plan.coherence
-    )
-    every = resolution(f[first], plan.damping, precision=plan.precision)
+    left = worst_sensor_loss(seen_rows, lost).left if lost < chosen.size else 0.0
+    excitation = _excitation(problem, targets, chosen=chosen, where=where, found=found)
     stage = PlanStage(
         target_modes=targets,
         target_frequencies=f[targets],
@@ -131,28 +112,11 @@ def run(session: Session, progress: Progress) -> PlanStage:
             ambient=able.labels(ambient),
             auto_mac=mac,
             lost=lost,
-            left_by_loss=worst_sensor_loss(seen_rows, lost).left
-            if lost < chosen.size
-            else 0.0,
+            left_by_loss=left,
         ),
         excitation=excitation,
-        acquisition=AcquisitionPlan(
-            damping=plan.damping,
-            frequency_step=need.step,
-            block=need.block,
-            averages=need.averages,
-            record_length=every.record,
-            segments=int(every.record // need.block),
-            modes=first,
-            std_frequency=every.std_frequency,
-            std_damping=every.std_damping,
-        ),
-        rule=f"{SENSORS[plan.directions]} by effective independence (backward elimination) of "
-        f"{targets.size} target modes, "
-        f"at least {problem.least_distance:g} m from each other, then points that lower the "
-        "worst auto-MAC; "
-        f"{EXCITATION[plan.strike]} "
-        f"(least share reached {100 * float(excitation.reach.min()):.0f} %)",
+        acquisition=_acquisition(problem, timed, first),
+        rule=_rule(problem, targets, excitation),
         notes=(*unseen, *_in_vain(problem), *_similar(mac, targets, plan.max_auto_mac)),
     )
     progress(0.6, "what the plan shows and misses")
@@ -164,6 +128,69 @@ def run(session: Session, progress: Progress) -> PlanStage:
         rows_si = problem.si * shapes[chosen].reshape(-1, f.size)
         stage = virtual_tests(problem, stage, rows_si, part(progress, 0.7, 1.0))
     return stage
+
+
+def _points_and_exciters(
+    problem: PlanProblem, targets: Int, fixed: Bool, progress: Progress
+) -> tuple[Int, Int, Int]:
+    """The measuring points, the points that may be excited, and the directions of the measuring
+    points that are.
+
+    Where `strike_at` says where alone may be excited, that is chosen before the measuring points.
+    """
+    able = problem.able
+    strike_at = problem.section.strike_at
+    spots = np.flatnonzero(np.isin(able.node, strike_at))
+    if strike_at and not spots.size:
+        raise ConfigError(f"[plan] strike_at: none of {strike_at[:8]} is a candidate")
+    if not spots.size:
+        chosen = _points(problem, targets, fixed)
+        progress(0.5, "where to excite")
+        return chosen, chosen, problem.excitation(chosen, targets)
+    found = problem.excitation(spots, targets)
+    excited = spots[found // able.each]
+    chosen = _points(
+        problem, targets, fixed | np.isin(np.arange(able.at.size), excited)
+    )
+    return (
+        chosen,
+        spots,
+        np.searchsorted(chosen, excited) * able.each + found % able.each,
+    )
+
+
+def _acquisition(problem: PlanProblem, timed: Int, first: Int) -> AcquisitionPlan:
+    """Blocks that resolve the modes `timed`, and ambient records that are long enough for the modes
+    `first`.
+    """
+    plan = problem.section
+    f = problem.frequencies
+    need = resolution(
+        f[timed], plan.damping, error=plan.error, coherence=plan.coherence
+    )
+    every = resolution(f[first], plan.damping, precision=plan.precision)
+    return AcquisitionPlan(
+        damping=plan.damping,
+        frequency_step=need.step,
+        block=need.block,
+        averages=need.averages,
+        record_length=every.record,
+        segments=int(every.record // need.block),
+        modes=first,
+        std_frequency=every.std_frequency,
+        std_damping=every.std_damping,
+    )
+
+
+def _rule(problem: PlanProblem, targets: Int, excitation: ExcitationPlan) -> str:
+    """How the points were chosen, in words."""
+    plan = problem.section
+    return (
+        f"{SENSORS[plan.directions]} by effective independence (backward elimination) of "
+        f"{targets.size} target modes, at least {problem.least_distance:g} m from each other, "
+        f"then points that lower the worst auto-MAC; {EXCITATION[plan.strike]} "
+        f"(least share reached {100 * float(excitation.reach.min()):.0f} %)"
+    )
 
 
 def plan_problem(
