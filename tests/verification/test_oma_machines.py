@@ -168,6 +168,14 @@ def test_a_machine_whose_speed_wanders_on_a_mode_is_named() -> None:
     assert not len(identify_ambient(record(forces())).others)
 
 
+def test_a_rotor_slower_than_all_modes_is_one_machine() -> None:
+    turns = np.cumsum(0.35 * (1 + 0.002 * np.sin(2 * np.pi * TIME / 300))) / RATE
+    comb = sum(np.sin(2 * np.pi * k * turns + k**2) for k in range(1, 26))
+    r = identify_ambient(record(forces() + 0.5 * PUSH * comb))
+    check(r)
+    assert [m.frequency for m in r.machines] == pytest.approx([0.35], rel=1e-3)
+
+
 def test_what_a_line_leaves_that_was_taken_out_is_no_mode() -> None:
     f, z, line = (
         np.array([10.0, 24.43, 33.0]),
