@@ -37,17 +37,23 @@ class ChannelLimits:
     ----------
     level_ratio : float
         Ratio of an odd level to the median level of the quantity.
+    clipped : int
+        Samples at an extreme of a clipped record, at least.
     clipped_ratio : float
         Samples at an extreme over those at the next value, of a clipped record: 2.4 at the top of a
         smooth signal, below 1 of noise.
     odd : float
         Times what is typical of the record: runs of equal samples, and steps into and out of them,
         where samples are lost; spikes.
+    short : int
+        Missing samples in a row that are interpolated: more would be missed in the damping.
     """
 
     level_ratio: float = 100.0
+    clipped: int = 10
     clipped_ratio: float = 4.0
     odd: float = 20.0
+    short: int = 5
 
 
 LIMITS = ChannelLimits()
@@ -167,7 +173,7 @@ def _clipping(x: Any_, unit: str) -> _Finding | None:
         levels = np.unique(x[: 1 << 16]).size
     if levels < FEWEST:
         return "channel coarse", {"levels": int(levels)}
-    ends = clipped_ends(x, FEWEST, LIMITS.clipped_ratio)
+    ends = clipped_ends(x, LIMITS.clipped, LIMITS.clipped_ratio)
     if not ends:
         return None
     count = int(sum(np.count_nonzero(np.isclose(x, end, rtol=1e-9)) for end in ends))
@@ -521,7 +527,7 @@ def _filled(
         _bridge(data[i], none)
         long = none.copy()
         for a, b in runs(none):
-            long[a : b + 1] = b - a >= LIMITS.odd
+            long[a : b + 1] = b - a >= LIMITS.short
         if long.any():
             missing[name] = long
         if count := np.count_nonzero(none & ~long):
