@@ -6,6 +6,8 @@ the method.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringtrue.core.arrays import Complex, Float
@@ -56,3 +58,16 @@ def test_a_pair_that_shares_its_forces_with_a_third_mode_is_left_as_it_is() -> N
     mix = unmix(spectra(0.9), EstimatedModes(F[:2], Z[:2], MIXED), 4.0)
     assert (mix.matrix == np.eye(2)).all()
     assert (mix.variance == 0).all()
+
+
+def test_a_pair_in_fewer_bins_than_are_averaged_is_left_as_it_is() -> None:
+    fine = spectra(0.0)
+    few = np.flatnonzero((FREQS > 0.98) & (FREQS < 1.045))[
+        ::30
+    ]  # at both ends of a band
+    coarse = replace(
+        fine, freqs=FREQS[few], count=fine.count[few], cross=fine.cross[few]
+    )
+    assert few.size == 6
+    mix = unmix(coarse, EstimatedModes(F[:2], Z[:2], MIXED), 4.0)
+    assert (mix.matrix == np.eye(2)).all()

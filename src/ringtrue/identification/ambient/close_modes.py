@@ -124,7 +124,8 @@ def _pair_mixing(
     freqs = b.freqs[at]
     nu = freqs[:, None] / f
     inside = (np.abs(nu - 1) < z).sum(0)
-    if not inside.all():
+    averaged = 7  # bins
+    if not inside.all() or at.size < averaged:
         return None
     h: Complex = (2 * z * nu ** (slope / 2) / (1 - nu**2 + 2j * z * nu)).astype(complex)
     w = _filters(b, at, modes, pair)
@@ -136,9 +137,8 @@ def _pair_mixing(
     peaks = power * np.abs(h) ** 2
     # a thousandth of the other mode is left in each coordinate
     expected = peaks + rest + 1e-3 * peaks[:, ::-1]
-    smooth = np.stack(
-        [np.convolve(x, np.full(7, 1 / 7), "same") for x in own.T], axis=1
-    )
+    box = np.full(averaged, 1 / averaged)
+    smooth = np.stack([np.convolve(x, box, "same") for x in own.T], axis=1)
     # something else is there
     expected = np.where(smooth > 2.5 * expected, smooth, expected)
     cell = np.floor((freqs - freqs.min()) / (f * z).min()).astype(np.int64)
