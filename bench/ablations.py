@@ -61,8 +61,8 @@ FIRST_SEED = 5000
 COUNTS = {"short": 4, "decay": 3, "drops": 2, "mixed": 2, "machine": 1, "close": 1}
 SAMPLES = {"machine": 120_000, "close": 60_000}  # of longer ones the first so many
 MOVED = 0.1  # standard deviations
-MOST_SETTINGS = 192  # both as counted last: they fall with every clean-up
-MOST_IDLE = 125  # settings without an effect, those among them that no record reads
+MOST_SETTINGS = 66  # both as counted last: they fall with every clean-up
+MOST_IDLE = 28  # settings without an effect, those among them that no record reads
 
 
 @dataclass(frozen=True, slots=True)
