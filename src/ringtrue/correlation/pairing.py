@@ -216,9 +216,11 @@ def pair_modes(
     if a.channels:
         usable_a &= a.shapes.any(axis=0)
     usable_b = np.array([not why for why in hidden], dtype=np.bool_)
-    by = _by_shape if a.channels else _by_frequency
-    modes_of_both = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
-    found = by(modes_of_both, settings, (usable_a, usable_b), locks)
+    compared = ComparedModes(a.frequencies, a.shapes, b.frequencies, b.shapes)
+    score = scores(compared, settings)
+    pairs = _by_shape if a.channels else _by_frequency
+    usable = usable_a, usable_b
+    found = pairs(compared, score, settings, usable, locks)
     rows = found.rows
     cols = found.columns
     score = found.score
@@ -285,32 +287,31 @@ class _Pairs:
 
 def _by_shape(
     modes: ComparedModes,
-    settings: PairingSettings,
+    score: Scores,
+    gates: PairingSettings,
     usable: tuple[Bool, Bool],
     locks: Locks,
 ) -> _Pairs:
     """By MAC and frequency, then beyond the frequency gate by MAC alone."""
-    score = scores(modes, settings)
-    usable_a, usable_b = usable
-    paired = assign(score, settings, usable_a, usable_b=usable_b, locks=locks)
-    allowed = locks.mask((usable_a.size, usable_b.size))[1]
-    free = np.logical_and.outer(usable_a, usable_b) & allowed
-    found = pairs_by_shape(modes, score, paired=paired, free=free, gates=settings)
+    a, b = usable
+    paired = assign(score, gates, a, usable_b=b, locks=locks)
+    free = np.logical_and.outer(a, b) & locks.mask((a.size, b.size))[1]
+    found = pairs_by_shape(modes, score, paired=paired, free=free, gates=gates)
     return _Pairs(found.rows, found.columns, found.score, beyond=found.beyond)
 
 
 def _by_frequency(
     modes: ComparedModes,
-    settings: PairingSettings,
+    score: Scores,
+    gates: PairingSettings,
     usable: tuple[Bool, Bool],
     locks: Locks,
 ) -> _Pairs:
-    """By frequencies alone."""
-    score = scores(modes, settings)
-    usable_a, usable_b = usable
-    loose = replace(settings, frequency_gate=settings.frequency_gate / WORTH.hold)
-    wide = within(score, loose, usable_a, usable_b=usable_b, locks=locks)[0]
-    allowed, forced = within(score, settings, usable_a, usable_b=usable_b, locks=locks)
+    """By frequencies alone; rivals are looked for within wider gates."""
+    a, b = usable
+    loose = replace(gates, frequency_gate=gates.frequency_gate / WORTH.hold)
+    wide = within(score, loose, a, usable_b=b, locks=locks)[0]
+    allowed, forced = within(score, gates, a, usable_b=b, locks=locks)
     found = by_frequency(modes.fa, modes.fb, allowed, forced=forced, wide=wide)
     return _Pairs(found.rows, found.columns, score, rival=found.rival)
 

@@ -467,10 +467,11 @@ def deviations(stages: Sequence[tuple[str, CorrelationTable]]) -> go.Figure:
     alone = all(t.frequency_only for _, t in stages)
     order = {r.test: r.test_hz for _, t in stages for r in t.rows()}
     names = {k: f"{k}: {order[k]:.2f}" for k in sorted(order)}
-    fig = _with_mac()
     if alone:
         modes = axis("Test mode, Hz", type="category", tickangle=-45)
         fig = figure(300, xaxis=modes, yaxis=_deviation_axis(0.0))
+    else:
+        fig = _with_mac()
     for x_axis in fig.select_xaxes():
         x_axis.update(categoryorder="array", categoryarray=list(names.values()))
     for size, (name, table) in zip((13, 10, 9), stages, strict=False):

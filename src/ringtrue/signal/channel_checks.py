@@ -59,9 +59,7 @@ class ChannelLimits:
 LIMITS = ChannelLimits()
 
 
-def check_channels(
-    history: TimeHistory, limits: ChannelLimits = LIMITS
-) -> tuple[Note, ...]:
+def check_channels(history: TimeHistory) -> tuple[Note, ...]:
     """Notes on channels: errors on those that cannot be used, warnings on others.
 
     Raises
@@ -97,7 +95,7 @@ def check_channels(
         ]
         found = (
             _clipping(x, history.channels[i].unit),
-            _odd_level(level[i], peers, limits),
+            _odd_level(level[i], peers),
             _same_samples(data, i, ids),
         )
         notes += [
@@ -161,10 +159,9 @@ def _wraps(x: Any_) -> int:
     steps[over] -= np.sign(steps[over]) * span
     with_wraps = prediction_error(detrend(x[None])[0])
     without = prediction_error(detrend(np.cumsum(steps)[None])[0])
-    chance = 1 - ndtri(1 - FALSE_ALARM) * 2 / np.sqrt(
-        x.size
-    )  # of the ratio of two variances
-    return count if without @ without < chance * (with_wraps @ with_wraps) else 0
+    # two variances of so many samples of one noise have no lower ratio
+    lowest = 1 + ndtri(FALSE_ALARM) * 2 / np.sqrt(x.size)
+    return count if without @ without < lowest * (with_wraps @ with_wraps) else 0
 
 
 def _clipping(x: Any_, unit: str) -> _Finding | None:
@@ -215,14 +212,12 @@ def clipped_ends(x: Any_, least: int, ratio: float) -> list[float]:
     return out
 
 
-def _odd_level(
-    level: float, peers: Sequence[float], limits: ChannelLimits
-) -> _Finding | None:
+def _odd_level(level: float, peers: Sequence[float]) -> _Finding | None:
     """Far louder or quieter than the other channels of its quantity: the unit, the sensitivity or a
     node.
     """
     ratio = level / float(np.median(peers))
-    if len(peers) < 3 or 1 / limits.level_ratio < ratio < limits.level_ratio:
+    if len(peers) < 3 or 1 / LIMITS.level_ratio < ratio < LIMITS.level_ratio:
         return None
     return "channel level", {"ratio": ratio}
 

@@ -115,8 +115,7 @@ def amplitude_evidence(
     the band of the pole is that of random response, 3, with a standard deviation of 3/sqrt(2π ζ f
     T); a pole is no mode where it is nearer to the 1.5 of a sine and too far below 3 by chance. The
     band is widened to four times its width, as a line may wander beyond its pole, while it holds
-    most of its power near the pole and no known line. Poles of few cycles or of much damping are
-    not tried.
+    most of its power near the pole and no known line. Poles of few cycles are not tried.
 
     A machine that switches on and off has the same amplitude each time: the power of a mode,
     exponentially distributed, goes far beyond what it exceeds in a twentieth of the time. With the
@@ -174,10 +173,10 @@ def amplitude_evidence(
         near = [band for band in bands if band[1] < 2 * bands[0][1]]
         kurtosis = min(x[0] for x in near)
         top = min(x[2] for x in near)
-        by_chance = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])
-        regular = top < AMPLITUDE.peak and by_chance < FALSE_ALARM and not interval
-        by_chance = ndtr((kurtosis - 3) / (3 / np.sqrt(cycles[k])))
-        if kurtosis < np.sqrt(1.5 * 3) and by_chance < FALSE_ALARM:
+        as_low = (1 - AMPLITUDE.loud**top) ** (2 * cycles[k])  # chance of a mode
+        regular = top < AMPLITUDE.peak and as_low < FALSE_ALARM and not interval
+        as_steady = ndtr((kurtosis - 3) / (3 / np.sqrt(cycles[k])))
+        if kurtosis < np.sqrt(1.5 * 3) and as_steady < FALSE_ALARM:
             out[k] = (
                 f"a machine of unsteady speed: steady amplitude (kurtosis {kurtosis:.2f}, a mode "
                 "has 3, a sine 1.5)"

@@ -20,6 +20,7 @@ from ringtrue.core.channels import SI_UNIT
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import ConfigError, DataError
 
+AT_ONCE = 1 << 21  # numbers that are worked on together: they stay in the cache
 WindowName = Literal["hann", "hamming", "blackmanharris", "flattop", "boxcar"]
 
 
@@ -246,8 +247,6 @@ def block_weights(power: Float) -> Float:
 _STOP = 90.0  # dB
 # of the polynomials of a drift, at most: 8 cycles in the record, where bands begin at 50
 DEGREE = 24
-# numbers that are worked on together: they stay in the cache
-AT_ONCE = 1 << 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -385,6 +384,14 @@ def band_signals(
     return tuple((y, rate * m / n) for y, m in zip(out, sizes, strict=True))
 
 
+def pieces(samples: int, columns: int) -> list[slice]:
+    """Parts of a record, of which a basis of so many columns stays in the cache: that of the whole
+    would not fit in memory.
+    """
+    size = AT_ONCE // columns
+    return [slice(k, min(k + size, samples)) for k in range(0, samples, size)]
+
+
 def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
     """The record without what drifts far below `low` Hz, in channels where that is more than all
     else.
@@ -408,18 +415,16 @@ def remove_drift(history: TimeHistory, low: float) -> TimeHistory:
     drifting = data[much]
     places = np.linspace(-1.0, 1.0, samples)
     offset = drifting[:, :1].astype(np.float64)
-    size = AT_ONCE // (degree + 1)
+    parts = pieces(samples, degree + 1)
     gram = np.zeros((degree + 1, degree + 1))
     right = np.zeros((degree + 1, len(drifting)))
-    for start in range(0, samples, size):
-        part = slice(start, start + size)
+    for part in parts:
         basis = legvander(places[part], degree)
         gram += basis.T @ basis
         right += basis.T @ (drifting[:, part] - offset).T
     drift = np.linalg.solve(gram, right)
     drift[0] += offset[:, 0]
-    for start in range(0, samples, size):
-        part = slice(start, start + size)
+    for part in parts:
         basis = legvander(places[part], degree)
         drifting[:, part] -= (basis @ drift).T
     data[much] = drifting

@@ -35,7 +35,7 @@ from ringtrue.core.arrays import Any_, Bool, Float, Int
 from ringtrue.core.signals import FALSE_ALARM, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.signal.band_correlations import Signals, detrended
-from ringtrue.signal.spectra import AT_ONCE, window
+from ringtrue.signal.spectra import AT_ONCE, pieces, window
 
 DYNAMIC_RANGE = 1e-14  # of a record, as power: no recorder has more than 140 dB
 
@@ -499,27 +499,25 @@ def _take_out(data: Any_, rate: float, frequencies: Sequence[float]) -> None:
     columns = 2 * FIT.slow * len(frequencies)
     gram = np.zeros((columns, columns))
     right = np.zeros((columns, len(data)))
-    # a basis of the whole record would not fit in memory
-    size = AT_ONCE // columns
-    for start in range(0, samples, size):
-        a = _basis(rate, samples, frequencies, start, size)
-        weighted = a * taper[start : start + size, None]
+    parts = pieces(samples, columns)
+    for part in parts:
+        a = _basis(rate, samples, frequencies, part)
+        weighted = a * taper[part, None]
         gram += weighted.T @ a
-        right += weighted.T @ data[:, start : start + size].T.astype(np.float64)
+        right += weighted.T @ data[:, part].T.astype(np.float64)
     x = np.linalg.lstsq(gram, right)[0]
-    for start in range(0, samples, size):
-        data[:, start : start + size] -= (
-            _basis(rate, samples, frequencies, start, size) @ x
-        ).T.astype(data.dtype)
+    for part in parts:
+        lines = _basis(rate, samples, frequencies, part) @ x
+        data[:, part] -= lines.T.astype(data.dtype)
 
 
 def _basis(
-    rate: float, samples: int, frequencies: Sequence[float], start: int, size: int
+    rate: float, samples: int, frequencies: Sequence[float], part: slice
 ) -> Float:
-    """(sample, column) sines and cosines times Legendre polynomials over the record, of so many
-    samples from one on.
+    """(sample, column) sines and cosines times Legendre polynomials over the record, of a part of
+    it.
     """
-    t = np.arange(start, min(start + size, samples))
+    t = np.arange(part.start, part.stop)
     slow = legvander(2 * t / samples - 1, FIT.slow - 1)
     turn = 2 * np.pi * t[:, None] * (np.asarray(frequencies) / rate)
     both = np.concatenate([np.cos(turn), np.sin(turn)], axis=1)

@@ -214,10 +214,10 @@ def find_events(data: Any_, rate: float, gone: Bool | None = None) -> Events:
     part = signals.part(0, signals.samples)
     while True:
         found = _at_one_rate(part, rate / step, lost[::step])
+        if found.count or -(-part.shape[1] // 4) < WIDTH**2 * ORDER:
+            return found if gone is None else replace(found, gone=gone, rate=rate)
         part = lowered(Signals.of(part), decimator(4))
         step *= 4
-        if found.count or part.shape[1] < WIDTH**2 * ORDER:
-            return found if gone is None else replace(found, gone=gone, rate=rate)
 
 
 def _at_one_rate(data: Any_, rate: float, lost: Bool) -> Events:

@@ -182,7 +182,7 @@ def frequency_wander(c: CandidateModes, at: Int, blocks: int) -> Float:
     # the mean over the blocks is taken off
     both = (d[:, 1:] * d[:, :-1]).sum(axis=1) / (blocks - 1) + own / blocks
     like = both / np.maximum(own, np.finfo(np.float64).tiny)
-    if like.mean() > ndtri(1 - FALSE_ALARM) / np.sqrt(blocks * at.size):
+    if like.mean() > -ndtri(FALSE_ALARM) / np.sqrt(blocks * at.size):
         out[at] = np.sqrt(np.maximum(both, 0))
     return np.where(out**2 > c.stds()[1] * c.damping, out, 0.0)
 

@@ -382,7 +382,7 @@ def machine(
     pole with a width is a line only where that of the line is far below.
     """
     cycles = 2 * np.pi * zeta * f * duration
-    scatter = ndtri(1 - FALSE_ALARM) / np.sqrt(cycles)
+    scatter = -ndtri(FALSE_ALARM) / np.sqrt(cycles)
     least_moment = np.log(2 * cycles / (cycles + 1)) - scatter
     reach = max(0.5 * resolution, zeta * f, 1e-3 * f)
     for line in lines:
