@@ -15,7 +15,7 @@ from pathlib import Path
 
 import chromium
 import pytest
-from clicks import fill, found, press, see
+from clicks import POINT, fill, found, mouse, press, see
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
 
@@ -121,3 +121,29 @@ def test_a_mode_that_is_drawn_onto_another_is_merged_with_it(
         assert page.complaints() == []
     (merge,) = read_choice(folder / "choice.toml").merges
     assert merge.frequencies == pytest.approx((one["hz"], other["hz"]), rel=1e-6)
+
+
+def test_a_pick_under_a_pointer_that_has_moved_on_is_kept(
+    served: tuple[Path, str], tmp_path: Path
+) -> None:
+    """The plot says late what is under the pointer: a quick click elsewhere means what is there."""
+    folder, address = served
+    before = read_choice(folder / "choice.toml").picks
+    with chromium.page(tmp_path / "profile") as page:
+        page.call("Page.navigate", url=address.replace("/?", "/poles?"))
+        one, other = (
+            found(page, f"{POINT}('.js-plotly-plot', 'pole of a candidate mode', {f})")
+            for f in (2.5, 9.4)
+        )
+        mouse(page, tuple(one["at"]))
+        see(page, f"picked {one['x']:.5g} Hz, order {one['y']}")
+        found(page, f"{POINT}('.js-plotly-plot', 'your pick', {one['x']})")
+        away, pick = (other["at"][0], other["at"][1] + 30), tuple(one["at"])
+        page.mouse("mouseMoved", away, held=False)
+        page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+        page.mouse("mouseMoved", pick, held=False)
+        mouse(page, tuple(other["at"]))
+        see(page, f"picked {other['x']:.5g} Hz, order {other['y']}")
+        assert page.complaints() == []
+    picks = read_choice(folder / "choice.toml").picks[len(before) :]
+    assert [p.order for p in picks] == [one["y"], other["y"]]

@@ -70,9 +70,7 @@ def test_a_record_is_zoomed_to_its_samples(ran: Path, tmp_path: Path) -> None:
         )
         assert near["dx"] == 1 / record.rate
         await shows(user, "spectra", lambda s: len(s["data"]) == 4)  # with the modes
-        user.find(marker="spectra").trigger(
-            "plotly_click", {"points": [{"x": 2.5, "y": 0.1}]}
-        )
+        user.find(marker="spectra").trigger("plotly_click", {"x": 2.5, "y": 0.1})
         assert session.selection.frequency == 2.5
         user.find(marker="whole").click()
         await shows(user, "signals", lambda s: s["data"][0]["x0"] == 0.0)
@@ -89,7 +87,7 @@ def test_any_frf_is_shown_with_its_frac(ran: Path, tmp_path: Path) -> None:
         await user.should_see(marker="frac", retries=200)
         names = {t["name"] for t in figure(user, "frf")["data"]}
         assert names == {"test", "fit of the test", "initial model"}
-        cell = {"points": [{"x": "203+Y", "y": "303+Y"}]}
+        cell = {"x": "203+Y", "y": "303+Y"}
         user.find(marker="frac").trigger("plotly_click", cell)
         assert session.selection.channel == "203+Y"
         await user.should_see("203+Y / 303+Y")
@@ -98,9 +96,7 @@ def test_any_frf_is_shown_with_its_frac(ran: Path, tmp_path: Path) -> None:
         i = [c.id for c in model.outputs].index("203+Y")
         np.testing.assert_allclose(drawn, np.abs(model.data[:, i, 1]), rtol=1e-5)
         f = float(study.stage("identify").hammer.modes.frequencies[1])
-        user.find(marker="frf").trigger(
-            "plotly_click", {"points": [{"x": 1.001 * f, "y": 1}]}
-        )
+        user.find(marker="frf").trigger("plotly_click", {"x": 1.001 * f, "y": 1})
         assert (session.selection.mode, session.selection.frequency) == (1, f)
 
     on("frfs", session, scenario)

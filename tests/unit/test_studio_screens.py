@@ -24,7 +24,7 @@ def test_a_click_picks_a_pole_and_another_lets_it_go(ran: Path, tmp_path: Path) 
     poles = rt.open_study(ran).stage("identify").hammer.diagrams[-1].poles
     f, order = float(poles.frequencies[-1]), int(poles.order[-1])
     # the page has single precision; a mark of a mode has customdata
-    click = {"points": [{"x": float(np.float32(f)), "y": order}]}
+    click = {"x": float(np.float32(f)), "y": order}
 
     async def scenario(user: User) -> None:
         user.find(marker="diagram").trigger("plotly_click", click)
@@ -51,7 +51,7 @@ def test_a_mode_is_rejected_with_a_reason(ran: Path, tmp_path: Path) -> None:
 
     async def scenario(user: User) -> None:
         user.find(marker="diagram").trigger(
-            "plotly_click", {"points": [{"x": 1.7, "y": 40.1, "customdata": 2}]}
+            "plotly_click", {"x": 1.7, "y": 40.1, "customdata": 2}
         )
         assert session.selection.mode == 2
         await user.should_see(found.reasons[2])
@@ -78,7 +78,7 @@ def test_two_modes_are_merged_with_a_reason(ran: Path, tmp_path: Path) -> None:
 
     async def scenario(user: User) -> None:
         user.find(marker="diagram").trigger(
-            "plotly_click", {"points": [{"x": 1.7, "y": 40.1, "customdata": 2}]}
+            "plotly_click", {"x": 1.7, "y": 40.1, "customdata": 2}
         )
         await user.should_see(marker="merge")
         (select,) = user.find(marker="merge").elements
@@ -130,7 +130,7 @@ def test_a_pair_is_locked_in_the_matrix(ran: Path, tmp_path: Path) -> None:
             "x": f"2: {table.all_fe_hz[1]:.2f}",
             "y": f"1: {table.all_test_hz[0]:.2f}",
         }
-        user.find(marker="matrix").trigger("plotly_click", {"points": [cell]})
+        user.find(marker="matrix").trigger("plotly_click", cell)
         assert session.selection.pair == (0, 1)
         await user.should_see(f"{100 * table.mac[0, 1]:.1f} %")
         user.find(marker="lock").click()

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 from zlib import crc32
 
 from nicegui import Client, Event, app, ui
-from nicegui.events import KeyEventArguments
+from nicegui.events import GenericEventArguments, KeyEventArguments
 
 # a page names its modules when it is loaded, also where its first screen has no 3D view
 import ringtrue.studio.viewer_element  # noqa: F401
@@ -140,6 +140,22 @@ def table(names: Mapping[str, str], rows: list[dict[str, object]]) -> ui.table:
         .props("dense flat hide-bottom :rows-per-page-options=[0]")
         .classes("w-full")
     )
+
+
+# Plotly looks 20 times a second for what is under the pointer, and a quick click would mean what
+# was there before: what is there is asked for after its next look.
+UNDER = """() => setTimeout(() => {
+  const point = getHtmlElement(@PLOT@)._hoverdata?.[0];
+  if (point) emit({ x: point.x, y: point.y, customdata: point.customdata });
+}, 60)"""
+
+
+def on_click(
+    plot: ui.plotly, clicked: Callable[[GenericEventArguments], None]
+) -> ui.plotly:
+    """Say which point of a plot was clicked: `args` of the event have its x, y and customdata."""
+    script = UNDER.replace("@PLOT@", str(plot.id))
+    return plot.on("plotly_click", clicked, js_handler=script)
 
 
 SELECT = "dense options-dense outlined"  # how a list to choose from looks

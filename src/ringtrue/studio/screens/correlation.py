@@ -22,6 +22,7 @@ from ringtrue.studio.shell import (
     heading,
     inspector,
     nothing_yet,
+    on_click,
     run_button,
     table,
 )
@@ -102,9 +103,7 @@ class _CorrelationScreen:
                     self.plot = (
                         ui.plotly(self._figure()).classes("w-full").style("height:58vh")
                     )
-                    self.plot.on("plotly_click", self._clicked, ["points"]).mark(
-                        "matrix"
-                    )
+                    on_click(self.plot, self._clicked).mark("matrix")
                 self._shapes()
             self.pairs()
         self.inspected()
@@ -189,11 +188,10 @@ class _CorrelationScreen:
         return labels(hz)[k] if k < hz.size else ""
 
     def _clicked(self, event: GenericEventArguments) -> None:
-        points = event.args.get("points") or []
-        if not points or self.kind not in MATRICES:
+        if self.kind not in MATRICES:
             return
-        test = labels(self.table.all_test_hz).index(str(points[0]["y"]))
-        fe = labels(self.table.all_fe_hz).index(str(points[0]["x"]))
+        test = labels(self.table.all_test_hz).index(str(event.args["y"]))
+        fe = labels(self.table.all_fe_hz).index(str(event.args["x"]))
         self.select(test, fe)
 
     def select(self, test: int, fe: int) -> None:

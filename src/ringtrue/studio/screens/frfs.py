@@ -23,6 +23,7 @@ from ringtrue.studio.shell import (
     heading,
     inspector,
     nothing_yet,
+    on_click,
     output_select,
 )
 from ringtrue.study.evidence import frf_band
@@ -87,7 +88,7 @@ class _FrfsScreen:
         with ui.column().classes("w-full gap-1 p-2"):
             self._bar()
             self.plot = ui.plotly(self._figure()).classes("w-full").style("height:60vh")
-            self.plot.on("plotly_click", self._clicked, ["points"]).mark("frf")
+            on_click(self.plot, self._clicked).mark("frf")
             self.map()
         self.inspected()
         keys = frame().keys
@@ -194,12 +195,10 @@ class _FrfsScreen:
         spec = theme.drawn(figure, dark=self.session.dark, tools=False)
         height = 110 + 24 * len(self.test.inputs)
         plot = ui.plotly(spec).classes("w-full").style(f"height:{height}px")
-        plot.on("plotly_click", self._map_clicked, ["points"]).mark("frac")
+        on_click(plot, self._map_clicked).mark("frac")
 
     def _map_clicked(self, event: GenericEventArguments) -> None:
-        points = event.args.get("points") or []
-        if points:
-            self.choose(str(points[0]["x"]), str(points[0]["y"]))
+        self.choose(str(event.args["x"]), str(event.args["y"]))
 
     def choose(self, output: str, input_: str) -> None:
         """Show one FRF."""
@@ -210,11 +209,8 @@ class _FrfsScreen:
 
     def _clicked(self, event: GenericEventArguments) -> None:
         """Select the frequency, and the mode where one is near."""
-        points = event.args.get("points") or []
         hammer = self.stage.hammer
-        if not points:
-            return
-        f = float(points[0]["x"])
+        f = float(event.args["x"])
         mode = None
         if hammer is not None and len(hammer):
             there = hammer.modes.frequencies

@@ -25,6 +25,7 @@ from ringtrue.studio.shell import (
     heading,
     inspector,
     nothing_yet,
+    on_click,
     run_button,
     table,
 )
@@ -48,8 +49,8 @@ DRAWN = """(e) => {
   if (!from || e.button) return;
   const ended = (up) => {
     const to = under();
-    if (to && Math.hypot(up.clientX - clientX, up.clientY - clientY) > 4) emit([from.x, to.x]);
-    else if (to) plot.emit('plotly_click', { points: [to] });
+    if (Math.hypot(up.clientX - clientX, up.clientY - clientY) <= 4) plot.emit('plotly_click', {});
+    else if (to) emit([from.x, to.x]);
   };
   e.stopPropagation();
   addEventListener('mouseup', ended, { once: true, capture: true });
@@ -100,7 +101,7 @@ class _PolesScreen:
         with ui.column().classes("w-full gap-1 p-2"):
             self._bar()
             self.plot = ui.plotly(self._figure()).classes("w-full").style("height:50vh")
-            self.plot.on("plotly_click", self._clicked, ["points"]).mark("diagram")
+            on_click(self.plot, self._clicked).mark("diagram")
             self.plot.on("plotly_hover", self._hovered, ["points"], throttle=0.1)
             self.plot.on(
                 "mousedown.capture",
@@ -215,10 +216,7 @@ class _PolesScreen:
 
     def _clicked(self, event: GenericEventArguments) -> None:
         """A mark of a mode selects it, a pole is picked, one that is picked is let go."""
-        points = event.args.get("points") or []
-        if not points:
-            return
-        point = points[0]
+        point = event.args
         f = float(point["x"])
         if (mode := point.get("customdata")) is not None:
             self._select_mode(int(np.ravel(mode)[0]))

@@ -24,6 +24,7 @@ from ringtrue.studio.shell import (
     frame,
     heading,
     inspector,
+    on_click,
 )
 from ringtrue.studio.shown import records_of
 from ringtrue.study.record_views import RecordView, place_of
@@ -183,7 +184,7 @@ class _SignalsScreen:
             ).props("dense options-dense borderless").mark("resolution")
         with ui.row().classes("w-full no-wrap gap-2"):
             self.spectra = ui.plotly({}).classes("w-1/2 min-w-0").style("height:38vh")
-            self.spectra.on("plotly_click", self._clicked, ["points"]).mark("spectra")
+            on_click(self.spectra, self._clicked).mark("spectra")
             self.waterfall = ui.plotly({}).classes("w-1/2 min-w-0").style("height:38vh")
 
     # --- what is asked for
@@ -234,9 +235,7 @@ class _SignalsScreen:
             await self._drawn()
 
     def _clicked(self, event: GenericEventArguments) -> None:
-        points = event.args.get("points") or []
-        if points:
-            self.session.select(frequency=float(points[0]["x"]), order=None, mode=None)
+        self.session.select(frequency=float(event.args["x"]), order=None, mode=None)
 
     # --- what is shown
 
