@@ -83,8 +83,9 @@ def check_channels(history: TimeHistory) -> tuple[Note, ...]:
         [_level(x) if ok else np.nan for x, ok in zip(data, finite, strict=True)]
     )
     notes = []
+    ramp = np.linspace(-1.0, 1.0, data.shape[1])
     for i, x in enumerate(data):
-        fatal = _no_signal(x, level[i])
+        fatal = _no_signal(x, level[i], ramp)
         if fatal is not None:
             notes.append(Note(fatal[0], "error", ids[i], fatal[1]))
             continue
@@ -114,16 +115,15 @@ def _level(x: Any_) -> float:
     return float(np.sqrt(d @ d / d.size))
 
 
-def _no_signal(x: Any_, level: float) -> _Finding | None:
-    """Why a channel cannot be used."""
+def _no_signal(x: Any_, level: float, ramp: Float) -> _Finding | None:
+    """Why a channel cannot be used; `ramp` (sample,) rises from -1 to 1."""
     if not np.isfinite(level):
         return "channel not finite", {"samples": int((~np.isfinite(x)).sum())}
     changes = int(np.count_nonzero(x[1:] != x[:-1]))
     if changes < min(FEWEST, x.size // FEWEST):
         return "channel dead", {"value": float(np.median(x)), "changes": changes}
-    t = np.linspace(-1.0, 1.0, x.size)
-    size = float(t @ t)
-    slope = float((x - float(x[0])) @ t) / size
+    size = float(ramp @ ramp)
+    slope = float((x - float(x[0])) @ ramp) / size
     line = slope**2 * size / x.size
     if line > (1 - 1e-10) * level**2:  # nothing but rounding is left besides it
         return "channel straight", {}
@@ -140,28 +140,29 @@ def _wraps(x: Any_) -> int:
     signals have none.
     """
     span = float(x.max()) - float(x.min())
-    steps = np.diff(x.astype(np.float64))
-    over = np.abs(steps) > 0.5 * span
-    count = int(np.count_nonzero(over))
-    if count < FEWEST:
+    steps = x[1:] - x[:-1]
+    over = np.flatnonzero(np.abs(steps) > 0.5 * span)
+    if over.size < FEWEST:
         return 0
+    large = steps[over].astype(np.float64)
     # most of them in one direction
-    if np.abs(np.sign(steps[over]).sum()) > 0.5 * count:
+    if np.abs(np.sign(large).sum()) > 0.5 * over.size:
         return 0
-    others = steps[~over]
-    if not others.any() or _clipping(x, "") is not None:
-        return 0
-    left = np.abs(span - np.abs(steps[over]))
+    left = np.abs(span - np.abs(large))
+    steps = steps.astype(np.float64)
+    steps[over] = 0.0
+    others = (steps @ steps) / max(steps.size - over.size, 1)
     # Gaussian steps cross an end the more often the larger they are: by the law of Rayleigh
-    most = np.sqrt(-2 * np.log(FALSE_ALARM) * (others @ others) / others.size)
-    if np.median(left) > most:
+    if not others or np.median(left) ** 2 > -2 * np.log(FALSE_ALARM) * others:
         return 0
-    steps[over] -= np.sign(steps[over]) * span
+    if _clipping(x, "") is not None:
+        return 0
+    steps[over] = large - np.sign(large) * span
     with_wraps = prediction_error(detrend(x[None])[0])
     without = prediction_error(detrend(np.cumsum(steps)[None])[0])
     # two variances of so many samples of one noise have no lower ratio
     lowest = 1 + ndtri(FALSE_ALARM) * 2 / np.sqrt(x.size)
-    return count if without @ without < lowest * (with_wraps @ with_wraps) else 0
+    return over.size if without @ without < lowest * (with_wraps @ with_wraps) else 0
 
 
 def _clipping(x: Any_, unit: str) -> _Finding | None:

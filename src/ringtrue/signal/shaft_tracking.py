@@ -293,13 +293,13 @@ def _paths(levels: Any_, places: Float) -> list[Float]:
     that are distinct in the mean.
     """
     score, state = _courses(_comb_scores(levels, places))
-    course = np.log(places)[state]
+    step = np.log(places[1] / places[0])
     left = np.ones(places.size, dtype=np.bool_)
     out = list[Float]()
     while left.any() and len(out) < SEARCH.most:
         best = int(np.where(left, score, -np.inf).argmax())
         out.append(places[state[:, best]])
-        left &= ~_one_speed(np.abs(course - course[:, best, None]).T)
+        left &= ~_one_speed(step * np.abs(state - state[:, [best]]).T)
     return out
 
 
@@ -319,8 +319,9 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
     for own in frames:
         y = rfft(own[: steps * together] * win, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 200), 2:])
-        total += np.log1p(power, out=power).reshape(steps, together, bins).sum(axis=1)
+        power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 32), 2:])
+        power += 1
+        total += np.log(power, out=power).reshape(steps, together, bins).sum(axis=1)
     total -= median_filter(
         total.mean(axis=0), size=SEARCH.cycles[0] + 1, mode="nearest"
     )
@@ -362,25 +363,38 @@ def _courses(scores: Any_) -> tuple[Float, Any_]:
     """
     steps, size = scores.shape
     moves = np.arange(-3, 4)
-    cost = (moves**2 / 4).astype(np.float32)[:, None]
-    places = np.arange(size)
-    back = np.zeros((steps, size), dtype=np.int64)
-    padded = np.full(size + 6, -np.inf, dtype=np.float32)
-    shifted = sliding_window_view(padded, size)  # (move, grid)
-    total = scores[0].copy()
+    cost = (moves**2 / 4).astype(np.float32)
+    totals = np.full((steps, size + 6), -np.inf, dtype=np.float32)  # 3 places beyond
+    inner = totals[:, 3:-3]
+    inner[0] = scores[0]
+    before = sliding_window_view(totals, size, axis=1)  # (step, move, grid)
+    options = np.empty((moves.size, size), dtype=np.float32)
     for m in range(1, steps):  # each step needs the one before
-        padded[3:-3] = total
-        options = shifted - cost
-        best = options.argmax(axis=0)
-        back[m] = places + moves[best]
-        total = options[best, places] + scores[m]
-    state = np.empty((steps, size), dtype=np.int64)
-    state[-1] = places
+        np.subtract(before[m - 1], cost[:, None], out=options)
+        options.max(axis=0, out=inner[m])
+        inner[m] += scores[m]
+    last = inner[-1].astype(np.float64)
+    return (last - np.median(last)) / np.sqrt(steps), _traced(totals, moves, cost)
+
+
+def _traced(totals: Any_, moves: Int, cost: Any_) -> Any_:
+    """(step, grid) int16 places of the courses that end at each place, by the `totals` (step, grid
+    and three places beyond each end) of the courses up to each step; those that meet go on as one.
+    """
+    steps = len(totals)
+    ends: Int = np.arange(totals.shape[1] - 6)
+    course: Int = ends
+    state = np.empty((steps, ends.size), dtype=np.int16)
     for m in range(steps - 1, 0, -1):
-        state[m - 1] = back[m][state[m]]
-    return np.asarray(
-        (total - np.median(total)) / np.sqrt(steps), dtype=np.float64
-    ), state
+        state[m] = ends[course]
+        options = totals[m - 1].take(ends[:, None] + moves + 3) - cost
+        ends = ends + moves[options.argmax(axis=1)]
+        new = np.append(True, ends[1:] != ends[:-1])
+        if not new.all():
+            ends = ends[new]
+            course = (new.cumsum() - 1)[course]
+    state[0] = ends[course]
+    return state
 
 
 def _integrated(times: Float, frequency: Float, duration: float) -> ShaftCourse:

@@ -176,9 +176,9 @@ def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool
     fall less.
     """
     pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
-    some = history.pick([history.channels[i].id for i in pick])
     lines = 256
-    some = replace(some, data=some.data[:, : lines**2])
+    excerpt = replace(history, data=history.data[:, : lines**2])
+    some = excerpt.pick([history.channels[i].id for i in pick])
     freqs, auto = psd(some, Welch(history.rate / lines))
     level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
     top = np.minimum(frequency * (1 + 3 * damping), freqs[-1])

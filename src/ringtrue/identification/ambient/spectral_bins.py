@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
+from scipy.sparse import csr_array
 from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
@@ -417,9 +418,13 @@ def singular_values(bins: SpectralBins) -> tuple[Float, Float]:
     that diagrams show, positive and descending.
     """
     start, freqs, count = averaged_lines(bins)
-    weighted = bins.cross * bins.count[:, None, None].astype(np.float32)
-    sums = np.linalg.eigvalsh(np.add.reduceat(weighted, start)).T[:-4:-1]
-    return freqs, np.maximum(sums / count, np.finfo(np.float32).tiny)
+    channels = bins.cross.shape[1]
+    # of each average the bins; numpy.add.reduceat takes twenty times as long
+    ends = np.append(start, bins.count.size)
+    share = csr_array((bins.count.astype(np.float32), np.arange(bins.count.size), ends))
+    sums = share @ bins.cross.reshape(-1, channels**2)
+    values = np.linalg.eigvalsh(sums.reshape(-1, channels, channels)).T[:-4:-1]
+    return freqs, np.maximum(values / count, np.finfo(np.float32).tiny)
 
 
 def spectrum_peaks(
