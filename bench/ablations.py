@@ -39,7 +39,9 @@ from outcome import ROOT, Check, Report, arguments, at_most, sized
 import ringtrue as rt
 from ringtrue.core.arrays import Float
 from ringtrue.core.signals import Channel, TimeHistory
+from ringtrue.signal.clock_alignment import in_step
 
+CORE = "ringtrue.core.signals"  # of it the constants: its classes are data
 PACKAGES = (
     "ringtrue.identification.ambient",
     "ringtrue.identification.common",
@@ -55,13 +57,14 @@ OTHER_PATHS = (  # of the hammer test, of several tests, and pictures
     "ringtrue.identification.common.tracking",
     "ringtrue.identification.common.diagram",
 )
-DEFINITIONS = ("ANY_TURN",)  # arithmetic: the mean share of two shapes after any turn
+# decide nothing: the mean share of two shapes after any turn, and how much threads hold at a time
+DEFINITIONS = ("ANY_TURN", "UNDER_WAY")
 PAGE = ROOT / "docs" / "ambient_settings.md"
 FIRST_SEED = 5000
 COUNTS = {"short": 4, "decay": 3, "drops": 2, "mixed": 2, "machine": 1, "close": 1}
 SAMPLES = {"machine": 120_000, "close": 60_000}  # of longer ones the first so many
 MOVED = 0.1  # standard deviations
-MOST_SETTINGS = 66  # both as counted last: they fall with every clean-up
+MOST_SETTINGS = 60  # both as counted last: they fall with every clean-up
 MOST_IDLE = 28  # settings without an effect, those among them that no record reads
 
 
@@ -162,7 +165,8 @@ def source(module: ModuleType) -> str:
 
 def all_settings() -> list[Setting]:
     """Settings of all modules of the path, in order of their modules."""
-    found = []
+    core = importlib.import_module(CORE)
+    found = [s for s in settings_of(core) if not s.owner]
     for package in map(importlib.import_module, PACKAGES):
         for info in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
             if info.name not in OTHER_PATHS:
@@ -289,6 +293,15 @@ def strangers(seed: int) -> families.Made:
     return replace(made, record=record)
 
 
+def clocks(seed: int) -> families.Made:
+    """Channels of a recorder that started later, and of one whose clock runs fast."""
+    made = calm(seed)
+    rate = made.record.rate
+    delay = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.7, 1.7, 0.0]) / rate
+    drift = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5e-5])
+    return replace(made, record=in_step(made.record, -delay, -drift))
+
+
 def of_made(made: families.Made) -> Case:
     """A record with default settings."""
     return Case(lambda: rt.identify_ambient(made.record), made)
@@ -303,7 +316,7 @@ def cases(more: int) -> dict[str, Case]:
             made[f"{family} {k}"] = of_made(
                 cut(make(FIRST_SEED + k), SAMPLES.get(family, sys.maxsize))
             )
-    for faulty in (run_up, fans, recorder, strangers):
+    for faulty in (run_up, fans, recorder, strangers, clocks):
         made[faulty.__name__] = of_made(faulty(FIRST_SEED))
     for force in ("press", "crowd"):
         made[force] = of_made(calm(FIRST_SEED, force))

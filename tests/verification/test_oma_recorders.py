@@ -9,8 +9,7 @@ from scipy.signal import firwin, lfilter, upfirdn
 
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.identification.ambient.pipeline import identify_ambient
-from ringtrue.identification.ambient.record_checks import filter_edges
-from ringtrue.identification.methods import identify_ambient_by
+from ringtrue.identification.methods import filter_edges, identify_ambient_by
 
 RATE, F, Z = 50.0, np.array([1.4, 2.5, 4.6, 7.8]), np.array([0.06, 0.09, 0.12, 0.08])
 

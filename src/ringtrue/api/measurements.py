@@ -32,7 +32,7 @@ from ringtrue.identification.ambient.pipeline import (
     AmbientSettings,
     identify_stretches,
 )
-from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.ambient.record_bands import too_short
 from ringtrue.identification.ambient.setups import (
     MergeMethod,
     SetupsResult,
@@ -943,6 +943,6 @@ def ambient_parts(
         first = first or kept.duration
         where = "" if len(paths) == 1 else f"{path.name}: "
         notes += [where + sentence(note) for note in find_spikes(kept)]
-        if kept.duration < SHORTEST * first:
+        if too_short(kept.duration, first):
             notes.append(f"{where}shorter than half of the first record: left out")
         yield kept

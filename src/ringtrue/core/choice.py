@@ -68,6 +68,9 @@ class Merge:
             )
 
 
+SAME_MODE = (
+    0.01  # relative: so near a frequency in a choice must be to the mode that it means
+)
 SAME_HIT_S = 0.05  # so near a time in a choice must be to the hit that it means
 
 

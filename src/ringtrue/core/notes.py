@@ -46,7 +46,6 @@ SENTENCES = {
     "candidate steady": (
         "{why}; it may hide a mode near it, which a record without the machine shows"
     ),
-    "candidate edge": "the spectrum ends there: the filter of the recorder",
     "channel not finite": "channel {subject}: {samples} samples are not finite; left out",
     "channel dead": (
         "channel {subject}: at {value:.4g}, with {changes} changes of its value: a dead sensor; "
@@ -201,7 +200,6 @@ SUMMARIES = {
     "candidate impacts": "line of regular impacts",
     "candidate remainder": "remainder of a machine's line",
     "candidate steady": "steady amplitude: a machine",
-    "candidate edge": "edge of the recorder's filter",
     "candidate setups": "too few setups show it",
     "pole orders": "few model orders show it",
     "pole gain": "adds little to the fit",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.iterate import Progress, quiet
 from ringtrue.core.modes import ModeSet, Uncertainty, joined_modes
 from ringtrue.core.notes import sentence
@@ -18,22 +19,23 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, did_you_mean
 from ringtrue.identification.ambient import era, fdd, plscf, ssi_data
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
-from ringtrue.identification.ambient.record_checks import (
-    AT_EDGE,
-    filter_edges,
-    long_enough,
-)
+from ringtrue.identification.ambient.record_checks import long_enough
+from ringtrue.identification.ambient.spectral_bins import oscillator_spectrum
 from ringtrue.shapes import mac
 from ringtrue.signal.channel_checks import bridge_gaps, usable
 from ringtrue.signal.spectra import (
     Band,
+    Welch,
     band_signals,
+    psd,
     remove_drift,
     scaled,
     unit_factor,
 )
 
 Found = tuple[ModeSet, Uncertainty]
+# level above a pole, over that of an oscillator, below which the filter of a recorder keeps it
+EDGE_FALL = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +170,11 @@ def identify_ambient_by(
     else:
         modes, std, short = _in_bands(chosen, good, settings, progress)
         notes += short
-    edge = np.array(filter_edges(good, modes.frequencies, modes.damping), dtype=bool)
-    notes += tuple(f"pole at {f:.4g} Hz {AT_EDGE}" for f in modes.frequencies[edge])
+    edge = filter_edges(good, modes.frequencies, modes.damping)
+    notes += tuple(
+        f"pole at {f:.4g} Hz left out: the spectrum ends there: the filter of the recorder"
+        for f in modes.frequencies[edge]
+    )
     inside = np.flatnonzero(~edge)
     modes = replace(
         modes.take(inside), source=f"{history.source or 'record'}: {chosen.title}"
@@ -182,6 +187,27 @@ def identify_ambient_by(
         f"{chosen.title}: {chosen.evidence} {c:.2f}" for c in modes.confidence
     )
     return SecondOpinion(modes, std.take(inside), reasons, notes)
+
+
+def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool:
+    """(m,) whether the spectrum above each pole falls as no mode lets it: the edge of the
+    recorder's filter.
+
+    Above a mode a displacement falls most, by what an oscillator does; velocities and accelerations
+    fall less.
+    """
+    pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
+    lines = 256
+    excerpt = replace(history, data=history.data[:, : lines**2])
+    some = excerpt.pick([history.channels[i].id for i in pick])
+    freqs, auto = psd(some, Welch(history.rate / lines))
+    level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
+    top = np.minimum(frequency * (1 + 3 * damping), freqs[-1])
+    here = np.interp(frequency, freqs, level)
+    mode = here * oscillator_spectrum(freqs[:, None] / frequency, damping)
+    # all the way up: behind an antiresonance the spectrum comes back
+    cut = (level[:, None] < EDGE_FALL * mode) | (freqs[:, None] < top)
+    return np.asarray(cut.all(axis=0))
 
 
 def _in_bands(

@@ -41,15 +41,12 @@ class DelaySettings:
         has segments.
     agreement : float
         J with the delay or the drift, at least; of one that is sound.
-    remainder : float
-        Of what is missing to 1 otherwise, that may be missing with it.
     most : float
         Drift of one clock against another, s/s; quartz differs by 1e-6 to 1e-4.
     """
 
     segments: int = 64
     agreement: float = 0.9
-    remainder: float = 0.5
     most: float = 3e-4
 
     @property
@@ -125,9 +122,7 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
         turned[known] * weight[known] / total[known, None], length
     )
     none = (turned[known].real * weight[known]).sum(axis=1) / total[known]
-    clear = (best > DELAY.agreement) & (
-        1 - best < DELAY.remainder * (1 - np.maximum(none, second))
-    )
+    clear = (best > DELAY.agreement) & _explains(best, np.maximum(none, second))
     delay = np.zeros(m)
     agree = np.ones(m)
     delay[known], agree[known] = (
@@ -142,6 +137,11 @@ def channel_phases(history: TimeHistory, derivatives: Sequence[int]) -> Phases:
     # nearer to no agreement than to a whole one
     odd = (agree < 0.5) & sound
     return Phases(seen, delay, gain / np.ptp(starts), np.asarray(seen & odd))
+
+
+def _explains(j: Float, other: Float | float) -> Any_:
+    """Whether J explains most of what the `other` one leaves to 1."""
+    return 1 - j < 0.5 * (1 - other)
 
 
 def least_weight() -> float:
@@ -282,7 +282,7 @@ def gained(lines: Any_, root: int, order: Int, starts: Int) -> Float:
         j = _along(turned[:, :, i] * weight[:, :, i] / total[i], length)
         alone = float(j.sum(axis=0).max())
         # with any gain, J is no larger than each part at its best
-        if 1 - j.max(axis=1).sum() < DELAY.remainder * (1 - alone):
+        if _explains(j.max(axis=1).sum(), alone):
             out[i] = _best(j, u, grid, alone)
     return out
 
@@ -394,7 +394,7 @@ def _best(j: Float, u: Float, grid: Float, alone: float) -> float:
     if not (
         0 < k < grid.size - 1
         and tops[k] > DELAY.agreement
-        and 1 - tops[k] < DELAY.remainder * (1 - alone)
+        and _explains(tops[k], alone)
     ):
         return 0.0
     left, mid, right = tops[k - 1 : k + 2]

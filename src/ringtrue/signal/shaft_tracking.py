@@ -229,37 +229,26 @@ def _top(low: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchedBand:
-    """The signals of a band, and the levels of their frames: octaves of one band share them.
+    """The signals of a band, which octaves share.
 
     Attributes
     ----------
     white : (ch, sample) float32
     rate, top : float, Hz
     duration : float, s
-    levels : dict of int to (bin, step) float32 and float
-        By the length of a frame in samples, with the distance of steps.
     """
 
     white: Any_
     rate: float
     top: float
     duration: float
-    levels: dict[int, tuple[Any_, float]]
 
     @classmethod
     def of(cls, signals: SearchedSignals, low: float) -> SearchedBand:
         """For the octave above `low` Hz."""
         top = min(signals.highest, _top(low))
         white, rate = signals.whitened(top, 4 * low, 2.0)
-        return cls(white, rate, top, signals.duration, {})
-
-    def frame_levels(self, length: int) -> tuple[Any_, float]:
-        """Levels of frames of `length` samples, and the distance of steps in samples."""
-        if length not in self.levels:
-            self.levels[length] = _frame_levels(
-                self.white, length, self.top / self.rate
-            )
-        return self.levels[length]
+        return cls(white, rate, top, signals.duration)
 
 
 def _octave(band: SearchedBand, low: float) -> list[CourseCandidate]:
@@ -269,7 +258,7 @@ def _octave(band: SearchedBand, low: float) -> list[CourseCandidate]:
         length = 2 * round(0.5 * cycles / low * band.rate)
         if 8 * length > band.white.shape[1]:
             continue
-        levels, hop = band.frame_levels(length)
+        levels, hop = _frame_levels(band.white, length, band.top / band.rate)
         # half a bin at the highest order
         step = 1 / (2 * SEARCH.orders * cycles)
         count = round(np.log(2) / step)

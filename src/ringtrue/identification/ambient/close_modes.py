@@ -392,8 +392,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
         best = here[np.argsort(p.std_frequency[here], kind="stable")[:2]]
         if best.size == 2:
             two.append(best)
-    fewest = CONFIDENCE.shown * p.orders.size
-    if len(two) < fewest:
+    if 2 * len(two) < p.orders.size:
         return None
     at = np.array(two)
     shapes = p.shape[:, at]
@@ -404,7 +403,7 @@ def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
         np.linalg.svd(basis.conj().T @ planes, compute_uv=False)[:, 1] ** 2
         > CONFIDENCE.same
     )
-    if like.sum() < fewest:
+    if 2 * like.sum() < p.orders.size:
         return None
     return _solved(band, at[like], basis)
 

@@ -68,23 +68,23 @@ class ConfidenceLimits:
     ----------
     mixing : float
         Sums of half bandwidths between modes whose estimates mix.
-    shown : float
-        Share of the orders that show a mode that others mix with, or a pair.
     same : float
         MAC of shapes that may be those of one mode.
-    doubtful, certain : float
-        Confidence below which a candidate is not mentioned, and above which it is a mode beyond
-        doubt.
+    doubtful : float
+        Confidence below which a candidate is not mentioned.
     forced : float
         Times the modes near it that a peak of the force is wider and less known, or times sharper.
     """
 
     mixing: float = 8.0
-    shown: float = 0.3
     same: float = 0.8
     doubtful: float = 0.1
-    certain: float = 0.8
     forced: float = 3.5
+
+    @property
+    def certain(self) -> float:
+        """Confidence above which a candidate is a mode beyond doubt."""
+        return 1 - self.doubtful
 
 
 WEIGHTS = EvidenceWeights()
@@ -184,7 +184,7 @@ def collinearity_among(c: CandidateModes) -> Float:
     f = c.frequencies
     half = f * c.damping
     close = np.abs(f[:, None] - f) < LIMITS.mixing * (half[:, None] + half)
-    close &= c.orders[:, 0] > LIMITS.shown * c.orders[:, 1]
+    close &= 2 * c.orders[:, 0] > c.orders[:, 1]  # most orders show it
     np.fill_diagonal(close, False)
     most = len(psi) // 3  # of many shapes a sum explains anything
     out = np.array(c.mpc)
@@ -222,11 +222,11 @@ def all_clear(c: CandidateModes, duration: float) -> bool:
 
 
 def crowded(c: CandidateModes, duration: float, largest: int) -> bool:
-    """Whether possible modes take so much of the largest order, two states each, that the orders
-    left show a last one too rarely.
+    """Whether possible modes take more than half of the largest order, two states each: most orders
+    would not show the last one.
     """
     possible = confidence(c, duration) > LIMITS.doubtful
-    return bool(2 * possible.sum() > (1 - LIMITS.shown) * largest)
+    return bool(4 * possible.sum() > largest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -318,8 +318,8 @@ def remarks(found: BandModes, i: int) -> tuple[Note, ...]:
     if i in found.inseparable:
         out.append(Note("mode pair", "information", subject))
     if found.wander[i]:
-        values = {"wander": float(100 * found.wander[i])}
-        out.append(Note("mode wanders", "information", subject, values))
+        wander = {"wander": float(100 * found.wander[i])}
+        out.append(Note("mode wanders", "information", subject, wander))
     return tuple(out)
 
 
@@ -327,14 +327,16 @@ def doubts(found: BandModes, i: int) -> Note:
     """What speaks most against a candidate."""
     c = found.table
     _, std = c.stds()
-    values: dict[str, float | int] = {
-        "orders": int(c.orders[i, 0]),
-        "tried": int(c.orders[i, 1]),
-        "scatter": float(100 * std[i] / c.damping[i]),
-        "mpc": float(c.mpc[i]),
-    }
     return Note(
-        weakest(found.evidence)[i], "warning", f"{c.frequencies[i]:.5g} Hz", values
+        weakest(found.evidence)[i],
+        "warning",
+        f"{c.frequencies[i]:.5g} Hz",
+        {
+            "orders": int(c.orders[i, 0]),
+            "tried": int(c.orders[i, 1]),
+            "scatter": float(100 * std[i] / c.damping[i]),
+            "mpc": float(c.mpc[i]),
+        },
     )
 
 
@@ -368,19 +370,17 @@ def uncertainty(found: list[BandModes], at: list[Row], channels: int) -> Uncerta
 
 
 def machine(
-    f: float,
-    zeta: float,
-    lines: tuple[Harmonic, ...],
-    resolution: float,
-    duration: float,
+    f: float, zeta: float, lines: tuple[Harmonic, ...], duration: float
 ) -> Harmonic | None:
     """The line that a pole stands on, if its width is no more than that of a line.
 
-    The window of the spectra shows a line at half of its `resolution` to each side. A pole farther
+    The window of the spectra shows a line at half of its resolution to each side. A pole farther
     away than that, and than its own half bandwidth, is another one. Within few cycles the amplitude
     of a mode is steady too: the logarithm of its fourth moment, 2, scatters by 1/sqrt(2π ζ f T). A
     pole with a width is a line only where that of the line is far below.
     """
+    # main lobe of the window of `harmonics` in 120 half-overlapped segments
+    resolution = 61 * 4 / duration
     cycles = 2 * np.pi * zeta * f * duration
     scatter = -ndtri(FALSE_ALARM) / np.sqrt(cycles)
     least_moment = np.log(2 * cycles / (cycles + 1)) - scatter
@@ -410,12 +410,6 @@ def line_remainders(
     return tuple(
         float(max(sines[left[:, k]], default=0.0)) for k in range(frequency.size)
     )
-
-
-def forced_by(found: list[BandModes], rows: list[Row]) -> list[Int]:
-    """For each row the other rows whose motion it is, none for a mode."""
-    c = listed(found, rows)
-    return carriers(c.frequency, c.damping, c.std_damping, c.shape)
 
 
 def carriers(

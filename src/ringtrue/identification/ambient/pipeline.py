@@ -28,8 +28,8 @@ from ringtrue.identification.ambient.confidence import (
     BandModes,
     ListedCandidates,
     Row,
+    carriers,
     doubts,
-    forced_by,
     in_short,
     line_remainders,
     listed,
@@ -39,7 +39,6 @@ from ringtrue.identification.ambient.confidence import (
     uncertainty,
 )
 from ringtrue.identification.ambient.record_bands import (
-    SHORTEST,
     STEP,
     BandSums,
     FirstStretch,
@@ -47,12 +46,12 @@ from ringtrue.identification.ambient.record_bands import (
     events_of,
     steady_sines,
     sums_of_stretches,
+    too_short,
     without_machines,
 )
 from ringtrue.identification.ambient.record_checks import (
     RecordFacts,
     event_notes,
-    filter_edges,
     in_phase,
     long_enough,
     noisy_channels,
@@ -331,7 +330,7 @@ def weighed_candidates(
     first = next(coming, None)
     if first is None:
         raise DataError("no stretch of a record to identify")
-    coming = (part for part in coming if part.duration >= SHORTEST * first.duration)
+    coming = (x for x in coming if not too_short(x.duration, first.duration))
     second = next(coming, None)
     record = _first_stretch(first, settings, single=second is None)
     progress(0.0, "filtering into bands")
@@ -540,12 +539,11 @@ def _doubt(
 
 def _forced(found: list[BandModes], rows: list[Row]) -> dict[Row, Note | None]:
     """For each row the note that it is a peak of the force."""
-    frequency = listed(found, rows).frequency
+    c = listed(found, rows)
+    of_others = carriers(c.frequency, c.damping, c.std_damping, c.shape)
     out: dict[Row, Note | None] = {}
-    for row, f, by in zip(
-        rows, frequency.tolist(), forced_by(found, rows), strict=True
-    ):
-        others = ", ".join(f"{x:.4g}" for x in frequency[by])
+    for row, f, by in zip(rows, c.frequency.tolist(), of_others, strict=True):
+        others = ", ".join(f"{x:.4g}" for x in c.frequency[by])
         out[row] = (
             _doubt("candidate forced", f, {"others": others}) if by.size else None
         )
@@ -564,10 +562,8 @@ def _against(
     damping = of.damping
     good = record.good
     line_f = [h.frequency for h in lines]
-    # main lobe of the window of `harmonics` in 120 half-overlapped segments
-    resolution = 61 * 4 / good.duration
     on_line = [
-        machine(x, z, lines=lines, resolution=resolution, duration=good.duration)
+        machine(x, z, lines=lines, duration=good.duration)
         for x, z in zip(f, damping, strict=True)
     ]
     unsteady = ("",) * f.size
@@ -584,9 +580,8 @@ def _against(
         locked_to = phase_evidence(
             record.unclipped, every, widths, running + [True] * len(line_f)
         )
-        both = zip(unsteady, locked_to[: f.size], strict=True)
+        both = zip(unsteady, locked_to, strict=False)
         unsteady = tuple(own or other for own, other in both)
-    edges = filter_edges(good, f, damping)
     remainders = line_remainders(f, damping, np.array(record.places), good.duration)
     orders = near_harmonics(record.machines, f)
     # after their removal a pole that a machine leaves is as wide as its speed wanders
@@ -613,7 +608,5 @@ def _against(
             found = "candidate steady", {"why": unsteady[k]}
         elif z < 5e-4:  # below what structures have in operation (welded steel: 0.1 %)
             found = "candidate undamped", {"damping": 100 * z}
-        elif edges[k]:
-            found = "candidate edge", {}
         out.append(_doubt(found[0], x, found[1]) if found else None)
     return out

@@ -39,8 +39,14 @@ from ringtrue.signal.transients import NONE, Events, find_events, remove_regular
 
 STEP = 4  # from one rate to the next
 MOST_BLOCKS = 32  # of a record, all stretches together
-SHORTEST = 0.5  # stretch, over the first: edges of the filters would weigh too much
 NOTHING = SpectralBins(np.empty(0), np.empty(0), np.empty((0, 0, 0)), 0.0)
+
+
+def too_short(stretch: float, first: float) -> bool:
+    """Whether the edges of the filters would weigh too much in a stretch, s, of less than half of
+    the first one, s.
+    """
+    return stretch < first / 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringtrue.core.arrays import Bool, Complex, Float, Int
+from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.channels import ANGULAR, DERIVATIVE
 from ringtrue.core.choice import Choice
 from ringtrue.core.modes import ModeSet
@@ -16,13 +16,11 @@ from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.spectral_bins import (
     SpectralBins,
-    oscillator_spectrum,
 )
 from ringtrue.signal.clock_alignment import channel_phases, in_step
-from ringtrue.signal.spectra import Band, Welch, psd
+from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import Events
 
-AT_EDGE = "left out: the spectrum ends there: the filter of the recorder"
 ORDER: dict[str, int] = {
     **DERIVATIVE,
     **{ANGULAR[motion]: n for motion, n in DERIVATIVE.items()},
@@ -162,31 +160,6 @@ def in_phase(
     return (in_step(history, found.delay, found.drift) if moved else history), tuple(
         notes
     )
-
-
-# level above a pole, over that of an oscillator, below which the filter of a recorder keeps it
-EDGE_FALL = 0.4
-
-
-def filter_edges(history: TimeHistory, frequency: Float, damping: Float) -> Bool:
-    """(m,) whether the spectrum above each pole falls as no mode lets it: the edge of the
-    recorder's filter.
-
-    Above a mode a displacement falls most, by what an oscillator does; velocities and accelerations
-    fall less.
-    """
-    pick = np.unique(np.linspace(0, len(history.channels) - 1, 8).astype(np.int64))
-    lines = 256
-    excerpt = replace(history, data=history.data[:, : lines**2])
-    some = excerpt.pick([history.channels[i].id for i in pick])
-    freqs, auto = psd(some, Welch(history.rate / lines))
-    level = (auto / auto.mean(axis=1, keepdims=True)).mean(axis=0)
-    top = np.minimum(frequency * (1 + 3 * damping), freqs[-1])
-    here = np.interp(frequency, freqs, level)
-    mode = here * oscillator_spectrum(freqs[:, None] / frequency, damping)
-    # all the way up: behind an antiresonance the spectrum comes back
-    cut = (level[:, None] < EDGE_FALL * mode) | (freqs[:, None] < top)
-    return np.asarray(cut.all(axis=0))
 
 
 def nothing_found(history: TimeHistory, bands: tuple[Band, ...]) -> str:

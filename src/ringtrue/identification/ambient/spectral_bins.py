@@ -419,10 +419,9 @@ def singular_values(bins: SpectralBins) -> tuple[Float, Float]:
     """
     start, freqs, count = averaged_lines(bins)
     channels = bins.cross.shape[1]
-    # of each average the bins; numpy.add.reduceat takes twenty times as long
-    ends = np.append(start, bins.count.size)
-    share = csr_array((bins.count.astype(np.float32), np.arange(bins.count.size), ends))
-    sums = share @ bins.cross.reshape(-1, channels**2)
+    size = bins.count.size
+    parts = (bins.count.astype(np.float32), np.arange(size), np.append(start, size))
+    sums = csr_array(parts) @ bins.cross.reshape(size, -1)
     values = np.linalg.eigvalsh(sums.reshape(-1, channels, channels)).T[:-4:-1]
     return freqs, np.maximum(values / count, np.finfo(np.float32).tiny)
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
-from ringtrue.core.choice import Choice, Pick
+from ringtrue.core.choice import SAME_MODE, Choice, Pick
 from ringtrue.core.modes import ModeSet
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.confidence import BandModes, Row, listed
@@ -36,8 +36,6 @@ from ringtrue.identification.frf.refinement import Refined
 from ringtrue.identification.frf.split_modes import support
 from ringtrue.shapes import mac
 
-WITHIN = 0.01  # of its frequency: so near a pick must be to what it means
-
 
 def as_choice(
     modes: ModeSet, reasons: Sequence[str] = (), *, record: str = ""
@@ -45,16 +43,13 @@ def as_choice(
     """The modes as a choice that reports these and no others; replayed as it is, it changes
     nothing.
     """
-    picks = []
-    for k, f in enumerate(modes.frequencies.tolist()):
-        note = reasons[k] if k < len(reasons) else ""
-        picks.append(Pick(f, 0, record, note))
-    return Choice(tuple(picks), automatic=False)
+    notes = [*reasons, *[""] * len(modes)]
+    noted = zip(modes.frequencies.tolist(), notes, strict=False)
+    return Choice(tuple(Pick(f, 0, record, n) for f, n in noted), automatic=False)
 
 
 def match(wanted: Float, there: Float, penalty: Float | None = None) -> Int:
-    """Position (w,) in `there` (n,) Hz of each frequency `wanted` (w,), one to one within `WITHIN`;
-    -1 for none.
+    """Position (w,) in `there` (n,) Hz of each frequency `wanted` (w,), one to one; -1: none.
 
     `penalty` (n,), 0..2, makes a position as much farther away, but not one that is meant to the
     digits of a table.
@@ -62,7 +57,7 @@ def match(wanted: Float, there: Float, penalty: Float | None = None) -> Int:
     at = np.full(wanted.size, -1, dtype=np.int64)
     if not wanted.size or not there.size:
         return at
-    far = np.abs(there / wanted[:, None] - 1) / WITHIN
+    far = np.abs(there / wanted[:, None] - 1) / SAME_MODE
     cost = far if penalty is None else far * (1 + penalty)
     cost = np.where(far <= 1, cost, 1e6)
     rows, cols = linear_sum_assignment(cost)
@@ -72,17 +67,15 @@ def match(wanted: Float, there: Float, penalty: Float | None = None) -> Int:
 
 
 def pole_of(poles: PoleSet, pick: Pick) -> int:
-    """Position of the pole that a pick with an order means; -1 if there is none within `WITHIN`."""
+    """Position of the pole that a pick with an order means; -1 if none is near."""
     at = np.flatnonzero(poles.order == pick.order)
     far = np.abs(poles.frequencies[at] / pick.frequency - 1)
-    return int(at[np.argmin(far)]) if at.size and far.min() <= WITHIN else -1
+    return int(at[np.argmin(far)]) if at.size and far.min() <= SAME_MODE else -1
 
 
 def group_of(poles: PoleSet, frequency: float) -> Int:
-    """Positions of the poles of the largest cluster within `WITHIN` of a frequency, Hz; none if it
-    has no two.
-    """
-    at = np.flatnonzero(np.abs(poles.frequencies / frequency - 1) <= WITHIN)
+    """Positions of the poles of the largest cluster near a frequency, Hz; none if it has no two."""
+    at = np.flatnonzero(np.abs(poles.frequencies / frequency - 1) <= SAME_MODE)
     if at.size < 2:
         return at[:0]
     label = cluster_poles(poles.pole[at], poles.shape[:, at], poles.order[at])
@@ -115,7 +108,7 @@ def reject_and_merge(
     def nearest(wanted: float) -> int:
         far = np.where(keep, np.abs(frequency / wanted - 1), np.inf)
         k = int(np.argmin(far)) if far.size else -1
-        return k if k >= 0 and far[k] <= WITHIN else -1
+        return k if k >= 0 and far[k] <= SAME_MODE else -1
 
     notes = []
     for reject in choice.rejects:
@@ -164,8 +157,8 @@ def nothing_there(source: str, pick: Pick, sets: Sequence[PoleSet]) -> DataError
     order = np.concatenate([p.order for p in sets])
     k = int(np.argmin(np.abs(f - pick.frequency)))
     return DataError(
-        f"{where}: no such pole within {100 * WITHIN:g} %; the nearest is at {f[k]:.6g} Hz, order "
-        f"{order[k]}"
+        f"{where}: no such pole within {100 * SAME_MODE:g} %; the nearest is at {f[k]:.6g} Hz, "
+        f"order {order[k]}"
     )
 
 
@@ -311,7 +304,7 @@ def chosen_of_setups(
         if k < 0:
             where = _place(choice.source, pick)
             raise DataError(
-                f"{where}: no candidate of the setups within {100 * WITHIN:g} %"
+                f"{where}: no candidate of the setups within {100 * SAME_MODE:g} %"
             )
         keep[k] = True
         said[k] = "confirmed by hand" if natural[k] else "taken up by hand"
@@ -412,7 +405,7 @@ def _late(s: PoleSet, frequency: float) -> Int:
     at = group_of(s, frequency)
     if at.size:
         return at[s.order[at] >= np.median(s.order[at])]
-    near = np.flatnonzero(np.abs(s.frequencies / frequency - 1) <= WITHIN)
+    near = np.flatnonzero(np.abs(s.frequencies / frequency - 1) <= SAME_MODE)
     return near[[np.argmax(s.order[near])]] if near.size else near
 
 
@@ -442,7 +435,7 @@ def with_picks(
             like = distances(poles.pole, poles.shape)[at] < CUT
             orders.append(np.unique(poles.order[like]).size)
         else:
-            known = (np.abs(table.frequencies / pick.frequency - 1) <= WITHIN).any()
+            known = (np.abs(table.frequencies / pick.frequency - 1) <= SAME_MODE).any()
             group = group_of(poles, pick.frequency)
             if known or not group.size:
                 continue

@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import GenericEventArguments
 
-from ringtrue.core.choice import Choice
+from ringtrue.core.choice import SAME_MODE, Choice
 from ringtrue.core.display import plus_minus
 from ringtrue.io.choices import parse_choice
 from ringtrue.plots.diagram import POLES, identification_figure
@@ -33,7 +33,6 @@ from ringtrue.studio.shown import evidence, nearest_pole, pole_shape, sources
 from ringtrue.studio.views import ShapeView
 from ringtrue.study.results import IdentifiedModes, IdentifyStage
 
-SAME = 0.01  # relative: a frequency of a choice means a mode as near as that
 PICK = {
     "symbol": "star",
     "size": 13,
@@ -250,7 +249,7 @@ class _PolesScreen:
             return merge_of(whole, self.record, frequency)
         rows: tuple[Any, ...] = whole.picks if kind == "pick" else whole.rejects
         for k, row in enumerate(rows):
-            near = abs(row.frequency / frequency - 1) < (1e-9 if order else SAME)
+            near = abs(row.frequency / frequency - 1) < (1e-9 if order else SAME_MODE)
             if (
                 row.record in (self.record, "")
                 and near
@@ -282,7 +281,7 @@ class _PolesScreen:
             return None
         there = self.found.diagram.modes.frequencies
         near = int(np.argmin(np.abs(there - f))) if there.size else -1
-        return near if near >= 0 and abs(there[near] / f - 1) < SAME else None
+        return near if near >= 0 and abs(there[near] / f - 1) < SAME_MODE else None
 
     def _step(self, by: int) -> None:
         there = self.found.diagram.modes.frequencies
@@ -365,19 +364,19 @@ class _PolesScreen:
     def automatic(self) -> None:
         """What was found, with the classes."""
         shown = self.found.diagram
-        rows: list[dict[str, object]] = []
-        for k, kind in enumerate(shown.classes):
-            f = float(shown.modes.frequencies[k])
-            row: dict[str, object] = {
+        modes = shown.modes
+        rows: list[dict[str, object]] = [
+            {
                 "id": k,
                 "class": kind,
-                "f": f"{f:.6g}",
-                "zeta": f"{100 * shown.modes.damping[k]:.3g}",
+                "f": f"{modes.frequencies[k]:.6g}",
+                "zeta": f"{100 * modes.damping[k]:.3g}",
                 "mpc": f"{shown.mpc[k]:.2f}",
-                "confidence": f"{shown.modes.confidence[k]:.2f}",
-                "own": self._decision(f),
+                "confidence": f"{modes.confidence[k]:.2f}",
+                "own": self._decision(float(modes.frequencies[k])),
             }
-            rows.append(row)
+            for k, kind in enumerate(shown.classes)
+        ]
         names = {
             "class": "class",
             "f": "f, Hz",
@@ -388,10 +387,8 @@ class _PolesScreen:
         }
         with ui.column().classes("grow gap-0"):
             heading("Found")
-            table(names, rows).on("rowClick", self._row_clicked).mark("found")
-
-    def _row_clicked(self, event: GenericEventArguments) -> None:
-        self._select_mode(int(event.args[1]["id"]))
+            listed = table(names, rows).mark("found")
+            listed.on("rowClick", lambda e: self._select_mode(int(e.args[1]["id"])))
 
     def _decision(self, frequency: float) -> str:
         if self._entry("reject", frequency) is not None:
@@ -486,6 +483,6 @@ def merge_of(choice: Choice, record: str, frequency: float) -> int | None:
     """Number of the merge of a choice that a mode of a record is in."""
     for k, merge in enumerate(choice.merges):
         near = min(abs(f / frequency - 1) for f in merge.frequencies)
-        if merge.record in (record, "") and near < SAME:
+        if merge.record in (record, "") and near < SAME_MODE:
             return k
     return None

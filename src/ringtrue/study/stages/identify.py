@@ -26,7 +26,7 @@ from ringtrue.identification.ambient.pipeline import (
     AmbientResult,
     AmbientSettings,
 )
-from ringtrue.identification.ambient.record_bands import SHORTEST
+from ringtrue.identification.ambient.record_bands import too_short
 from ringtrue.identification.ambient.setups import identified_setup
 from ringtrue.identification.ambient.shape_reading import (
     RecordCorrelations,
@@ -243,10 +243,8 @@ class RecordFile:
         """
         a = self.history
         b = later.history
-        return (a.channels, a.rate) == (
-            b.channels,
-            b.rate,
-        ) and b.duration >= SHORTEST * a.duration
+        same = (a.channels, a.rate) == (b.channels, b.rate)
+        return same and not too_short(b.duration, a.duration)
 
 
 def _files_of_one(
