@@ -184,7 +184,6 @@ def collinearity_among(c: CandidateModes) -> Float:
     f = c.frequencies
     half = f * c.damping
     close = np.abs(f[:, None] - f) < LIMITS.mixing * (half[:, None] + half)
-    close &= 2 * c.orders[:, 0] > c.orders[:, 1]  # most orders show it
     np.fill_diagonal(close, False)
     most = len(psi) // 3  # of many shapes a sum explains anything
     out = np.array(c.mpc)
