@@ -361,6 +361,7 @@ FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {
     "drops": (drops, 0.97, 40),
     "setups": (setups, 0.98, 8),
 }
+HELD_LEAST = 0.93  # of intervals of 95 %
 FIRST_SEED = 1000  # those below were looked at when the statistic was made
 
 
@@ -376,9 +377,14 @@ def checks(family: str, every: list[Outcome]) -> list[Check]:
             sum(x.extra for x in every) / records,
             0.1,
         ),
-        rms_over_stated("frequency", np.concatenate([x.frequency for x in every])),
-        rms_over_stated("damping", np.concatenate([x.damping for x in every])),
     ]
+    for what in ("frequency", "damping"):
+        errors = np.concatenate([getattr(x, what) for x in every])
+        held = int((np.abs(errors) < 1.96).sum())
+        judged += [
+            rms_over_stated(what, errors),
+            share_at_least(f"{what} held by 95 %", held, errors.size, HELD_LEAST),
+        ]
     if family == "short":
         first = sum(x.first for x in every)
         judged.append(

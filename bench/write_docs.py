@@ -39,7 +39,7 @@ RUNS = {  # name of the results: script and its options
     "ssi_many_channels": "bench/identification_peers.py many",
     "ssi_automatic": "bench/identification_peers.py automatic",
     "ssi_deviations": "bench/identification_peers.py uncertainty",
-    "ambient_accuracy": "bench/identification_ambient.py accuracy",
+    "ambient_accuracy": "bench/identification_ambient.py accuracy --full",
     "ambient_frame": "bench/identification_ambient.py frame",
     "ambient_uncertainty": "bench/identification_ambient.py uncertainty",
     "ambient_pairs": "bench/identification_ambient.py pairs",
