@@ -451,16 +451,27 @@ def changed(cases_: list[Case], setting: Setting, factor: float) -> list[Seen | 
     return [what_is_seen(case) for case in cases_]
 
 
-def in_own_process(work: Callable[..., Any], *arguments_: Any) -> Any:
-    """Of a function in a process that ends with it: settings of this one stay."""
+def in_own_process(
+    work: Callable[..., Any], *arguments_: Any, limit: float | None = None
+) -> Any:
+    """Of a function in a process that ends with it: settings of this one stay.
+
+    Raises
+    ------
+    TimeoutError
+        If it takes more than `limit` seconds.
+    """
     context = multiprocessing.get_context("fork")
     near, far = context.Pipe(duplex=False)
     process = context.Process(target=lambda: far.send(work(*arguments_)))
     process.start()
     far.close()
     try:
+        if not near.poll(limit):
+            raise TimeoutError
         return near.recv()
     finally:
+        process.kill()
         process.join()
 
 
@@ -490,6 +501,19 @@ class Effect:
         if self.stopped:
             parts.append(f"{self.stopped} stopped")
         return ", ".join(parts) or "none"
+
+
+def effect_of(
+    known: list[Seen | str], some: list[Case], s: Setting, factor: float, cost: float
+) -> Effect:
+    """What a change does to the records that read the setting, which cost so many seconds as they
+    are; all stop where they take twenty times as long.
+    """
+    try:
+        limit = 60 + 20 * cost
+        return effect(known, in_own_process(changed, some, s, factor, limit=limit))
+    except TimeoutError:
+        return Effect(stopped=len(some))
 
 
 def effect(before: list[Seen | str], after: list[Seen | str]) -> Effect:
@@ -592,7 +616,7 @@ def main() -> None:
         known = [before[name] for name in readers[s]]
         some = [every[name] for name in readers[s]]
         both = [
-            effect(known, in_own_process(changed, some, s, f)) if some else Effect()
+            effect_of(known, some, s, f, cost[s]) if some else Effect()
             for f in (0.5, 2.0)
         ]
         done[s] = Ablation(s, len(some), *both)

@@ -361,7 +361,7 @@ FAMILIES: dict[str, tuple[Callable[[int], Made], float, int]] = {
     "drops": (drops, 0.97, 40),
     "setups": (setups, 0.98, 8),
 }
-HELD_LEAST = 0.93  # of intervals of 95 %
+HELD = 0.93  # of intervals of 95 %
 FIRST_SEED = 1000  # those below were looked at when the statistic was made
 
 
@@ -383,7 +383,7 @@ def checks(family: str, every: list[Outcome]) -> list[Check]:
         held = int((np.abs(errors) < 1.96).sum())
         judged += [
             rms_over_stated(what, errors),
-            share_at_least(f"{what} held by 95 %", held, errors.size, HELD_LEAST),
+            share_at_least(f"{what} held by 95 %", held, errors.size, HELD),
         ]
     if family == "short":
         first = sum(x.first for x in every)

@@ -68,10 +68,9 @@ class Merge:
             )
 
 
-SAME_MODE = (
-    0.01  # relative: so near a frequency in a choice must be to the mode that it means
-)
-SAME_HIT_S = 0.05  # so near a time in a choice must be to the hit that it means
+# so near a frequency, relative, and a time must be to the mode and to the hit that a choice means
+SAME_MODE = 0.01
+SAME_HIT_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)

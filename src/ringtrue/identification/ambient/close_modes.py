@@ -383,7 +383,7 @@ def _places(table: CandidateModes) -> list[tuple[float, float]]:
 
 
 def _pair(band: BandPoles, stable: Bool, f: float, z: float) -> Pair | None:
-    """The pair at a place, if enough orders show two poles in one plane."""
+    """The pair at a place, if most orders show two poles in one plane."""
     p = band.poles
     near = np.flatnonzero((np.abs(p.frequencies / f - 1) < z) & stable)
     two = []
