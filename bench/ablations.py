@@ -65,7 +65,7 @@ COUNTS = {"short": 4, "decay": 3, "drops": 2, "mixed": 2, "machine": 1, "close":
 SAMPLES = {"machine": 120_000, "close": 60_000}  # of longer ones the first so many
 MOVED = 0.1  # standard deviations
 MOST_SETTINGS = 60  # both as counted last: they fall with every clean-up
-MOST_IDLE = 28  # settings without an effect, those among them that no record reads
+MOST_IDLE = 20  # settings without an effect, those among them that no record reads
 
 
 @dataclass(frozen=True, slots=True)
