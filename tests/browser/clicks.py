@@ -79,6 +79,11 @@ def found(page: chromium.Page, script: str, seconds: float = PATIENCE) -> Any:
     )
 
 
+def rest(page: chromium.Page) -> None:
+    """Wait until a plot has seen what is under the pointer."""
+    page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+
+
 def text_of(page: chromium.Page) -> str:
     """What is written on the page."""
     return str(page.evaluate("document.body?.innerText"))

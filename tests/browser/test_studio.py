@@ -15,7 +15,7 @@ from pathlib import Path
 
 import chromium
 import pytest
-from clicks import POINT, fill, found, mouse, press, see
+from clicks import POINT, fill, found, mouse, press, rest, see
 
 pytest.importorskip("nicegui", reason="the extra `studio` is not installed")
 
@@ -71,7 +71,7 @@ def test_a_pole_is_picked(served: tuple[Path, str], tmp_path: Path) -> None:
         place = page.evaluate(POLE)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             page.mouse(kind, (place["x"], place["y"]), held=kind == "mousePressed")
-            page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+            rest(page)
         assert page.until("document.body.innerText.includes('picked')", 30)
         # the cookie is enough; the pick is shown again
         page.call("Page.navigate", url=f"{bare}poles")
@@ -114,7 +114,7 @@ def test_a_mode_that_is_drawn_onto_another_is_merged_with_it(
             ("Released", other),
         ):
             page.mouse(f"mouse{kind}", tuple(mark["at"]), held=kind != "Moved")
-            page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+            rest(page)
         fill(page, "Reason", "one mode, split in two")
         press(page, "Write")
         see(page, "merged")
@@ -139,7 +139,7 @@ def test_a_pick_under_a_pointer_that_has_moved_on_is_kept(
         found(page, f"{POINT}('.js-plotly-plot', 'your pick', {one['x']})")
         away, pick = (other["at"][0], other["at"][1] + 30), tuple(one["at"])
         page.mouse("mouseMoved", away, held=False)
-        page.until("new Promise((done) => setTimeout(() => done(true), 300))")
+        rest(page)
         page.mouse("mouseMoved", pick, held=False)
         mouse(page, tuple(other["at"]))
         see(page, f"picked {other['x']:.5g} Hz, order {other['y']}")

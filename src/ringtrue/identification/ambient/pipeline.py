@@ -580,7 +580,7 @@ def _against(
         locked_to = phase_evidence(
             record.unclipped, every, widths, running + [True] * len(line_f)
         )
-        both = zip(unsteady, locked_to, strict=False)
+        both = zip(unsteady, locked_to[: f.size], strict=True)
         unsteady = tuple(own or other for own, other in both)
     remainders = line_remainders(f, damping, np.array(record.places), good.duration)
     orders = near_harmonics(record.machines, f)

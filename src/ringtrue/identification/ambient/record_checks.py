@@ -14,9 +14,7 @@ from ringtrue.core.modes import ModeSet
 from ringtrue.core.notes import Note
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
-from ringtrue.identification.ambient.spectral_bins import (
-    SpectralBins,
-)
+from ringtrue.identification.ambient.spectral_bins import SpectralBins
 from ringtrue.signal.clock_alignment import channel_phases, in_step
 from ringtrue.signal.spectra import Band
 from ringtrue.signal.transients import Events

@@ -43,8 +43,8 @@ def as_choice(
     """The modes as a choice that reports these and no others; replayed as it is, it changes
     nothing.
     """
-    notes = [*reasons, *[""] * len(modes)]
-    noted = zip(modes.frequencies.tolist(), notes, strict=False)
+    notes = reasons or [""] * len(modes)
+    noted = zip(modes.frequencies.tolist(), notes, strict=True)
     return Choice(tuple(Pick(f, 0, record, n) for f, n in noted), automatic=False)
 
 
