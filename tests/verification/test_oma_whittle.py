@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 from ringtrue.identification.ambient.maximum_likelihood import (
     EstimatedModes,
     LikelihoodFit,
+    _prepare,
     refine_by_likelihood,
 )
 from ringtrue.identification.ambient.spectral_bins import SpectralBins, spectral_bins
@@ -87,7 +88,43 @@ def errors() -> tuple[np.ndarray, np.ndarray]:
 
 def test_every_fit_settles():
     assert all(r.ok.all() for r in fits())
-    assert 0.9 < np.mean([r.misfit for r in fits()]) < 1.1
+
+
+def test_derivatives_are_those_of_the_spectrum():
+    """Of a short record, where the finite length bends the spectrum."""
+    bins = binned(record(0)[:, : int(40 * RATE)])
+    fit = _prepare(bins, EstimatedModes(F, Z, PHI + 0j), 0, 20.0, SLOPE)
+    theta = fit.mean + np.linspace(-0.02, 0.03, fit.mean.size)
+    _, slopes = fit.spectrum(theta)
+    for k, of_one in enumerate(slopes.T):
+        step = 1e-6 * (np.arange(theta.size) == k)
+        up, down = (fit.spectrum(theta + s * step)[0] for s in (1, -1))
+        close = 1e-6 * (1 + np.abs(of_one).max())
+        assert np.abs(np.log(up / down) / 2e-6 - of_one).max() < close
+
+
+def test_modes_in_step_with_far_ones_keep_their_damping():
+    """What a force gives to a far mode too is added to the response, or taken from it: here the far
+    mode has one shape with the near one, so that no filter stops it.
+    """
+    f, z = np.array([5.0, 7.5]), np.array([0.01, 0.01])
+    psi = np.linalg.qr(np.random.default_rng(3).standard_normal((6, 1)))[0]
+    n = int(SECONDS * RATE)
+    line = np.fft.rfftfreq(n, 1 / RATE)
+    motion = line**2 / (f[:, None] ** 2 - line**2 + 2j * z[:, None] * f[:, None] * line)
+    found = []
+    for seed in range(60):
+        noise = np.random.default_rng(seed).standard_normal((2, 7, line.size))
+        white = noise[0] + 1j * noise[1]
+        y = psi * (motion.sum(0) * white[0]) + 0.02 * white[1:]
+        bins = binned(np.fft.irfft(y, n))
+        start = EstimatedModes(f[:1], z[:1], psi.astype(complex))
+        r = refine_by_likelihood(bins, start, SLOPE, np.array([0.2]), blocks=32)
+        found.append(np.where(r.ok, r.damping / z[0], np.nan))
+    ratio = np.array(found)
+    assert np.isfinite(ratio).mean() > 0.9
+    # known to 0.013; without the bend 0.12 low
+    assert abs(np.nanmean(ratio) - 1) < 0.04
 
 
 def test_scatter_is_near_the_floor_without_bias():

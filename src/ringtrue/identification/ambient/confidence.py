@@ -350,14 +350,11 @@ def in_short(found: BandModes, i: int) -> str:
 def uncertainty(found: list[BandModes], at: list[Row], channels: int) -> Uncertainty:
     """Standard deviations and covariance factor; modes of different bands are independent."""
     m = len(at)
-    if not m:
-        return Uncertainty.independent(
-            np.empty(0), np.empty(0), np.empty((channels, 0))
-        )
-    shape = np.stack([found[b].shape_std[:, i] for b, i in at], axis=1)
+    shape = np.empty((channels, m))
     blocks = np.cumsum([0] + [x.table.deviation.shape[1] for x in found])
     factor = np.zeros((int(blocks[-1]), 2 * m))
     for k, (b, i) in enumerate(at):
+        shape[:, k] = found[b].shape_std[:, i]
         df, dz = var.frequency_damping(
             found[b].table.pole[[i]], found[b].table.deviation[[i]]
         )

@@ -31,8 +31,8 @@ class LikelihoodLimits:
         damping 18 % more scatter than the whole spectrum does, and a frequency with an unknown
         slope 27 %; twenty leave 8 and 12 %.
     level : float
-        Standard deviation of ln of the levels that noise and other modes leave in a filtered
-        spectrum.
+        Standard deviation of ln of what noise and other modes leave in a filtered spectrum: of
+        their levels, and of the bend of the response at the ends of its lines.
     """
 
     reaches: tuple[float, ...] = (20.0, 10.0)
@@ -69,8 +69,6 @@ class LikelihoodFit:
     damping : (m,) float64
     covariance : (m, 2, 2) float64
         Of ln frequency and ln damping.
-    misfit : (m,) float64
-        Mean squared error over its expectation, 1 for a perfect model.
     ok : (m,) bool
         False where the fit did not settle; the start stands then.
     """
@@ -78,62 +76,66 @@ class LikelihoodFit:
     frequency: Float
     damping: Float
     covariance: Float
-    misfit: Float
     ok: Bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Curve:
-    """One mode's spectrum over ν = f/f_start: level and its logarithmic derivatives."""
-
-    level: Float
-    d_freq: Float
-    d_zeta: Float
 
 
 def _finite(
     nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]
 ) -> Float:
-    """Factor on the spectrum of a mode for the finite length; `windows`: weights, and lengths in
-    periods of f_start.
+    """(3, bin): factor on the spectrum of a mode for the finite length, and its derivatives by
+    ln ν0 and ln ζ; `windows`: weights, and lengths in periods of f_start.
 
-    For each window 1 − Re[(1 − e⁻ᑫ)/q²] / Re[1/q], q = a + ib = length · (iω − s) of the pole s.
+    For each window 1 − Re g / Re[1/q], g = (1 − e⁻ᑫ)/q², q = a + ib = length · (iω − s) of the
+    pole s.
     """
-    decay = 2 * np.pi * zeta * nu0
-    off = 2 * np.pi * (nu - nu0 * np.sqrt(1 - min(zeta, 0.9) ** 2))
-    factor = np.zeros(nu.shape)
+    root = np.sqrt(1 - min(zeta, 0.9) ** 2)
+    out = np.zeros((3, *nu.shape))
     for weight, turns in windows:
-        a = turns * decay
-        b = turns * off
-        size = a * a + b * b
-        part = (a * a - b * b) / size
-        if a < 40.0:  # time constants, after which nothing is left of a motion
-            part -= np.exp(-a) * (part * np.cos(b) - 2 * a * b / size * np.sin(b))
-        factor += weight * (1 - part / a)
-    return factor
+        length = 2 * np.pi * turns
+        a = length * zeta * nu0
+        q = a + 1j * length * (nu - nu0 * root)
+        # of time constants, after which nothing is left of a motion
+        left = np.exp(-q) if a < 40.0 else 0.0
+        inverse = 1 / q
+        square = inverse * inverse
+        ratio = ((1 - left) * square).real / inverse.real
+        by_q = (left * (q + 2) - 2) * square * inverse + ratio * square
+        out[0] += weight * (1 - ratio)
+        change = length * nu0 * (zeta + 1j * np.array([[-root], [zeta**2 / root]]))
+        out[1:] -= weight * (by_q * change).real / inverse.real
+    return out
 
 
 def _lorentz(
     nu: Float, nu0: float, zeta: float, windows: tuple[tuple[float, float], ...]
-) -> _Curve:
-    """1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length."""
+) -> Float:
+    """(3, bin): 1 over |ν0² − ν² + 2iζν0ν|², peak 1, as seen in a record of a finite length, and
+    its logarithmic derivatives by ln ν0 and ln ζ.
+    """
     square = nu * nu
     own = nu0**2 - square
     wide = (4 * zeta**2 * nu0**2) * square
     d = own * own + wide
-    level = (4 * zeta**2 * nu0**4) * _finite(nu, nu0, zeta, windows) / d
-    return _Curve(level, 4 - (4 * nu0**2 * own + 2 * wide) / d, 2 - 2 * wide / d)
+    seen, by_freq, by_zeta = _finite(nu, nu0, zeta, windows)
+    by_freq = 4 - (4 * nu0**2 * own + 2 * wide) / d + by_freq / seen
+    by_zeta = 2 - 2 * wide / d + by_zeta / seen
+    return np.stack([(4 * zeta**2 * nu0**4) * seen / d, by_freq, by_zeta])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SpectrumFit:
-    """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, ln A, ln of the background at
-    both ends, then ln of each neighbour's level.
+    """Whittle fit of one filtered spectrum: θ = ln ν0, ln ζ, slope, bend, ln A, ln of the
+    background at both ends, then ln of each neighbour's level.
+
+    Forces that modes share make them move in step: far modes that the filter does not stop add to
+    the response on one side of the mode, or take from it on both. Its logarithm is a parabola.
 
     Attributes
     ----------
     nu, power, count : (bin,) float64
     windows : tuple of (weight, length in periods of f_start)
+    reach : float
+        Of the bins on each side, relative to f_start.
     place : (other,) float64
         ν of the neighbours.
     near : (bin, other) float64
@@ -146,6 +148,7 @@ class _SpectrumFit:
     power: Float
     count: Float
     windows: tuple[tuple[float, float], ...]
+    reach: float
     place: Float
     near: Float
     mean: Float
@@ -153,20 +156,23 @@ class _SpectrumFit:
 
     def spectrum(self, theta: Float) -> tuple[Float, Float]:
         """S (bin,) and its logarithmic derivatives (bin, parameter)."""
-        nu0 = float(np.exp(theta[0]))
-        zeta = float(np.exp(theta[1]))
-        slope = float(theta[2])
-        own = _lorentz(self.nu, nu0, zeta, self.windows)
+        nu0, zeta = np.exp(theta[:2]).tolist()
+        slope, bend = theta[2:4].tolist()
+        own, by_freq, by_zeta = _lorentz(self.nu, nu0, zeta, self.windows)
         ratio = np.log(self.nu / nu0)
-        tilt = np.exp(slope * ratio)
+        square = (ratio / self.reach) ** 2
+        shown = own * np.exp(slope * ratio + bend * square)
         x = (self.nu - self.nu[0]) / (self.nu[-1] - self.nu[0])
         parts = np.empty((x.size, 3 + self.place.size))
-        parts[:, 0], parts[:, 1], parts[:, 2] = own.level * tilt, 1 - x, x
-        parts[:, 3:] = self.near * tilt[:, None] * (nu0 / self.place) ** slope
-        parts *= np.exp(theta[3:])
+        parts[:, 0], parts[:, 1], parts[:, 2] = shown, 1 - x, x
+        away = ratio[:, None] + np.log(nu0 / self.place)
+        parts[:, 3:] = self.near * np.exp(slope * away)
+        parts *= np.exp(theta[4:])
         s = np.maximum(parts.sum(1), 1e-300)
         parts /= s[:, None]
-        first = parts[:, :1] * np.stack([own.d_freq - slope, own.d_zeta, ratio], axis=1)
+        by_freq = by_freq - slope - 2 * bend * ratio / self.reach**2
+        first = parts[:, :1] * np.stack([by_freq, by_zeta, ratio, square], axis=1)
+        first[:, 2] += (parts[:, 3:] * away).sum(axis=1)
         return s, np.concatenate([first, parts], axis=1)
 
     def cost(self, s: Float, theta: Float) -> float:
@@ -176,12 +182,11 @@ class _SpectrumFit:
             + 0.5 * self.prior @ (theta - self.mean) ** 2
         )
 
-    def run(self) -> tuple[Float, Float, float, bool]:
-        """θ, covariance, misfit and whether Fisher scoring settled."""
+    def run(self) -> tuple[Float, Float, bool]:
+        """θ, its covariance with the misfit of the model, and whether Fisher scoring settled."""
         theta = self.mean.copy()
         s, g = self.spectrum(theta)
         cost = self.cost(s, theta)
-        done = False
         for _ in range(80):
             info = (g.T * self.count) @ g + np.diag(self.prior)
             slope = g.T @ (self.count * (self.power / s - 1)) - self.prior * (
@@ -196,18 +201,17 @@ class _SpectrumFit:
                 s_new, g_new = self.spectrum(theta + step)
                 if (c := self.cost(s_new, theta + step)) < cost:
                     break
-                step = step / 2
+                step /= 2
             else:
                 break
-            theta = theta + step
+            theta += step
             s = s_new
             g = g_new
             cost = c
         info = (g.T * self.count) @ g + np.diag(self.prior)
-        misfit = float(
-            (self.count * (self.power / s - 1) ** 2).sum() / max(s.size - theta.size, 1)
-        )
-        return theta, np.asarray(np.linalg.inv(info), dtype=np.float64), misfit, done
+        square = float(self.count @ (self.power / s - 1) ** 2)
+        misfit = max(square / max(s.size - theta.size, 1), 1.0)
+        return theta, np.asarray(misfit * np.linalg.inv(info)), done
 
     def waves(self, theta: Float) -> float:
         """Squared error of bins a half bandwidth wide, over what chance makes of it: forces that
@@ -350,7 +354,6 @@ def refine_by_likelihood(
     f = frequency.copy()
     z = damping.copy()
     cov = np.full((m, 2, 2), np.nan)
-    misfit = np.full(m, np.nan)
     ok = np.zeros(m, dtype=np.bool_)
     for _ in range(2):
         start = EstimatedModes(f.copy(), z.copy(), modes.shape)
@@ -359,22 +362,19 @@ def refine_by_likelihood(
                 fit = _prepare(bins, start, i, far, slope)
                 if fit is None:
                     continue
-                theta, c, chi, good = fit.run()
+                theta, c, good = fit.run()
                 new_f = start.frequency[i] * np.exp(theta[0])
                 new_z = np.exp(theta[1])
                 near = abs(new_f / frequency[i] - 1) < max(0.7 * damping[i], 0.002)
                 near &= bool(abs(np.log(new_z / damping[i])) < reach[i])
-                sharp = c[1, 1] * max(chi, 1.0) < most[i]
-                if not (good and near and sharp):
-                    continue
-                if fit.waves(theta) < 1:
+                sharp = c[1, 1] < most[i]
+                if good and near and sharp and fit.waves(theta) < 1:
                     f[i] = new_f
                     z[i] = new_z
-                    cov[i] = c[:2, :2] * max(chi, 1.0)
-                    misfit[i] = chi
+                    cov[i] = c[:2, :2]
                     ok[i] = True
                     break
-    return LikelihoodFit(frequency=f, damping=z, covariance=cov, misfit=misfit, ok=ok)
+    return LikelihoodFit(frequency=f, damping=z, covariance=cov, ok=ok)
 
 
 def _joined(nu: Float, zeta: float) -> Int:
@@ -396,13 +396,16 @@ def _prepare(
     slope: tuple[float, float],
 ) -> _SpectrumFit | None:
     """The filtered spectrum of mode `i`, `far` half bandwidths to each side, with a start; None
-    where lines are too few or too coarse.
+    where lines are too few, or averages hide the mode.
     """
     f = modes.frequency
     z = modes.damping
     half = z[i] * f[i]
     at = np.flatnonzero(np.abs(b.freqs - f[i]) < far * half)
-    if at.size < 30 or half < 1.5 * np.median(np.diff(b.freqs[at])):
+    if at.size < 12:
+        return None
+    averaged = np.median(np.diff(b.freqs[at])) - 1 / b.duration
+    if half < 1.5 * averaged:
         return None
     others = np.flatnonzero(
         (np.abs(f - f[i]) < 2 * far * half) & (np.arange(f.size) != i)
@@ -417,7 +420,7 @@ def _prepare(
     near = np.empty((nu.size, others.size))
     # neighbours
     for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):
-        near[:, k] = _lorentz(nu, p, q, windows).level
+        near[:, k] = _lorentz(nu, p, q, windows)[0]
     mode = _ModeAmongOthers(i, at, half, others, count @ near / count.sum())
     own = _filter(b, modes, mode)
     # single precision, that of the spectra: to make them double takes longer than all else
@@ -426,27 +429,21 @@ def _prepare(
     passed = (cross.reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
     power = np.maximum(np.add.reduceat(lines * passed.real, begin) / count, 1e-300)
     peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
-    known = np.isfinite(own.noise)
     seen = np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
-    ends = np.where(known, own.noise, seen)
+    ends = np.where(np.isfinite(own.noise), own.noise, seen)
     levels = np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])
-    mean = np.array([0.0, np.log(z[i]), slope[0], *levels])
+    mean = np.array([0.0, np.log(z[i]), slope[0], 0.0, *levels])
     # what the data do not show is held near what the filter is expected to pass: levels cannot be
     # negative, so that free ones take from the skirts of the mode on average, and with them from
     # its damping
-    loose = np.where(known, LIMITS.level, 3.0) ** -2
-    prior = np.concatenate(
-        [
-            [1e-6, 1e-4, slope[1] ** -2, 1e-4],
-            loose,
-            np.full(others.size, LIMITS.level**-2),
-        ]
-    )
+    prior = np.full(mean.size, LIMITS.level**-2)
+    prior[[0, 1, 2, 4]] = 1e-6, 1e-4, slope[1] ** -2, 1e-4
     return _SpectrumFit(
         nu,
         power,
         count=count,
         windows=windows,
+        reach=far * float(z[i]),
         place=place,
         near=near,
         mean=mean,
