@@ -78,6 +78,34 @@ def test_shapes_are_those_of_one_motion():
     )
 
 
+def test_a_quiet_velocity_among_accelerations_is_no_other_quantity():
+    """Near a node of most modes it shares little with the others, and is hundreds of times less than
+    the accelerations, as velocities are.
+    """
+    y = motion().copy()
+    rng = np.random.default_rng(4)
+    y[0] += 2 * y[0].std() * rng.standard_normal(y.shape[1])
+    y[:2] = derivative(y[:2], -1) / 600
+    learned, notes = with_learned_quantities(without_units(y))
+    assert [c.quantity for c in learned.channels[:3]] == [
+        "velocity",
+        "velocity",
+        "acceleration",
+    ]
+    assert {note.code for note in notes} == {"channel quantity"}
+
+
+def test_a_strain_among_accelerations_is_set_aside_by_name():
+    """It is as small as its unit and shares little with the others."""
+    strain = 1e-6 * motion()[0]
+    strain += 3 * strain.std() * np.random.default_rng(4).standard_normal(strain.size)
+    learned, notes = with_learned_quantities(
+        without_units(np.vstack([motion(), strain]))
+    )
+    assert len(learned.channels) == 7
+    assert [note.code for note in notes] == ["channel of another kind"]
+
+
 def test_a_temperature_is_set_aside_by_name():
     walk = np.cumsum(np.random.default_rng(1).standard_normal(motion().shape[1]))
     made = without_units(np.vstack([motion(), walk]))

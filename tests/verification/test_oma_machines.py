@@ -135,6 +135,16 @@ def test_blows_that_come_out_faint_are_found_where_they_are_due(seed: int) -> No
     assert found.count == pytest.approx(at.size, rel=0.01)
 
 
+def test_blows_of_which_half_are_missing_have_the_interval_of_the_others() -> None:
+    """As many intervals are three times the others as are not: their mean is neither."""
+    at = 1.7 * np.cumsum(np.tile([1, 3], 66)[:-1]) * RATE
+    _, found = remove_regular_impacts(
+        record(forces() + 18 * PUSH * np.bincount(at.astype(int), minlength=N))
+    )
+    assert found is not None
+    assert found.interval == pytest.approx(1.7, abs=0.02)
+
+
 def test_three_overlapping_modes_of_much_damping() -> None:
     f, z = np.array([0.5, 0.7, 1.1]), np.array([0.12, 0.1, 0.15])
     r = identify_ambient(

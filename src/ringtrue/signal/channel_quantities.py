@@ -87,7 +87,10 @@ def with_learned_quantities(
     alone = total < 1.0
     silent = unknown & alone & _without_peaks(phases.power)
     size = history.data.std(axis=1)
-    ratio = size / np.median(size[seen])
+    # velocities have another level than accelerations
+    side = _sides(phases)
+    like = np.eye(len(side), dtype=bool) | (seen & (side[:, None] == side))
+    ratio = size / np.array([np.median(size[own]) for own in like])
     odd = (ratio > LIMITS.level_ratio) | (ratio * LIMITS.level_ratio < 1)
     # strain among accelerations
     stray = unknown & odd & (total < np.median(total[seen]) / 2) & ~silent
@@ -159,6 +162,12 @@ def _without_peaks(power: Float) -> Bool:
     return np.asarray(~inside.any(axis=0))
 
 
+def _sides(phases: _PhaseAgreement) -> Float:
+    """(ch,) 1 and -1 of channels a quarter turn from each other."""
+    side: Float = np.sign(np.linalg.eigh(phases.weight * phases.agreement)[1][:, -1])
+    return side
+
+
 def _learned(
     quantities: Sequence[str],
     open_: Bool,
@@ -167,7 +176,7 @@ def _learned(
 ) -> list[tuple[Int, str]]:
     """Groups of the `open_` channels with their quantity; none where all are of one."""
     weighted = phases.weight * phases.agreement
-    side = np.sign(np.linalg.eigh(weighted)[1][:, -1])
+    side = _sides(phases)
     total = np.maximum(phases.weight.sum(axis=1), 1e-12)
     clear = seen & (side * (weighted @ side) / total > 0.5)
     order = np.array([DERIVATIVE.get(q, -1) for q in quantities])

@@ -166,11 +166,18 @@ def local_frfs(
         moves something.
     """
     found = [_random_frfs(h, resolution, inputs) for h in histories]
+    return _on_common_lines(found, histories[0].source)
+
+
+def _on_common_lines(
+    found: list[tuple[FrfSet, Bool]], source: str
+) -> tuple[FrfSet, ...]:
+    """The FRFs of all records on the lines where every force of each moves something."""
     least = min(f.freqs.size for f, _ in found)
     seen = np.all([s[:least] for _, s in found], axis=0)
-    if np.count_nonzero(seen) < 3:
+    if seen.sum() < 3:
         raise DataError(
-            f"{histories[0].source}: there are no lines where every force moves something"
+            f"{source}: there are no lines where every force moves something"
         )
     at = np.flatnonzero(seen)
     return tuple(
@@ -461,16 +468,7 @@ def periodic_frfs(histories: Sequence[TimeHistory], samples: int) -> tuple[FrfSe
         the force of all.
     """
     found = [_periodic_frfs(h, samples) for h in histories]
-    seen = np.all([s for _, s in found], axis=0)
-    if np.count_nonzero(seen) < 3:
-        raise DataError(
-            f"{histories[0].source}: there are no lines where the force moves something"
-        )
-    at = np.flatnonzero(seen)
-    return tuple(
-        replace(f, data=f.data[at], freqs=f.freqs[at], coherence=f.coherence[at])
-        for f, _ in found
-    )
+    return _on_common_lines(found, histories[0].source)
 
 
 def _periodic_frfs(history: TimeHistory, samples: int) -> tuple[FrfSet, Bool]:

@@ -327,10 +327,16 @@ def remove_regular_impacts(
         return history, None
     # the response is as long as the prediction is known from, in a long record
     taps = min(WIDTH * ORDER, history.data.shape[1] // WIDTH)
-    usual = float(np.median(np.diff(at)))
     return replace(history, data=_left(history.data, at, taps)), RegularImpacts(
-        at.size, usual / history.rate
+        at.size, _usual_interval(at) / history.rate
     )
+
+
+def _usual_interval(at: Int) -> float:
+    """The lower median of the intervals of impacts (k,): one of them, as the mean of two may lie
+    between an interval and its multiple.
+    """
+    return float(np.percentile(np.diff(at), 50, method="lower"))
 
 
 def _regular(at: Int) -> bool:
@@ -339,8 +345,7 @@ def _regular(at: Int) -> bool:
     """
     if at.size < FEWEST:
         return False
-    interval = np.diff(at)
-    turns = np.exp(2j * np.pi * interval / np.median(interval))
+    turns = np.exp(2j * np.pi * np.diff(at) / _usual_interval(at))
     return bool(2 * np.abs(turns.mean()) ** 2 > 1)
 
 
@@ -379,7 +384,7 @@ def _with_faint(top: Int, power: Any_) -> Int:
     """
     if not _regular(top):
         return top
-    usual = float(np.median(np.diff(top)))
+    usual = _usual_interval(top)
     off = np.abs(np.diff(top) - usual)
     reach = int(off[off < usual / 2].max())
     faint = []
