@@ -135,6 +135,15 @@ def share_at_most(what: str, count: float, of: int, most: float) -> Check:
     )
 
 
+def share_within(what: str, count: float, of: int, low: float, high: float) -> Check:
+    """A share of many cases that is right if it may come from a true share between two; see
+    `share_at_least`.
+    """
+    least = share_at_least(what, count, of, low)
+    most = share_at_most(what, count, of, high)
+    return within(what, least.value, least.low, most.high, "%")
+
+
 def rms_over_stated(
     what: str,
     errors: npt.ArrayLike,

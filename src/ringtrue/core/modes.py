@@ -274,8 +274,25 @@ class OtherCandidates:
         )
 
 
+class HasPoles:
+    """The base of what has `poles` (m,), rad/s."""
+
+    __slots__ = ()
+    poles: Complex
+
+    @property
+    def frequencies(self) -> Float:
+        """(m,) Hz."""
+        return np.abs(self.poles) / (2 * np.pi)
+
+    @property
+    def damping(self) -> Float:
+        """(m,) fraction of critical."""
+        return -self.poles.real / np.abs(self.poles)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class ModalModel(FrozenArrays):
+class ModalModel(HasPoles, FrozenArrays):
     """Poles and residues, receptance form H(s) = Σ_k ψ_k l_kᵀ/(s − s_k) + conj + L/s² + U.
 
     Attributes
@@ -300,16 +317,6 @@ class ModalModel(FrozenArrays):
     inputs: tuple[Channel, ...]
     kind: FrfKind = "accelerance"
     norm: Norm = Norm.UNSCALED
-
-    @property
-    def frequencies(self) -> Float:
-        """(m,) Hz."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping(self) -> Float:
-        """(m,) fraction of critical."""
-        return -self.poles.real / np.abs(self.poles)
 
     def synthesise(self, freqs: Float) -> Complex:
         """(freq, out, in) complex128 in the kind of the model, at `freqs` (f,) Hz, f > 0."""

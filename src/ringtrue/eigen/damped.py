@@ -17,6 +17,7 @@ from scipy import linalg, sparse
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from ringtrue.core.arrays import Any_, Complex, Float, FrozenArrays
+from ringtrue.core.modes import HasPoles
 from ringtrue.eigen.engines import Engine, Pattern, choose, factorise
 from ringtrue.errors import InputError, NotConverged, SingularModel
 
@@ -172,7 +173,7 @@ STILL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComplexModes(FrozenArrays):
+class ComplexModes(HasPoles, FrozenArrays):
     """Poles with Im > 0, ascending modulus.
 
     Attributes
@@ -184,16 +185,6 @@ class ComplexModes(FrozenArrays):
 
     poles: Complex
     shapes: Complex
-
-    @property
-    def frequencies(self) -> Float:
-        """(m,) |s|/2π, Hz."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping(self) -> Float:
-        """(m,) −Re(s)/|s|."""
-        return -self.poles.real / np.abs(self.poles)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

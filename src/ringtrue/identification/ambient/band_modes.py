@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import FALSE_ALARM
@@ -76,6 +76,14 @@ def modes_of_band(
     table = search.table
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
+    blocks = search.poles.deviation.shape[1]
+    # deviations by few blocks, that 1.96 of them hold 95 % (Student 1908)
+    few = stdtrit(blocks - 1, 0.975) / ndtri(0.975)
+    poles = replace(
+        poles,
+        std_frequency=few * poles.std_frequency,
+        std_damping=few * poles.std_damping,
+    )
     freqs, values = singular_values(sums.bins)
     level = 10 * np.log10(values * np.mean(sums.scale[sums.eyes] ** 2))
     found = BandModes(
@@ -89,15 +97,17 @@ def modes_of_band(
         wander=np.zeros(table.pole.size),
     )
     at = np.array([i for _, i in select([found], confidence_min)], dtype=np.int64)
-    if not at.size or facts.driven:
-        return found
-    wander = frequency_wander(table, at, search.poles.deviation.shape[1])
-    if steady(table, at, power, sums.stretches * sums.bins.duration):
-        table = refined(table, at, references=sums.eyes, bins=bins, slope=facts.slope)
-        table = loosened(table, search.pairs)
-    table = with_wander_doubt(table, wander)
-    shape, std = _in_units(sums, table, facts)
-    return replace(found, table=table, shape=shape, shape_std=std, wander=wander)
+    if at.size and not facts.driven:
+        wander = frequency_wander(table, at, blocks)
+        if steady(table, at, power, sums.stretches * sums.bins.duration):
+            table = refined(table, at, sums.eyes, bins=bins, slope=facts.slope)
+            table = loosened(table, search.pairs)
+        table = with_wander_doubt(table, wander)
+        shape, std = _in_units(sums, table, facts)
+        found = replace(found, shape=shape, shape_std=std, wander=wander)
+    deviation = table.deviation.copy()
+    deviation[~table.refined, :blocks] *= few
+    return replace(found, table=replace(table, deviation=deviation))
 
 
 def _search(

@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome, iterate
+from ringtrue.core.modes import HasPoles
 from ringtrue.core.signals import FALSE_ALARM
 from ringtrue.identification.common.stabilisation import DAMPING_MAX
 
@@ -26,7 +27,7 @@ Decays = tuple[Float, ...]  # (ch, sample) each, of equal channels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecayModel:
+class DecayModel(HasPoles):
     """Poles and the slow factors of their exponentials.
 
     Attributes
@@ -38,16 +39,6 @@ class DecayModel:
 
     poles: Complex
     factors: tuple[tuple[Complex, ...], ...]
-
-    @property
-    def frequencies(self) -> Float:
-        """(m,) Hz."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping(self) -> Float:
-        """(m,) fraction of critical."""
-        return -self.poles.real / np.abs(self.poles)
 
     def take(self, at: Sequence[int] | Int) -> DecayModel:
         """The chosen poles."""

@@ -20,6 +20,7 @@ from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
+from ringtrue.core.modes import HasPoles
 from ringtrue.identification.frf.lines import (
     Lines,
     augment,
@@ -88,7 +89,7 @@ def pseudo_inverse(a: Float, least: float) -> Float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class Refined(HasPoles):
     """Poles and participation vectors that minimise the weighted error.
 
     Attributes
@@ -119,16 +120,6 @@ class Refined:
     cost: float
     outcome: Outcome
     known: Known
-
-    @property
-    def frequencies(self) -> Float:
-        """(m,) Hz."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping(self) -> Float:
-        """(m,) fraction of critical."""
-        return -self.poles.real / np.abs(self.poles)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
