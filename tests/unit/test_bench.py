@@ -58,6 +58,7 @@ from outcome import (
     rms_over_stated,
     share_at_least,
     share_at_most,
+    share_within,
     within,
 )
 
@@ -118,6 +119,14 @@ def test_what_is_not_a_number_is_wrong(value: float) -> None:
     assert not at_most("x", value, 1.0).right
     assert not at_least("x", value, 1.0).right
     assert not within("x", value, 0.0, 1.0).right
+
+
+def test_a_share_is_wrong_on_both_sides() -> None:
+    assert share_within("x", 950, 1000, 0.93, 0.97).right
+    assert not share_within("x", 880, 1000, 0.93, 0.97).right
+    assert not share_within("x", 999, 1000, 0.93, 0.97).right
+    assert share_within("x", 20, 20, 0.93, 0.97).right
+    assert not share_within("x", 0, 0, 0.93, 0.97).right
 
 
 def test_limits_are_included() -> None:
