@@ -308,7 +308,7 @@ def _frame_levels(x: Any_, length: int, top: float) -> tuple[Any_, float]:
     for own in frames:
         y = rfft(own[: steps * together] * win, axis=1)[:, :bins]
         power = y.real**2 + y.imag**2
-        power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 32), 2:])
+        power *= np.float32(np.log(2)) / np.median(power[:: max(1, steps // 8), 2:])
         power += 1
         total += np.log(power, out=power).reshape(steps, together, bins).sum(axis=1)
     total -= median_filter(

@@ -122,7 +122,7 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     """(frame, bin) power over the typical one of the bin in the record and of neighbouring bins in
     the frame.
 
-    Zero throughout where no cell stands out of the noise.
+    Zero throughout where fewer frames than a ridge takes have a cell that stands out of the noise.
     """
     group = RUN_UPS.frames[-1] // 4  # half of the bins of the shortest frames
     bins = n // 2 // group * group
@@ -138,8 +138,11 @@ def _whitened(mixes: Any_, n: int) -> Any_:
     total[:, :4] = 0
     groups = total.reshape(len(total), -1, group)
     # levels take longer than all else
-    some = groups[groups.max(axis=2) > _noise(total.size)]
-    if not (some > _noise(total.size) * _levels(some)).any():
+    noise = _noise(total.size)
+    loud = groups.max(axis=2) > noise
+    some = groups[loud]
+    loud[loud] = (some > noise * _levels(some)).any(axis=1)
+    if loud.any(axis=1).sum() < ndtri(FALSE_ALARM) ** 2:
         return np.zeros_like(total)
     return (groups / _levels(groups)).reshape(total.shape)
 

@@ -100,7 +100,7 @@ def modes_of_band(
     if at.size and not facts.driven:
         wander = frequency_wander(table, at, blocks)
         if steady(table, at, power, sums.stretches * sums.bins.duration):
-            table = refined(table, at, sums.eyes, bins=bins, slope=facts.slope)
+            table = refined(table, at, sums.eyes, bins, facts.slope)
             table = loosened(table, search.pairs)
         table = with_wander_doubt(table, wander)
         shape, std = _in_units(sums, table, facts)

@@ -246,7 +246,7 @@ def refined(
     by = np.stack([pole, 2 * np.pi * f * z * (-1 - 1j * z / root)], axis=1)
     own = (by[:, None] @ np.linalg.cholesky(fit.covariance[ok]))[:, 0]
     m = rows.size
-    deviation = np.concatenate([c.deviation, np.zeros((len(c.pole), 2 * m))], axis=1)
+    deviation = np.pad(c.deviation, ((0, 0), (0, 2 * m)))
     deviation[rows, :blocks] = 0.0
     deviation[rows[:, None], blocks + 2 * np.arange(m)[:, None] + np.arange(2)] = own
     poles = c.pole.copy()

@@ -374,7 +374,7 @@ def refine_by_likelihood(
                     cov[i] = c[:2, :2]
                     ok[i] = True
                     break
-    return LikelihoodFit(frequency=f, damping=z, covariance=cov, ok=ok)
+    return LikelihoodFit(f, z, cov, ok)
 
 
 def _joined(nu: Float, zeta: float) -> Int:
@@ -428,7 +428,7 @@ def _prepare(
     cross = b.cross[at[0] : at[-1] + 1]
     passed = (cross.reshape(-1, w.size) @ w).reshape(-1, w.size) @ w.conj()
     power = np.maximum(np.add.reduceat(lines * passed.real, begin) / count, 1e-300)
-    peak = np.median(power[np.argsort(np.abs(nu - 1))[: max(few, 5)]])
+    peak = np.median(power[np.argsort(np.abs(nu - 1))[: few + 2]])
     seen = np.array([np.median(power[:few]), np.median(power[-few:])]) / 2
     ends = np.where(np.isfinite(own.noise), own.noise, seen)
     levels = np.log([peak, *ends, *np.maximum(own.leak, 1e-6 * peak)])
@@ -441,9 +441,9 @@ def _prepare(
     return _SpectrumFit(
         nu,
         power,
-        count=count,
-        windows=windows,
-        reach=far * float(z[i]),
+        count,
+        windows,
+        far * float(z[i]),
         place=place,
         near=near,
         mean=mean,
