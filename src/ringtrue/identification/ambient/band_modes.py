@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import FALSE_ALARM
@@ -77,8 +77,7 @@ def modes_of_band(
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
     blocks = search.poles.deviation.shape[1]
-    # deviations by few blocks, that 1.96 of them hold 95 % (Student 1908)
-    few = stdtrit(blocks - 1, 0.975) / ndtri(0.975)
+    few = var.students_factor(blocks - 1)
     poles = replace(
         poles,
         std_frequency=few * poles.std_frequency,

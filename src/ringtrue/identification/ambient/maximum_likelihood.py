@@ -402,7 +402,7 @@ def _prepare(
     z = modes.damping
     half = z[i] * f[i]
     at = np.flatnonzero(np.abs(b.freqs - f[i]) < far * half)
-    if at.size < 12:
+    if at.size < 12:  # no more than the unknowns of a mode with some neighbours
         return None
     averaged = np.median(np.diff(b.freqs[at])) - 1 / b.duration
     if half < 1.5 * averaged:
@@ -418,9 +418,8 @@ def _prepare(
     place = f[others] / f[i]
     windows = tuple((weight, length * float(f[i])) for weight, length in b.windows)
     near = np.empty((nu.size, others.size))
-    # neighbours
-    for k, (p, q) in enumerate(zip(place.tolist(), z[others].tolist(), strict=True)):
-        near[:, k] = _lorentz(nu, p, q, windows)[0]
+    for k, other in enumerate(others.tolist()):  # neighbours
+        near[:, k] = _lorentz(nu, float(place[k]), float(z[other]), windows)[0]
     mode = _ModeAmongOthers(i, at, half, others, count @ near / count.sum())
     own = _filter(b, modes, mode)
     # single precision, that of the spectra: to make them double takes longer than all else
@@ -437,7 +436,8 @@ def _prepare(
     # negative, so that free ones take from the skirts of the mode on average, and with them from
     # its damping
     prior = np.full(mean.size, LIMITS.level**-2)
-    prior[[0, 1, 2, 4]] = 1e-6, 1e-4, slope[1] ** -2, 1e-4
+    prior[[0, 1, 4]] = 1e-4  # ν0, ζ and A are free
+    prior[2] = slope[1] ** -2
     return _SpectrumFit(
         nu,
         power,

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import prev_fast_len, rfft
 from scipy.sparse import csr_array
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
 from ringtrue.core.arrays import Any_, Bool, Complex, Float, Int
 from ringtrue.core.signals import FALSE_ALARM
@@ -116,27 +116,23 @@ def _average(band: BandPoles, at: Int) -> tuple[complex, Complex, Complex, int]:
 
 
 def _shape_deviations(band: BandPoles, at: list[int]) -> Complex:
-    """Deviations (m, ch, block) of the shapes of the poles `at`, their largest component 1.
-
-    A little larger than those of the blocks: few of them know it badly, and 95 % are to lie within
-    1.96 of it.
+    """Deviations (m, ch, block) of the shapes of the poles `at`, their largest component 1, with
+    Student's factor.
     """
     sub = band.subspace
     p = band.poles
-    few = stdtrit(band.deviation.shape[1] - 1, 0.975) / 1.96
+    blocks = band.deviation.shape[1]
     orders = {n: transition(sub, n) for n in np.unique(p.order[at]).tolist()}
-    out = np.empty(
-        (len(at), sub.channels, band.deviation.shape[1]), dtype=np.complex128
-    )
+    out = np.empty((len(at), sub.channels, blocks), dtype=np.complex128)
     for row, k in zip(out, at, strict=True):  # modes
         n = int(p.order[k])
         i = int(np.argmin(np.abs(orders[n][0] - np.exp(p.pole[k] / sub.rate))))
         c = sub.u[: sub.channels, :n]
         r = sub.r[:n, :n]
         row[:] = sub.turned(
-            few * var.shape_deviations(band.perturbations, orders[n], c, i, r)
+            var.shape_deviations(band.perturbations, orders[n], c, i, r)
         )
-    return out
+    return var.students_factor(blocks - 1) * out
 
 
 def candidates(band: BandPoles, *, driven: bool) -> CandidateModes:

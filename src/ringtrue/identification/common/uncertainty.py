@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from scipy.fft import next_fast_len, rfft
 from scipy.linalg import solve_triangular
+from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Any_, Complex, Float
 from ringtrue.core.signals import FALSE_ALARM
@@ -223,6 +224,13 @@ def frequency_damping(pole: Complex, d_pole: Complex) -> tuple[Float, Float]:
     d_size = (pole.conj()[:, None] * d_pole).real / size
     d_zeta = -d_pole.real / size + pole.real[:, None] * d_size / size**2
     return d_size / (2 * np.pi), d_zeta
+
+
+def students_factor(free: Any_) -> Any_:
+    """Factor on deviations that are known to `free` degrees of freedom: 1.96 of them then hold 95 %
+    (Student 1908).
+    """
+    return stdtrit(free, 0.975) / ndtri(0.975)
 
 
 def root_sum_square(d: Float) -> Float:

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.special import ndtri, stdtrit
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.iterate import Outcome
 from ringtrue.core.modes import HasPoles
+from ringtrue.identification.common.uncertainty import students_factor
 from ringtrue.identification.frf.lines import (
     Lines,
     augment,
@@ -434,8 +434,7 @@ def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, F
     The errors of measured FRFs grow with the response, in the channels that see a mode most of all:
     so each error counts as much as it moves the parameter, and what the fit takes of it is given
     back. Those that all responses share, as of noise on the force, move a pole together: their sum
-    along the shape counts where it is larger. Few lines tell the error of a residue, so its
-    interval is that of Student: 1.96 deviations hold 95 % of the cases.
+    along the shape counts where it is larger. Few lines tell the error of a residue.
     """
     m = state.poles.size
     n_out = state.shapes.shape[0]
@@ -457,7 +456,7 @@ def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, F
         )
 
     power = 0.5 * np.abs(rest) ** 2
-    few = stdtrit(2 / (by_shape**2).sum(axis=(0, 1)), 0.975) / ndtri(0.975)
+    few = students_factor(2 / (by_shape**2).sum(axis=(0, 1)))
     own = np.tensordot(power, by_shape / left(by_shape, n_out), ([0, 1], [0, 1]))
     own = own * early[0] * few**2
     separate = np.tensordot(power, by_pole / left(by_pole, n_out), ([0, 1], [0, 1]))
