@@ -57,8 +57,9 @@ OTHER_PATHS = (  # of the hammer test, of several tests, and pictures
     "ringtrue.identification.common.tracking",
     "ringtrue.identification.common.diagram",
 )
-# decide nothing: the mean share of two shapes after any turn, and how much threads hold at a time
-DEFINITIONS = ("ANY_TURN", "UNDER_WAY")
+# decide nothing: the mean share of two shapes after any turn, how much threads hold at a time, and
+# how many samples an interpolation takes
+DEFINITIONS = ("ANY_TURN", "UNDER_WAY", "TAPS")
 PAGE = ROOT / "docs" / "ambient_settings.md"
 FIRST_SEED = 5000
 COUNTS = {"short": 4, "decay": 3, "drops": 2, "mixed": 2, "machine": 1, "close": 1}

@@ -145,6 +145,20 @@ def test_blows_of_which_half_are_missing_have_the_interval_of_the_others() -> No
     assert found.interval == pytest.approx(1.7, abs=0.02)
 
 
+@pytest.mark.parametrize("place", [0.95, 1.05])
+def test_a_mode_farther_from_a_harmonic_than_the_speed_wanders_stays(
+    place: float,
+) -> None:
+    """On either side, and though it is sharper than the wander."""
+    wander = lfilter([0.02], [1, -0.9998], np.random.default_rng(4).standard_normal(N))
+    speed = place * F[3] / 5 * (1 + 0.012 * wander / wander.std())
+    turns = np.cumsum(speed) / RATE
+    comb = sum(np.sin(2 * np.pi * k * turns + k * k) for k in range(1, 16))
+    r = identify_ambient(record(forces() + 0.5 * PUSH * comb))
+    assert r.machines[0].wander > 1.1 * Z[3]
+    assert np.abs(r.modes.frequencies / F[3] - 1).min() < 4e-3
+
+
 def test_three_overlapping_modes_of_much_damping() -> None:
     f, z = np.array([0.5, 0.7, 1.1]), np.array([0.12, 0.1, 0.15])
     r = identify_ambient(

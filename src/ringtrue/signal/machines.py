@@ -94,7 +94,7 @@ class NearHarmonics(FrozenArrays):
     machine, order : (m,) int64
         Position of the machine among those given, and its order; -1 and 0 where there is none.
     distance : (m,) float64
-        From the harmonic to the frequency, over that of the harmonic; infinite where there is none.
+        Of both, over the frequency of the harmonic; infinite where there is none.
     wander : (m,) float64
         Standard deviation of the speed of the machine over its mean.
     """
@@ -158,8 +158,8 @@ def near_harmonics(
     for i, own in enumerate(machines):
         lines = own.harmonics * own.frequency
         at = np.abs(f[:, None] - lines).argmin(axis=1)
-        away = f / lines[at] - 1
-        nearer = np.abs(away) < np.abs(distance)
+        away = np.abs(f / lines[at] - 1)
+        nearer = away < distance
         machine[nearer] = i
         order[nearer] = own.harmonics[at][nearer]
         distance[nearer] = away[nearer]

@@ -560,10 +560,9 @@ def _against(
     """For each candidate (m,) the physical evidence that it is no mode of the structure."""
     f = of.frequency
     damping = of.damping
-    good = record.good
     line_f = [h.frequency for h in lines]
     on_line = [
-        machine(x, z, lines=lines, duration=good.duration)
+        machine(x, z, lines=lines, duration=record.good.duration)
         for x, z in zip(f, damping, strict=True)
     ]
     unsteady = ("",) * f.size
@@ -582,10 +581,14 @@ def _against(
         )
         both = zip(unsteady, locked_to[: f.size], strict=True)
         unsteady = tuple(own or other for own, other in both)
-    remainders = line_remainders(f, damping, np.array(record.places), good.duration)
+    remainders = line_remainders(
+        f, damping, np.array(record.places), record.good.duration
+    )
     orders = near_harmonics(record.machines, f)
-    # after their removal a pole that a machine leaves is as wide as its speed wanders
-    left = np.maximum(orders.distance, damping) < orders.wander
+    # after their removal a pole that a machine leaves is as wide as its speed wanders, and half of
+    # the width of a normal distribution is 1.18 of its deviation
+    away = np.maximum(orders.distance, damping - 2 * of.std_damping)
+    left = away < 1.18 * orders.wander
     out: list[Note | None] = []
     for k, (x, z) in enumerate(zip(f.tolist(), damping.tolist(), strict=True)):
         line = on_line[k]
