@@ -6,9 +6,11 @@ Candidates of random records (chains, close pairs, random shapes; noise at 5 to 
 with humps, records of noise alone; half of them short and of little damping) are weighed as
 `identify_ambient` does. A candidate is a mode where the record has one within four standard
 deviations of the least scatter, or a quarter of its half bandwidth, of the same shape (MAC 0.8). The
-weights are fitted anew to one half of the records by logistic regression, for comparison; on the
-other half, modes stated at 0.9 and more must be real in nine of ten cases. Not covered: machines and peaks of the force,
-which other evidence names.
+weights are fitted anew to one half of the records by logistic regression, for comparison, also with
+a further evidence: the share of the orders of another estimator, pLSCF on half spectra (Peeters and
+Van der Auweraer 2005), that show a candidate. On the other half, modes stated at 0.9 and more must
+be real in nine of ten cases. Not covered: machines and peaks of the force, which other evidence
+names.
 """
 
 from __future__ import annotations
@@ -24,10 +26,14 @@ from scipy.special import expit
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.iterate import quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.errors import DataError
+from ringtrue.errors import DataError, InputError
 from ringtrue.identification.ambient.confidence import WEIGHTS
 from ringtrue.identification.ambient.pipeline import AmbientSettings, weighed_candidates
-from ringtrue.identification.common.stabilisation import least_deviations
+from ringtrue.identification.ambient.plscf import HALF
+from ringtrue.identification.ambient.record_bands import BandSums
+from ringtrue.identification.ambient.spectral_bins import CandidateModes
+from ringtrue.identification.common.stabilisation import DAMPING_MAX, least_deviations
+from ringtrue.identification.frf.plscf import Plscf, plscf
 from ringtrue.shapes import mac
 
 NAMES = [field.name for field in fields(WEIGHTS)]
@@ -88,29 +94,57 @@ def made(seed: int) -> tuple[TimeHistory, Float, Float, Float]:
     return record(y, rate, "acceleration"), f[:there], z[:there], shape[:, :there]
 
 
+def shown_by_plscf(sums: BandSums, table: CandidateModes) -> Float:
+    """(k,) share of the orders of pLSCF, on half spectra of the same correlations, that have a pole
+    within half a bandwidth of each candidate.
+    """
+    r = sums.r.mean(axis=0)[1:]
+    rate = sums.band.rate
+    decay = -np.log(HALF.ends_at) * rate / len(r)
+    tapered = r * np.exp(-decay * np.arange(1, len(r) + 1) / rate)[:, None, None]
+    size = 4 * len(r)
+    freqs = np.fft.rfftfreq(size, 1 / rate)
+    inside = (freqs >= 0.9 * sums.band.low) & (freqs <= 1.1 * sums.band.high)
+    half = np.fft.rfft(tapered, size, axis=0)
+    half *= np.exp(-2j * np.pi * freqs / rate)[:, None, None]
+    top = max(6, min(AmbientSettings().order_max // r.shape[2], inside.sum() // 3))
+    try:
+        found = plscf(
+            half[inside], freqs[inside], Plscf(top // 4, top, 2 * DAMPING_MAX)
+        )
+    except InputError:  # too few lines
+        return np.full(table.pole.size, np.nan)
+    away = np.abs(found.pole[:, None] + decay - table.pole) < -table.pole.real
+    orders = [away[found.order == n].any(axis=0) for n in found.orders]
+    return np.mean(orders, axis=0)
+
+
 def weighed(seed: int) -> tuple[Float, Bool, int]:
-    """Evidence (k, 5) of candidates over its weights, which are modes, and how many modes there
-    are. Of several candidates for one mode the most confident counts.
+    """Evidence (k, 6) of candidates over its weights, that of pLSCF at last, which are modes, and
+    how many modes there are. Of several candidates for one mode the most confident counts.
     """
     history, f, z, shape = made(seed)
     try:
-        found = weighed_candidates([history], AmbientSettings(), None, quiet).found
+        all_bands = weighed_candidates([history], AmbientSettings(), None, quiet)
     except DataError:  # too short
-        return np.empty((0, len(NAMES))), np.empty(0, dtype=np.bool_), 0
+        return np.empty((0, len(NAMES) + 1)), np.empty(0, dtype=np.bool_), 0
     weights = np.array([getattr(WEIGHTS, name) for name in NAMES[1:]])
     least, _ = least_deviations(f, z, history.duration)
     reach = np.maximum(4 * least, 0.25 * z * f)
     rows = []
     real = []
     best: dict[int, tuple[float, int]] = {}
-    for band in found:
+    for sums, band in zip(all_bands.sums, all_bands.found, strict=True):
+        shown = np.log(0.03 + shown_by_plscf(sums, band.table))
         for k in range(band.confidence.size):
             near = np.abs(band.table.frequencies[k] - f) < reach
             like = (
                 mac(shape.astype(complex), band.shape[:, [k]])[:, 0] if f.size else near
             )
             own = np.where(near & (like > 0.8), like, 0.0)
-            rows.append(np.append(1.0, band.evidence[:, k] / weights))
+            rows.append(
+                np.concatenate([[1.0], band.evidence[:, k] / weights, shown[[k]]])
+            )
             real.append(False)
             if own.max(initial=0.0) > 0:
                 mode = int(own.argmax())
@@ -121,16 +155,16 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
                     continue
                 if before is not None:
                     real[before[1]] = False
-                    rows[before[1]] = np.full(len(NAMES), np.nan)
+                    rows[before[1]] = np.full(len(NAMES) + 1, np.inf)
                 real[-1] = True
                 best[mode] = float(band.confidence[k]), len(rows) - 1
-    x = np.array(rows).reshape(-1, len(NAMES))
-    kept = np.isfinite(x).all(axis=1)
+    x = np.array(rows).reshape(-1, len(NAMES) + 1)
+    kept = np.isfinite(x[:, :-1]).all(axis=1)
     return x[kept], np.array(real, dtype=np.bool_)[kept], f.size
 
 
 def fitted(x: Float, real: Bool) -> Float:
-    """Weights (5,) of a logistic regression, by Newton's method."""
+    """Weights of a logistic regression on `x` (k, evidence), by Newton's method."""
     w = np.zeros(x.shape[1])
     for _ in range(50):
         p = expit(x @ w)
@@ -146,8 +180,10 @@ def area_under_curve(score: Float, real: Bool) -> float:
     return float((rank[real].mean() - rank[~real].mean()) / score.size + 0.5)
 
 
-def checks(stated: Float, anew: Float, real: Bool) -> list[Check]:
-    """What is right of the confidence (k,) of candidates, stated and with weights fitted anew."""
+def checks(stated: Float, anew: Float, both: Float, real: Bool) -> list[Check]:
+    """What is right of the confidence (k,) of candidates: stated, with weights fitted anew, and with
+    the evidence of both estimators.
+    """
     high = stated >= 0.9
     natural = stated >= 0.5
     shown = [
@@ -160,6 +196,7 @@ def checks(stated: Float, anew: Float, real: Bool) -> list[Check]:
     for what, score in (
         ("area under the curve", stated),
         ("the same, weights anew", anew),
+        ("the same, with pLSCF as evidence", both),
     ):
         shown.append(at_least(what, area_under_curve(score, real), 0.95))
     return shown
@@ -172,10 +209,14 @@ def main() -> None:
     train = every[: records // 2]
     test = every[records // 2 :]
     x, real = (np.concatenate([part[k] for part in train]) for k in (0, 1))
-    w = fitted(x, real)
+    x = np.where(np.isfinite(x), x, np.nanmean(x, axis=0))  # bands without pLSCF
+    w = fitted(x[:, :-1], real)
+    w_both = fitted(x, real)
     x, real = (np.concatenate([part[k] for part in test]) for k in (0, 1))
-    stated = expit(x @ np.array([getattr(WEIGHTS, name) for name in NAMES]))
-    anew = expit(x @ w)
+    x = np.where(np.isfinite(x), x, np.nanmean(x, axis=0))
+    stated = expit(x[:, :-1] @ np.array([getattr(WEIGHTS, name) for name in NAMES]))
+    anew = expit(x[:, :-1] @ w)
+    both = expit(x @ w_both)
     report = Report(options)
     listed = ", ".join(
         f"{name} {value:.2f}" for name, value in zip(NAMES, w, strict=True)
@@ -183,7 +224,7 @@ def main() -> None:
     report.row(
         f"{records} records, {real.size} candidates of the held-out half; weights anew: {listed}",
         {},
-        checks(stated, anew, real),
+        checks(stated, anew, both, real),
     )
     report.end()
 

@@ -735,11 +735,12 @@ JUDGED: list[
     (
         "confidence",
         confidence.checks,
-        (STATED, STATED, STATED > 0.6),
+        (STATED, STATED, STATED, STATED > 0.6),
         [
-            (STATED, STATED, STATED > 0.97),
-            (STATED, STATED, STATED > 0.3),
-            (STATED, STATED, STATED < 0.6),
+            (STATED, STATED, STATED, STATED > 0.97),
+            (STATED, STATED, STATED, STATED > 0.3),
+            (STATED, STATED, STATED, STATED < 0.6),
+            (STATED, STATED, 1 - STATED, STATED > 0.6),
         ],
     ),
     (
