@@ -20,7 +20,7 @@ from ringtrue.identification.ambient.ssi_cov import (
 from ringtrue.identification.common.stabilisation import PoleSet
 from ringtrue.identification.common.uncertainty import blocks_for
 from ringtrue.signal import band_correlations
-from ringtrue.signal.band_correlations import detrended
+from ringtrue.signal.band_correlations import Signals
 from ringtrue.signal.spectra import Fir, block_weights
 
 
@@ -28,7 +28,7 @@ def ssi_cov(
     history: TimeHistory, settings: SsiCov, *, references: Sequence[str] | None = None
 ) -> PoleSet:
     """Poles of all model orders; `references` are channels, or those that span the motion best."""
-    signals = detrended(np.array(history.data, dtype=np.float32))
+    signals = Signals.of(history.data)
     plain = Fir(np.ones(1))
     lags = 2 * settings.block_rows - 1
     blocks = settings.blocks or blocks_for(signals.samples, lags)
