@@ -101,12 +101,12 @@ def modes_of_band(
         if steady(table, at, power, sums.stretches * sums.bins.duration):
             table = refined(table, at, sums.eyes, bins, facts.slope)
             table = loosened(table, search.pairs)
-        table = with_wander_doubt(table, wander)
         shape, std = _in_units(sums, table, facts)
         found = replace(found, shape=shape, shape_std=std, wander=wander)
     deviation = table.deviation.copy()
-    deviation[~table.refined, :blocks] *= few
-    return replace(found, table=replace(table, deviation=deviation))
+    deviation[~table.refined] *= few
+    table = replace(table, deviation=deviation)
+    return replace(found, table=with_wander_doubt(table, found.wander))
 
 
 def _search(
