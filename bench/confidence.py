@@ -16,7 +16,7 @@ names.
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from ambient_families import chain, record, responses, signals
@@ -26,10 +26,10 @@ from scipy.special import expit
 from ringtrue.core.arrays import Bool, Float
 from ringtrue.core.iterate import quiet
 from ringtrue.core.signals import TimeHistory
-from ringtrue.errors import DataError, InputError
+from ringtrue.errors import DataError
 from ringtrue.identification.ambient.confidence import WEIGHTS
 from ringtrue.identification.ambient.pipeline import AmbientSettings, weighed_candidates
-from ringtrue.identification.ambient.plscf import HALF
+from ringtrue.identification.ambient.plscf import half_spectra
 from ringtrue.identification.ambient.record_bands import BandSums
 from ringtrue.identification.ambient.spectral_bins import CandidateModes
 from ringtrue.identification.common.stabilisation import DAMPING_MAX, least_deviations
@@ -94,28 +94,25 @@ def made(seed: int) -> tuple[TimeHistory, Float, Float, Float]:
     return record(y, rate, "acceleration"), f[:there], z[:there], shape[:, :there]
 
 
-def shown_by_plscf(sums: BandSums, table: CandidateModes) -> Float:
+def shown_by_plscf(
+    history: TimeHistory, sums: BandSums, table: CandidateModes
+) -> Float:
     """(k,) share of the orders of pLSCF, on half spectra of the same correlations, that have a pole
-    within half a bandwidth of each candidate.
+    within half a bandwidth of each candidate; NaN where lines are too few.
     """
-    r = sums.r.mean(axis=0)[1:]
-    rate = sums.band.rate
-    decay = -np.log(HALF.ends_at) * rate / len(r)
-    tapered = r * np.exp(-decay * np.arange(1, len(r) + 1) / rate)[:, None, None]
-    size = 4 * len(r)
-    freqs = np.fft.rfftfreq(size, 1 / rate)
-    inside = (freqs >= 0.9 * sums.band.low) & (freqs <= 1.1 * sums.band.high)
-    half = np.fft.rfft(tapered, size, axis=0)
-    half *= np.exp(-2j * np.pi * freqs / rate)[:, None, None]
-    top = max(6, min(AmbientSettings().order_max // r.shape[2], inside.sum() // 3))
-    try:
-        found = plscf(
-            half[inside], freqs[inside], Plscf(top // 4, top, 2 * DAMPING_MAX)
-        )
-    except InputError:  # too few lines
+    band = sums.band
+    refs = sums.references
+    at_rate = replace(history, rate=band.rate)
+    half = half_spectra(sums.r.mean(axis=0), at_rate, (band.low, band.high), refs)
+    top = min(AmbientSettings().order_max // refs.size, half.freqs.size // 3)
+    if top < 2:
         return np.full(table.pole.size, np.nan)
-    away = np.abs(found.pole[:, None] + decay - table.pole) < -table.pole.real
-    orders = [away[found.order == n].any(axis=0) for n in found.orders]
+    # with the window
+    most = DAMPING_MAX + half.window_decay / (2 * np.pi * half.freqs[0])
+    found = plscf(half.data, half.freqs, Plscf(max(1, top // 4), top, most))
+    pole = found.pole[:, None] + half.window_decay
+    near = np.abs(pole - table.pole) < -table.pole.real
+    orders = [near[found.order == n].any(axis=0) for n in found.orders]
     return np.mean(orders, axis=0)
 
 
@@ -135,7 +132,7 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
     real = []
     best: dict[int, tuple[float, int]] = {}
     for sums, band in zip(all_bands.sums, all_bands.found, strict=True):
-        shown = np.log(0.03 + shown_by_plscf(sums, band.table))
+        shown = np.log(0.03 + shown_by_plscf(all_bands.record.good, sums, band.table))
         for k in range(band.confidence.size):
             near = np.abs(band.table.frequencies[k] - f) < reach
             like = (

@@ -88,6 +88,15 @@ def errors() -> tuple[np.ndarray, np.ndarray]:
 
 def test_every_fit_settles():
     assert all(r.ok.all() for r in fits())
+    misfits = []
+    for seed in range(RECORDS):
+        start = EstimatedModes(F, Z, PHI + 0j)
+        for i in range(2):
+            fit = _prepare(binned(record(seed)), start, i, 20.0, SLOPE)
+            theta, _, _ = fit.run()
+            error = fit.power / fit.spectrum(theta)[0] - 1
+            misfits.append(fit.count @ error**2 / (fit.nu.size - theta.size))
+    assert 0.9 < np.mean(misfits) < 1.1
 
 
 def test_derivatives_are_those_of_the_spectrum():

@@ -94,7 +94,8 @@ class NearHarmonics(FrozenArrays):
     machine, order : (m,) int64
         Position of the machine among those given, and its order; -1 and 0 where there is none.
     distance : (m,) float64
-        Of both, over the frequency of the harmonic; infinite where there is none.
+        Between the harmonic and the frequency, over that of the harmonic; infinite where there is
+        none.
     wander : (m,) float64
         Standard deviation of the speed of the machine over its mean.
     """

@@ -94,7 +94,7 @@ def _finite(
         length = 2 * np.pi * turns
         a = length * zeta * nu0
         q = a + 1j * length * (nu - nu0 * root)
-        # of time constants, after which nothing is left of a motion
+        # after 40 time constants nothing is left of a motion
         left = np.exp(-q) if a < 40.0 else 0.0
         inverse = 1 / q
         square = inverse * inverse

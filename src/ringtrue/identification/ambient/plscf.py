@@ -85,7 +85,7 @@ def half_spectra_modes(
     refs = choose_references(history, data, settings.references or None)
     lags = _lags(history, settings)
     whole, *halves = (
-        _half_spectra(replace(history, data=x), band, refs, lags)
+        half_spectra(correlations(x, refs, lags), history, band, refs)
         for x in (data, *np.array_split(data, 2, axis=1))
     )
     level = Noise(
@@ -132,13 +132,16 @@ def _lags(history: TimeHistory, settings: AmbientSettings) -> int:
     return int(min(HALF.lags, samples // SAMPLES_A_LAG))
 
 
-def _half_spectra(
-    part: TimeHistory, band: tuple[float, float], refs: Int, lags: int
+def half_spectra(
+    r: Float, part: TimeHistory, band: tuple[float, float], refs: Int
 ) -> FrfSet:
-    """(freq, ch, ref) those of the lines in the band and a little around it."""
+    """(freq, ch, ref) those of correlations `r` (lag, ch, ref), from lag 0 on, of the channels of
+    `part`, at the lines in the band and a little around it.
+    """
+    lags = len(r) - 1
     decay = -np.log(HALF.ends_at) * part.rate / lags
     tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
-    r = correlations(part.data, refs, lags)[1:] * tapered
+    r = r[1:] * tapered
     freqs = np.arange(lags // 2 + 1) * part.rate / lags
     # lag 0, noise, is out
     half = (

@@ -434,7 +434,8 @@ def _local_error(lines: Lines, state: FitState, rest: Complex) -> tuple[Float, F
     The errors of measured FRFs grow with the response, in the channels that see a mode most of all:
     so each error counts as much as it moves the parameter, and what the fit takes of it is given
     back. Those that all responses share, as of noise on the force, move a pole together: their sum
-    along the shape counts where it is larger. Few lines tell the error of a residue.
+    along the shape counts where it is larger. Few lines tell the error of a residue, which has
+    Student's factor for it.
     """
     m = state.poles.size
     n_out = state.shapes.shape[0]
