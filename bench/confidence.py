@@ -109,10 +109,11 @@ def shown_by_plscf(
         return np.full(table.pole.size, np.nan)
     # with the window
     most = DAMPING_MAX + half.window_decay / (2 * np.pi * half.freqs[0])
-    found = plscf(half.data, half.freqs, Plscf(max(1, top // 4), top, most))
+    tried = range(max(1, top // 4), top + 1)
+    found = plscf(half.data, half.freqs, Plscf(tried[0], top, most))
     pole = found.pole[:, None] + half.window_decay
     near = np.abs(pole - table.pole) < -table.pole.real
-    orders = [near[found.order == n].any(axis=0) for n in found.orders]
+    orders = [near[found.order == n].any(axis=0) for n in tried]
     return np.mean(orders, axis=0)
 
 
