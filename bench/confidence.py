@@ -6,17 +6,16 @@ Candidates of random records (chains, close pairs, random shapes; noise at 5 to 
 with humps, records of noise alone; half of them short and of little damping) are weighed as
 `identify_ambient` does. A candidate is a mode where the record has one within four standard
 deviations of the least scatter, or a quarter of its half bandwidth, of the same shape (MAC 0.8). The
-weights are fitted anew to one half of the records by logistic regression, for comparison, also with
-a further evidence: the share of the orders of another estimator, pLSCF on half spectra (Peeters and
-Van der Auweraer 2005), that show a candidate. On the other half, modes stated at 0.9 and more must
-be real in nine of ten cases. Not covered: machines and peaks of the force, which other evidence
-names.
+weights are fitted anew to one half of the records by logistic regression, for comparison, also
+without the evidence of other estimators than SSI-cov. On the other half, modes stated at 0.9 and
+more must be real in nine of ten cases. Not covered: machines and peaks of the force, which other
+evidence names.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 from ambient_families import chain, record, responses, signals
@@ -29,11 +28,7 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import DataError
 from ringtrue.identification.ambient.confidence import WEIGHTS
 from ringtrue.identification.ambient.pipeline import AmbientSettings, weighed_candidates
-from ringtrue.identification.ambient.plscf import half_spectra
-from ringtrue.identification.ambient.record_bands import BandSums
-from ringtrue.identification.ambient.spectral_bins import CandidateModes
-from ringtrue.identification.common.stabilisation import DAMPING_MAX, least_deviations
-from ringtrue.identification.frf.plscf import Plscf, plscf
+from ringtrue.identification.common.stabilisation import least_deviations
 from ringtrue.shapes import mac
 
 NAMES = [field.name for field in fields(WEIGHTS)]
@@ -94,55 +89,30 @@ def made(seed: int) -> tuple[TimeHistory, Float, Float, Float]:
     return record(y, rate, "acceleration"), f[:there], z[:there], shape[:, :there]
 
 
-def shown_by_plscf(
-    history: TimeHistory, sums: BandSums, table: CandidateModes
-) -> Float:
-    """(k,) share of the orders of pLSCF, on half spectra of the same correlations, that have a pole
-    within half a bandwidth of each candidate; NaN where lines are too few.
-    """
-    band = sums.band
-    refs = sums.references
-    at_rate = replace(history, rate=band.rate)
-    half = half_spectra(sums.r.mean(axis=0), at_rate, (band.low, band.high), refs)
-    top = min(AmbientSettings().order_max // refs.size, half.freqs.size // 3)
-    if top < 2:
-        return np.full(table.pole.size, np.nan)
-    # with the window
-    most = DAMPING_MAX + half.window_decay / (2 * np.pi * half.freqs[0])
-    tried = range(max(1, top // 4), top + 1)
-    found = plscf(half.data, half.freqs, Plscf(tried[0], top, most))
-    pole = found.pole[:, None] + half.window_decay
-    near = np.abs(pole - table.pole) < -table.pole.real
-    orders = [near[found.order == n].any(axis=0) for n in tried]
-    return np.mean(orders, axis=0)
-
-
 def weighed(seed: int) -> tuple[Float, Bool, int]:
-    """Evidence (k, 6) of candidates over its weights, that of pLSCF at last, which are modes, and
-    how many modes there are. Of several candidates for one mode the most confident counts.
+    """Evidence (k, 6) of candidates over its weights, which are modes, and how many modes there are.
+    Of several candidates for one mode the most confident counts.
     """
     history, f, z, shape = made(seed)
     try:
         all_bands = weighed_candidates([history], AmbientSettings(), None, quiet)
     except DataError:  # too short
-        return np.empty((0, len(NAMES) + 1)), np.empty(0, dtype=np.bool_), 0
+        return np.empty((0, len(NAMES))), np.empty(0, dtype=np.bool_), 0
     weights = np.array([getattr(WEIGHTS, name) for name in NAMES[1:]])
     least, _ = least_deviations(f, z, history.duration)
     reach = np.maximum(4 * least, 0.25 * z * f)
     rows = []
     real = []
     best: dict[int, tuple[float, int]] = {}
-    for sums, band in zip(all_bands.sums, all_bands.found, strict=True):
-        shown = np.log(0.03 + shown_by_plscf(all_bands.record.good, sums, band.table))
-        for k in range(band.confidence.size):
+    for band in all_bands.found:
+        # a pair that stands for one candidate leaves it no orders
+        for k in np.flatnonzero(band.table.orders[:, 0]):
             near = np.abs(band.table.frequencies[k] - f) < reach
             like = (
                 mac(shape.astype(complex), band.shape[:, [k]])[:, 0] if f.size else near
             )
             own = np.where(near & (like > 0.8), like, 0.0)
-            rows.append(
-                np.concatenate([[1.0], band.evidence[:, k] / weights, shown[[k]]])
-            )
+            rows.append(np.append(1.0, band.evidence[:, k] / weights))
             real.append(False)
             if own.max(initial=0.0) > 0:
                 mode = int(own.argmax())
@@ -153,11 +123,11 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
                     continue
                 if before is not None:
                     real[before[1]] = False
-                    rows[before[1]] = np.full(len(NAMES) + 1, np.inf)
+                    rows[before[1]] = np.full(len(NAMES), np.inf)
                 real[-1] = True
                 best[mode] = float(band.confidence[k]), len(rows) - 1
-    x = np.array(rows).reshape(-1, len(NAMES) + 1)
-    kept = np.isfinite(x[:, :-1]).all(axis=1)
+    x = np.array(rows).reshape(-1, len(NAMES))
+    kept = np.isfinite(x).all(axis=1)
     return x[kept], np.array(real, dtype=np.bool_)[kept], f.size
 
 
@@ -178,9 +148,9 @@ def area_under_curve(score: Float, real: Bool) -> float:
     return float((rank[real].mean() - rank[~real].mean()) / score.size + 0.5)
 
 
-def checks(stated: Float, anew: Float, both: Float, real: Bool) -> list[Check]:
-    """What is right of the confidence (k,) of candidates: stated, with weights fitted anew, and with
-    the evidence of both estimators.
+def checks(stated: Float, anew: Float, alone: Float, real: Bool) -> list[Check]:
+    """What is right of the confidence (k,) of candidates: stated, with weights fitted anew, and
+    without other estimators.
     """
     high = stated >= 0.9
     natural = stated >= 0.5
@@ -194,7 +164,7 @@ def checks(stated: Float, anew: Float, both: Float, real: Bool) -> list[Check]:
     for what, score in (
         ("area under the curve", stated),
         ("the same, weights anew", anew),
-        ("the same, with pLSCF as evidence", both),
+        ("the same, without other estimators", alone),
     ):
         shown.append(at_least(what, area_under_curve(score, real), 0.95))
     return shown
@@ -207,14 +177,12 @@ def main() -> None:
     train = every[: records // 2]
     test = every[records // 2 :]
     x, real = (np.concatenate([part[k] for part in train]) for k in (0, 1))
-    x = np.where(np.isfinite(x), x, np.nanmean(x, axis=0))  # bands without pLSCF
-    w = fitted(x[:, :-1], real)
-    w_both = fitted(x, real)
+    w = fitted(x, real)
+    w_alone = fitted(x[:, :-1], real)
     x, real = (np.concatenate([part[k] for part in test]) for k in (0, 1))
-    x = np.where(np.isfinite(x), x, np.nanmean(x, axis=0))
-    stated = expit(x[:, :-1] @ np.array([getattr(WEIGHTS, name) for name in NAMES]))
-    anew = expit(x[:, :-1] @ w)
-    both = expit(x @ w_both)
+    stated = expit(x @ np.array([getattr(WEIGHTS, name) for name in NAMES]))
+    anew = expit(x @ w)
+    alone = expit(x[:, :-1] @ w_alone)
     report = Report(options)
     listed = ", ".join(
         f"{name} {value:.2f}" for name, value in zip(NAMES, w, strict=True)
@@ -222,7 +190,7 @@ def main() -> None:
     report.row(
         f"{records} records, {real.size} candidates of the held-out half; weights anew: {listed}",
         {},
-        checks(stated, anew, both, real),
+        checks(stated, anew, alone, real),
     )
     report.end()
 

@@ -64,7 +64,7 @@ from outcome import (
 
 from ringtrue.core.modes import ModeSet
 from ringtrue.decks.nastran.reader import read_deck
-from ringtrue.identification.ambient import ssi_cov, ssi_data
+from ringtrue.identification.ambient import record_bands, ssi_cov
 from ringtrue.signal import transients
 
 BENCH = Path(__file__).parents[2] / "bench"
@@ -857,7 +857,7 @@ def test_a_changed_setting_takes_effect_wherever_it_is_held() -> None:
     def held() -> tuple[float, float, int, int]:
         for one in (event, references):
             one.change(2.0)
-        modules = ssi_cov.MAX_REFERENCES, ssi_data.MAX_REFERENCES
+        modules = ssi_cov.MAX_REFERENCES, record_bands.MAX_REFERENCES
         return transients.EventSettings().loud, transients.EVENT.loud, *modules
 
     before = transients.EVENT.loud, ssi_cov.MAX_REFERENCES

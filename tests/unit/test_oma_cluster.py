@@ -309,6 +309,7 @@ def candidate(orders: int, spread: float, collinear: float = 1.0) -> CandidateMo
         stable=np.ones(20, np.bool_),
         refined=np.zeros(1, np.bool_),
         gain=np.array([20.0]),
+        agreement=np.full((1, 2), 0.95),
     )
 
 
@@ -320,6 +321,9 @@ def test_the_confidence_falls_with_each_kind_of_evidence():
     assert confidence(candidate(38, 1.1, 0.3), 1000.0)[0] < clear
     without = replace(candidate(38, 1.1), gain=np.array([-20.0]))
     assert confidence(without, 1000.0)[0] < clear
+    alone = replace(candidate(38, 1.1), agreement=np.full((1, 2), 0.05))
+    assert confidence(alone, 1000.0)[0] < clear
+    assert weakest(evidence(alone, 1000.0)) == ("candidate estimators",)
 
 
 def test_the_weakest_evidence_is_named():

@@ -21,7 +21,7 @@ from ringtrue.identification.common.stabilisation import PoleSet
 from ringtrue.identification.common.uncertainty import blocks_for
 from ringtrue.signal import band_correlations
 from ringtrue.signal.band_correlations import Signals
-from ringtrue.signal.spectra import Fir, block_weights
+from ringtrue.signal.spectra import Band, Fir, block_weights
 
 
 def ssi_cov(
@@ -45,11 +45,11 @@ def ssi_cov(
     scale = np.sqrt(signals.power())
     r /= (scale[:, None] * scale[refs]).astype(np.float32)
     weights = block_weights(block_power(r, refs)) * used
-    band = (0.0, history.rate / 2)
+    band = Band(0.0, history.rate / 2, history.rate)
     if len(r) == 1:
         mean = r[0].astype(np.float64)
-        whole = subspace(mean, settings.block_rows, settings.order_max, history.rate)
-        return all_orders(whole, None, settings, band)[0].rescaled(scale)
+        whole = subspace(mean, settings, history.rate)
+        return all_orders(whole, None, settings, (0.0, band.high))[0].rescaled(scale)
     share = weights / weights.sum()
-    found = identify_band(r, share, settings=settings, rate=history.rate, band=band)
+    found = identify_band(r, share, settings, band)
     return found.poles.rescaled(scale)

@@ -21,13 +21,16 @@ from scipy.signal import firwin, lfilter
 from ringtrue.core.modes import ModeSet
 from ringtrue.core.signals import Channel, TimeHistory
 from ringtrue.errors import DataError
+from ringtrue.identification.ambient.band_evidence import (
+    other_poles,
+    share_of_orders,
+)
 from ringtrue.identification.ambient.era import era, next_era
 from ringtrue.identification.ambient.fdd import FddSettings, fdd
-from ringtrue.identification.ambient.ssi_cov import SsiCov
-from ringtrue.identification.ambient.ssi_data import project, ssi_data
+from ringtrue.identification.ambient.ssi_cov import SsiCov, ssi_data, subspace
 from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.shapes import mac
-from ringtrue.signal.spectra import Band, band_signals
+from ringtrue.signal.spectra import Band, band_signals, correlations
 
 F, Z = np.array([2.0, 5.0, 5.12, 9.0]), np.array([0.02, 0.01, 0.012, 0.015])
 RATE, SECONDS = 40.0, 300
@@ -180,16 +183,36 @@ def test_ssi_data_and_its_stated_deviation():
 
 
 def test_the_projection_is_that_of_the_whole_data_matrix():
-    y = np.random.default_rng(3).standard_normal((3, 900)).cumsum(1)
+    """Of a record that repeats itself, whose ends do not count."""
+    y = np.random.default_rng(3).standard_normal((3, 900))
+    y += np.roll(y, 1, axis=1)
     refs, rows = np.array([0, 2]), 4
-    n = y.shape[1] - 2 * rows + 1
-    past = np.concatenate([y[refs, k : k + n] for k in range(rows)])
-    future = np.concatenate([y[:, rows + k : rows + k + n] for k in range(rows)])
+    past = np.concatenate([np.roll(y[refs], k + 1, axis=1) for k in range(rows)])
+    future = np.concatenate([np.roll(y, -k, axis=1) for k in range(rows)])
     whole = future @ past.T @ np.linalg.solve(past @ past.T, past)
-    p = project(y, refs, rows, 5)
-    assert p.future @ p.future.T == pytest.approx(whole @ whole.T / n, rel=1e-8)
+    lags = range(2 * rows)
+    r = np.stack([np.roll(y, -k, axis=1) @ y[refs].T / 900 for k in lags])
+    sub = subspace(r, SsiCov(rows, 6), RATE, past=refs)
+    size, left = np.linalg.eigh(whole @ whole.T / 900)
+    assert sub.s**2 == pytest.approx(size[:-7:-1], rel=1e-4)  # with the ridge
+    inside = np.linalg.norm(left[:, -6:].T @ sub.u, axis=0)
+    assert inside == pytest.approx(np.ones(6), abs=1e-4)
     with pytest.raises(DataError, match="too few"):
-        project(y[:, :40], refs, rows, 5)
+        ssi_data(wrap(y[:, :40]), SsiCov(10, 4))
+
+
+def test_other_estimators_show_modes_and_no_others():
+    """Of the same correlations most orders have the three modes of the band, few have others."""
+    h = record(0)
+    refs = np.array([0, 2, 5])
+    r = correlations(h.data / h.data.std(axis=1)[:, None], refs, 99)
+    f = np.append(F[1:], [3.3, 7.0])
+    pole = 2 * np.pi * f * (-np.append(Z[1:], [0.01, 0.01]) + 1j)
+    shape = PHI[:, [1, 2, 3, 0, 0]] / h.data.std(axis=1)[:, None]
+    for poles in other_poles(r, refs, SsiCov(50, 40), Band(2.4, 13.6, RATE)):
+        share = share_of_orders(poles, pole, shape.astype(complex))
+        assert (share[:3] > 0.6).all(), (poles.method, share)
+        assert (share[3:] < 0.1).all(), (poles.method, share)
 
 
 @pytest.mark.data

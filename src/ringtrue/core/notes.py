@@ -14,6 +14,8 @@ SENTENCES = {
     ),
     "candidate complex": "its shape is complex (MPC {mpc:.2f}): a mixture, or noise",
     "candidate peak": "the spectrum along its shape is not much higher than on both sides",
+    "candidate estimators": "SSI-data shows it at {projection:.0f} % of its orders, pLSCF at "
+    "{spectra:.0f} %",
     "machine": (
         "machine of {speed:.5g} Hz ({rpm:.0f} rpm), its speed wanders by {wander:.2g} %: {count} "
         "harmonics up to the {last}th are taken out"
@@ -193,6 +195,7 @@ SUMMARIES = {
     "candidate scatter": "scatters along the record",
     "candidate complex": "complex shape",
     "candidate peak": "no clear peak in the spectrum",
+    "candidate estimators": "few orders of other estimators",
     "candidate forced": "shape is a sum of others",
     "candidate line": "line of a machine",
     "candidate harmonic": "harmonic of a machine",

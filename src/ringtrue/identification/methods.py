@@ -17,10 +17,12 @@ from ringtrue.core.modes import ModeSet, Uncertainty, joined_modes
 from ringtrue.core.notes import sentence
 from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, did_you_mean
-from ringtrue.identification.ambient import era, fdd, plscf, ssi_data
+from ringtrue.identification.ambient import era, fdd, plscf
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient.record_checks import long_enough
 from ringtrue.identification.ambient.spectral_bins import oscillator_spectrum
+from ringtrue.identification.ambient.ssi_cov import SsiCov, projected_rows, ssi_data
+from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.shapes import mac
 from ringtrue.signal.channel_checks import bridge_gaps, usable
 from ringtrue.signal.spectra import (
@@ -97,6 +99,17 @@ class SecondOpinion:
     notes: tuple[str, ...]
 
 
+def _ssi_data_modes(
+    part: TimeHistory, band: tuple[float, float], settings: AmbientSettings
+) -> Found:
+    """Modes of one band (Hz) that most orders show."""
+    rows = min(settings.block_rows, part.data.shape[1] // era.SAMPLES_A_LAG)
+    full = SsiCov(rows, order_max=40)
+    own = replace(full, block_rows=projected_rows(full, len(part.channels)))
+    poles = ssi_data(part, own, references=settings.references or None)
+    return modes_of(poles, tuple(c.id for c in part.channels))
+
+
 ORDERS = "share of the orders times MPC"
 BOTH_HALVES = " and agreement of both halves of the record"
 
@@ -117,8 +130,8 @@ AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
     "ssi-data": BandMethod(
         "SSI-data",
         ORDERS,
-        ssi_data.ssi_data_modes,
-        ssi_data.fewest_samples,
+        _ssi_data_modes,
+        era.fewest_samples,
         deviations=True,
     ),
     "fdd": PeakMethod("FDD", "mean MAC over the bell", fdd.fdd_modes, deviations=True),

@@ -41,12 +41,16 @@ from ringtrue.plots.style import (
 )
 from ringtrue.viewer.scene import asset, script_json, to_json, viewer_script
 
-# kinds of poles: name, colour, size of the mark
+# kinds of poles: name, colour, size and symbol of the mark; those of other estimators first
 POLES = (
-    ("unstable pole", "#d3cbbd", 4),
-    ("stable pole", QUALITATIVE[5], 4),
-    ("pole of a candidate mode", FE, 5),
+    ("pole by pLSCF", "#c9b3a0", 5, "x-thin-open"),
+    ("pole by SSI-data", "#a8b8c8", 5, "cross-thin-open"),
+    ("unstable pole", "#d3cbbd", 4, "circle"),
+    ("stable pole", QUALITATIVE[5], 4, "circle"),
+    ("pole of a candidate mode", FE, 5, "circle"),
 )
+OTHERS = ("pLSCF", "SSI-data")
+CANDIDATE = len(POLES) - 1
 # classes of modes: name, colour, symbol; open where it is not reported
 CLASSES = (
     ("natural", TEST, "triangle-down"),
@@ -64,9 +68,19 @@ POINTS = 1500  # of a singular value
 
 
 def pole_kinds(diagram: StableDiagram) -> Int:
-    """(k,) position in `POLES` of each pole."""
-    taken = diagram.cluster >= 0
-    return np.where(taken, 2, diagram.stable.astype(np.int64))
+    """(k,) position in `POLES` of each pole, those of other estimators at last."""
+    own = len(OTHERS) + np.where(diagram.cluster >= 0, 2, diagram.stable)
+    others = [np.full(len(p), OTHERS.index(p.method)) for p in diagram.others]
+    return np.concatenate([own, *others])
+
+
+def _every_pole(diagram: StableDiagram) -> Float:
+    """(4, k) frequency, Hz, order, damping and standard deviation of the frequency, Hz, of each
+    pole, those of other estimators at last.
+    """
+    sets = (diagram.poles, *diagram.others)
+    rows = [[p.frequencies, p.order, p.damping, p.std_frequency] for p in sets]
+    return np.hstack([np.stack(row) for row in rows])
 
 
 def identification_figure(
@@ -105,7 +119,7 @@ def identification_figure(
                 name=name,
                 **look,
             )
-    for k, (name, color, size) in enumerate(POLES):
+    for k, (name, color, size, symbol) in enumerate(POLES):
         frequency, order, damping = (
             _poles(shown, k, most) if most else (np.empty(0),) * 3
         )
@@ -115,7 +129,7 @@ def identification_figure(
                 y=f32(y),
                 yaxis=on,
                 mode="markers",
-                marker={"color": color, "size": large},
+                marker={"color": color, "size": large, "symbol": symbol},
                 name=name,
                 legendgroup=name,
                 showlegend=on == "y",
@@ -147,7 +161,7 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
     )
     # and of the poles that modes are made of
     highest = 100 * float(
-        np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, 2)[2])]).max()
+        np.hstack([0.0, upper, np.nan_to_num(_of_kind(shown, CANDIDATE)[2])]).max()
     )
     order = axis("Model order", domain=[0.34, 1.0], range=[0, 1.14 * top], nticks=8)
     level = axis(
@@ -165,7 +179,8 @@ def _axes(shown: IdentificationDiagram, top: int, height: int) -> go.Figure:
 def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
     """The poles that lie above the panel of damping, on its edge."""
     edge = fig.layout.yaxis3.range[1]
-    every = np.hstack([_of_kind(shown, k) for k in range(len(POLES))])
+    own = range(len(OTHERS), len(POLES))
+    every = np.hstack([_of_kind(shown, k) for k in own])
     f, _, damping = every[:, 100 * every[2] > edge]
     at = _apart(f, 0 * f, shown)
     fig.add_scatter(
@@ -193,12 +208,7 @@ def _poles(
 
 def _of_kind(shown: IdentificationDiagram, kind: int) -> Float:
     """Frequency, order and damping (3, k) of all poles of a kind."""
-    sets = [
-        np.stack([d.poles.frequencies, d.poles.order, d.poles.damping])[
-            :, pole_kinds(d) == kind
-        ]
-        for d in shown.diagrams
-    ]
+    sets = [_every_pole(d)[:3, pole_kinds(d) == kind] for d in shown.diagrams]
     return np.hstack([np.empty((3, 0)), *sets])
 
 
@@ -498,7 +508,8 @@ def _picker_data(shown: IdentificationDiagram, test: TestModel | None) -> str:
     peaks = len(shown.account.unexplained)
     channels = shown.modes.channels
     data = {
-        "kinds": [name for name, _, _ in POLES],
+        "kinds": [name for name, *_ in POLES],
+        "others": len(OTHERS),
         "colors": {name: color for name, color, _ in CLASSES},
         "summary": f"Peaks of the spectrum that nothing explains: {peaks}."
         if peaks
@@ -550,25 +561,24 @@ def _mode_rows(shown: IdentificationDiagram) -> list[dict[str, object]]:
 
 def _packed_poles(shown: IdentificationDiagram) -> dict[str, str]:
     """The poles of all bands, those taken into modes first: these have their shapes in any case."""
-    sets = [d.poles for d in shown.diagrams]
-    empty = np.empty(0)
-    kind = np.concatenate([empty, *map(pole_kinds, shown.diagrams)])
+    kind = np.concatenate([np.empty(0), *map(pole_kinds, shown.diagrams)])
     rank = np.argsort(-kind, kind="stable")
+    frequency, order, damping, std = np.hstack(
+        [np.empty((4, 0)), *map(_every_pole, shown.diagrams)]
+    )
+    sets = [p for d in shown.diagrams for p in (d.poles, *d.others)]
     n = len(shown.modes.channels)
     shape = np.zeros((n, 0))
     if sets and all(p.shape.shape[0] == n for p in sets):
         whole = 2 * n * kind.size <= SHAPE_BYTES
-        kept = (
-            rank
-            if whole
-            else rank[: min(int((kind == 2).sum()), SHAPE_BYTES // (2 * n))]
-        )
+        taken = int((kind == CANDIDATE).sum())
+        kept = rank if whole else rank[: min(taken, SHAPE_BYTES // (2 * n))]
         shape = np.concatenate([p.shape for p in sets], axis=1)[:, kept]
     columns = {
-        "frequency": ("<f8", np.concatenate([empty, *(p.frequencies for p in sets)])),
-        "order": ("<u2", np.concatenate([empty, *(p.order for p in sets)])),
-        "damping": ("<f4", np.concatenate([empty, *(p.damping for p in sets)])),
-        "std": ("<f4", np.concatenate([empty, *(p.std_frequency for p in sets)])),
+        "frequency": ("<f8", frequency),
+        "order": ("<u2", order),
+        "damping": ("<f4", damping),
+        "std": ("<f4", std),
         "kind": ("u1", kind),
     }
     out = {name: packed(values[rank], form) for name, (form, values) in columns.items()}

@@ -203,6 +203,60 @@ def correlations(data: Float, references: Int, lags: int) -> Float:
     return np.asarray(np.einsum("bk,bkij->kij", count / count.sum(0), r))
 
 
+@dataclass(frozen=True, slots=True)
+class HalfSpectrumSettings:
+    """Half spectra.
+
+    Attributes
+    ----------
+    lags : int
+        Of a half spectrum of a whole record.
+    ends_at : float
+        What the exponential window leaves at the last of them.
+    """
+
+    lags: int = 400
+    ends_at: float = 0.01
+
+
+HALF = HalfSpectrumSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HalfSpectra:
+    """Spectra of the correlations at positive lags, of the form of FRFs.
+
+    Attributes
+    ----------
+    data : (freq, ch, ref) complex128
+    freqs : (freq,) float64, Hz
+    decay : float, 1/s
+        Of the exponential window on the correlations, which is in the poles.
+    """
+
+    data: Complex
+    freqs: Float
+    decay: float
+
+
+def half_spectra(r: Float, rate: float, band: tuple[float, float]) -> HalfSpectra:
+    """Those of correlations `r` (lag, ch, ref), from lag 0 on, of signals at `rate`, Hz, at the
+    lines in the band, Hz, and a little around it.
+
+    Peeters and Van der Auweraer (2005), "PolyMAX: a revolution in operational modal analysis",
+    IOMAC. Lag 0 holds the noise of the sensors and is left out.
+    """
+    lags = len(r) - 1
+    decay = -np.log(HALF.ends_at) * rate / lags
+    tapered = np.exp(-decay * np.arange(1, lags + 1) / rate)[:, None, None]
+    freqs = np.arange(lags // 2 + 1) * rate / lags
+    late = np.exp(-2j * np.pi * freqs / rate)[:, None, None]
+    at = (freqs >= 0.9 * band[0]) & (freqs <= min(1.1 * band[1], 0.48 * rate))
+    at &= freqs > 0
+    data = (rfft(r[1:] * tapered, axis=0) * late)[at]
+    return HalfSpectra(data, freqs[at], float(decay))
+
+
 def window(name: WindowName, samples: int) -> Float:
     """(sample,) float64 periodic window of unit mean square, so that a periodogram keeps its
     power.

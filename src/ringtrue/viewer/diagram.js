@@ -209,7 +209,7 @@
     else refresh();
     diagram.on("plotly_click", (event) => {
       const about = event.points[0].customdata;
-      if (Array.isArray(about)) click("pole", about[0]);
+      if (Array.isArray(about)) (poles.kind[about[0]] < data.others ? show : click)("pole", about[0]); // those of other estimators are shown, not taken
       else if (about !== undefined) click("mode", about);
     });
     diagram.on("plotly_relayout", (change) => { if (Object.keys(change).some((key) => key.startsWith("xaxis"))) fillPoles(); });

@@ -15,6 +15,7 @@ from scipy.special import ndtri
 
 from ringtrue.core.arrays import Complex, Float, Int
 from ringtrue.core.signals import FALSE_ALARM
+from ringtrue.identification.ambient.band_evidence import BandEvidence, other_poles
 from ringtrue.identification.ambient.close_modes import loosened, refined, with_pairs
 from ringtrue.identification.ambient.confidence import (
     BandModes,
@@ -27,7 +28,7 @@ from ringtrue.identification.ambient.record_bands import BandSums
 from ringtrue.identification.ambient.record_checks import RecordFacts
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
-    RecordSpectrum,
+    SpectralBins,
     candidates,
     singular_values,
     steady,
@@ -39,7 +40,7 @@ from ringtrue.identification.ambient.ssi_cov import (
 )
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.manual_selection import with_picks
-from ringtrue.identification.common.stabilisation import StableDiagram, unit
+from ringtrue.identification.common.stabilisation import PoleSet, StableDiagram, unit
 from ringtrue.signal.spectra import block_weights
 
 
@@ -55,12 +56,15 @@ class _BandCandidates:
         The pick behind each candidate, -1 for none.
     pairs : list of (int, int)
         Rows of pairs that the record does not separate.
+    others : tuple of PoleSet
+        By other estimators.
     """
 
     poles: BandPoles
     table: CandidateModes
     picked: Int
     pairs: list[tuple[int, int]]
+    others: tuple[PoleSet, ...]
 
 
 def modes_of_band(
@@ -71,8 +75,7 @@ def modes_of_band(
     loudness = event_weights(power) if facts.driven else block_weights(power)
     weights = loudness * sums.share / (loudness @ sums.share)
     bins = facts.motion.spectra(sums.bins, sums.eyes) if facts.motion else sums.bins
-    seen = RecordSpectrum(bins, sums.eyes, facts.duration)
-    search = _search(sums, weights, confidence_min, facts, seen)
+    search = _search(sums, weights, confidence_min, facts, bins)
     table = search.table
     shape, std = _in_units(sums, table, facts)
     poles = search.poles.poles.rescaled(sums.scale)
@@ -90,7 +93,14 @@ def modes_of_band(
         shape=shape,
         shape_std=std,
         evidence=evidence(table, facts.duration),
-        diagram=StableDiagram(poles, table.stable, table.label, freqs, level),
+        diagram=StableDiagram(
+            poles,
+            table.stable,
+            table.label,
+            freqs,
+            level,
+            others=tuple(x.rescaled(sums.scale) for x in search.others),
+        ),
         picked=search.picked,
         inseparable=tuple(i for both in search.pairs for i in both),
         wander=np.zeros(table.pole.size),
@@ -114,24 +124,26 @@ def _search(
     weights: Float,
     least: float,
     facts: RecordFacts,
-    seen: RecordSpectrum,
+    bins: SpectralBins,
 ) -> _BandCandidates:
     """Candidates of the lower orders; of all orders where modes still appear late or are in doubt,
     and of more where they crowd the band.
     """
     r = sums.r
+    mean = np.tensordot(weights.astype(r.dtype), r, 1).astype(np.float64)
     band = sums.band
-    limits = band.low, band.high
     largest = sums.ssi.order_max
     for share in (0.6, 1.0, 1.5):
         some = replace(sums.ssi, order_max=max(2 * int(share * largest / 2), 2))
-        poles = identify_band(
-            r, weights, some, rate=band.rate, band=limits, turn=facts.turn
-        )
+        poles = identify_band(r, weights, some, band, turn=facts.turn)
         table, picked = with_picks(
             candidates(poles, driven=facts.driven), poles, facts.choice
         )
-        table = seen.with_gain(table)
+        others: tuple[PoleSet, ...] = ()
+        if not facts.driven:
+            others = other_poles(mean, sums.references, some, band, facts.turn)
+        seen = BandEvidence(bins, sums.eyes, facts.duration, others)
+        table = seen.weighed(table)
         pairs: list[tuple[int, int]] = []
         if table.pole.size:
             table, pairs = with_pairs(table, poles, seen, least)
@@ -141,7 +153,7 @@ def _search(
             break
         if share >= 1.0 and not crowded(table, facts.duration, some.order_max):
             break
-    return _BandCandidates(poles, table, picked, pairs)
+    return _BandCandidates(poles, table, picked, pairs, others)
 
 
 def _in_units(

@@ -26,6 +26,7 @@ from scipy.special import chdtri
 
 from ringtrue.core.arrays import Bool, Complex, Float, Int
 from ringtrue.core.signals import FALSE_ALARM
+from ringtrue.identification.ambient.band_evidence import BandEvidence
 from ringtrue.identification.ambient.confidence import LIMITS as CONFIDENCE
 from ringtrue.identification.ambient.confidence import confidence
 from ringtrue.identification.ambient.maximum_likelihood import (
@@ -34,7 +35,6 @@ from ringtrue.identification.ambient.maximum_likelihood import (
 )
 from ringtrue.identification.ambient.spectral_bins import (
     CandidateModes,
-    RecordSpectrum,
     SpectralBins,
     groups_table,
     oscillator_spectrum,
@@ -306,7 +306,7 @@ class Pair:
 def with_pairs(
     table: CandidateModes,
     band: BandPoles,
-    spectrum: RecordSpectrum,
+    seen: BandEvidence,
     least: float,
 ) -> tuple[CandidateModes, list[tuple[int, int]]]:
     """The candidates with two more rows for each pair that they lack, and the rows of pairs that
@@ -318,7 +318,7 @@ def with_pairs(
     ----------
     table : CandidateModes
     band : BandPoles
-    spectrum : RecordSpectrum
+    seen : BandEvidence
         Of the same band.
     least : float
         Confidence of what is reported.
@@ -337,11 +337,11 @@ def with_pairs(
         own = np.flatnonzero(near & (inside > CONFIDENCE.same))
         if (
             pair.turn < ANY_TURN
-            and (confidence(table, spectrum.duration)[own] > least).sum() > 1
+            and (confidence(table, seen.duration)[own] > least).sum() > 1
         ):
             continue
-        two = spectrum.with_gain(_rows(band, pair))
-        if confidence(two, spectrum.duration).min() < least:
+        two = seen.weighed(_rows(band, pair))
+        if confidence(two, seen.duration).min() < least:
             continue
         orders = table.orders.copy()
         orders[own, 0] = 0

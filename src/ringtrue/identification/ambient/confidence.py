@@ -51,6 +51,8 @@ class EvidenceWeights:
         Of the logarithm of 1.02 less the modal phase collinearity.
     peak : float
         Of the inverse hyperbolic sine of its likelihood gain.
+    estimators : float
+        Of the mean logarithm of the shares of the orders of SSI-data and pLSCF that show it.
     """
 
     constant: float = -0.57
@@ -58,6 +60,7 @@ class EvidenceWeights:
     scatter: float = -1.8
     complexity: float = -0.81
     peak: float = 0.3
+    estimators: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,7 @@ DOUBTS = (
     "candidate scatter",
     "candidate complex",
     "candidate peak",
+    "candidate estimators",
 )
 
 
@@ -106,8 +110,9 @@ class BandModes:
     table : CandidateModes
     shape : (ch, m) complex128
     shape_std : (ch, m) float64
-    evidence : (4, m) float64
-        Log-odds by the orders, the scatter, the complexity and the peak of each candidate.
+    evidence : (5, m) float64
+        Log-odds by the orders, the scatter, the complexity and the peak of each candidate, and by
+        other estimators.
     diagram : StableDiagram
     picked : (m,) int64
         The pick by hand behind each candidate, -1 for none.
@@ -152,12 +157,14 @@ def confidence(c: CandidateModes, duration: float) -> Float:
 
 
 def probability(value: Float) -> Float:
-    """(m,) probabilities of the evidence `value` (4, m)."""
+    """(m,) probabilities of the evidence `value` (evidence, m)."""
     return np.asarray(expit(WEIGHTS.constant + value.sum(axis=0)))
 
 
 def evidence(c: CandidateModes, duration: float) -> Float:
-    """(4, m) log-odds by the orders, the scatter, the complexity and the peak of each candidate."""
+    """(5, m) log-odds by the orders, the scatter, the complexity and the peak of each candidate,
+    and by other estimators.
+    """
     _, std = c.stds()
     _, least = least_deviations(c.frequencies, c.damping, duration)
     share = c.orders[:, 0] / np.maximum(c.orders[:, 1], 1)
@@ -167,6 +174,7 @@ def evidence(c: CandidateModes, duration: float) -> Float:
             WEIGHTS.scatter * np.log(std / least),
             WEIGHTS.complexity * np.log(1.02 - collinearity_among(c)),
             WEIGHTS.peak * np.arcsinh(c.gain),
+            WEIGHTS.estimators * np.nan_to_num(np.log(c.agreement)).mean(axis=1),
         ]
     )
 
@@ -200,7 +208,7 @@ def collinearity_among(c: CandidateModes) -> Float:
 
 
 def weakest(value: Float) -> tuple[str, ...]:
-    """For each candidate the code of the note on which evidence, of `value` (4, m), speaks most
+    """For each candidate the code of the note on which evidence, of `value` (5, m), speaks most
     against it.
     """
     clear = (
@@ -208,13 +216,16 @@ def weakest(value: Float) -> tuple[str, ...]:
         0.0,
         WEIGHTS.complexity * np.log(0.02),
         WEIGHTS.peak * np.arcsinh(20.0),
+        0.0,
     )
     return tuple(DOUBTS[k] for k in (value - np.array(clear)[:, None]).argmin(axis=0))
 
 
 def all_clear(c: CandidateModes, duration: float) -> bool:
-    """Whether each possible mode is beyond doubt and shown by most orders."""
-    conf = confidence(c, duration)
+    """Whether each possible mode is shown by most orders and beyond doubt, but for what other
+    estimators say: more orders do not change that.
+    """
+    conf = probability(evidence(c, duration)[:-1])
     rare = c.orders[:, 0] < 0.6 * c.orders[:, 1]
     open_ = (conf > LIMITS.doubtful) & ((conf < LIMITS.certain) | rare)
     return not open_.any()
@@ -304,6 +315,11 @@ def reason(found: BandModes, i: int) -> str:
         f"found at {n} of {tried} orders, std {100 * sf[i] / c.frequencies[i]:.2g} % of frequency "
         f"and {100 * sz[i] / c.damping[i]:.2g} % of damping, MPC {mpc(found.shape[:, [i]])[0]:.2f}"
     ]
+    projection, spectra = 100 * c.agreement[i]
+    if np.isfinite(projection):
+        parts.append(
+            f"SSI-data shows it at {projection:.0f} % of its orders, pLSCF at {spectra:.0f} %"
+        )
     if c.refined[i]:
         parts.append("refined by maximum likelihood")
     return "; ".join((*parts, *map(sentence, remarks(found, i))))
@@ -335,6 +351,8 @@ def doubts(found: BandModes, i: int) -> Note:
             "tried": int(c.orders[i, 1]),
             "scatter": float(100 * std[i] / c.damping[i]),
             "mpc": float(c.mpc[i]),
+            "projection": float(100 * c.agreement[i, 0]),
+            "spectra": float(100 * c.agreement[i, 1]),
         },
     )
 

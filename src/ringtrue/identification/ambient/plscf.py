@@ -11,7 +11,7 @@ lag and noise may fit them well, so both halves of the record must show a mode.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,26 +33,7 @@ from ringtrue.identification.frf.lines import Noise, prepare
 from ringtrue.identification.frf.plscf import Plscf, grouped, merged, plscf
 from ringtrue.identification.frf.refinement import Refined, refine
 from ringtrue.shapes import mac
-from ringtrue.signal.spectra import correlations
-
-
-@dataclass(frozen=True, slots=True)
-class HalfSpectrumSettings:
-    """Half spectra and the poles of both halves.
-
-    Attributes
-    ----------
-    lags : int
-        Of a half spectrum.
-    ends_at : float
-        What the exponential window leaves at the last of them.
-    """
-
-    lags: int = 400
-    ends_at: float = 0.01
-
-
-HALF = HalfSpectrumSettings()
+from ringtrue.signal.spectra import HALF, correlations, half_spectra
 
 
 def half_spectra_modes(
@@ -85,7 +66,7 @@ def half_spectra_modes(
     refs = choose_references(history, data, settings.references or None)
     lags = _lags(history, settings)
     whole, *halves = (
-        half_spectra(correlations(x, refs, lags), history, band, refs)
+        _as_frfs(correlations(x, refs, lags), history, band, refs)
         for x in (data, *np.array_split(data, 2, axis=1))
     )
     level = Noise(
@@ -132,34 +113,19 @@ def _lags(history: TimeHistory, settings: AmbientSettings) -> int:
     return int(min(HALF.lags, samples // SAMPLES_A_LAG))
 
 
-def half_spectra(
+def _as_frfs(
     r: Float, part: TimeHistory, band: tuple[float, float], refs: Int
 ) -> FrfSet:
-    """(freq, ch, ref) those of correlations `r` (lag, ch, ref), from lag 0 on, of the channels of
-    `part`, at the lines in the band and a little around it.
-    """
-    lags = len(r) - 1
-    decay = -np.log(HALF.ends_at) * part.rate / lags
-    tapered = np.exp(-decay * np.arange(1, lags + 1) / part.rate)[:, None, None]
-    r = r[1:] * tapered
-    freqs = np.arange(lags // 2 + 1) * part.rate / lags
-    # lag 0, noise, is out
-    half = (
-        np.fft.rfft(r, axis=0) * np.exp(-2j * np.pi * freqs / part.rate)[:, None, None]
-    )
-    at = (
-        (freqs >= 0.9 * band[0])
-        & (freqs <= min(1.1 * band[1], 0.48 * part.rate))
-        & (freqs > 0)
-    )
+    """Half spectra of correlations `r` (lag, ch, ref), with the references as inputs."""
+    half = half_spectra(r, part.rate, band)
     inputs = tuple(part.channels[i] for i in refs)
     return FrfSet(
-        half[at],
-        freqs[at],
+        half.data,
+        half.freqs,
         part.channels,
         inputs,
         kind="receptance",
-        window_decay=decay,
+        window_decay=half.decay,
     )
 
 

@@ -27,7 +27,6 @@ from ringtrue.identification.common.stabilisation import (
 )
 from ringtrue.shapes import mpc
 from ringtrue.signal.band_correlations import Signals
-from ringtrue.signal.tonal_lines import DYNAMIC_RANGE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +53,9 @@ class CandidateModes:
     refined : (m,) bool
         Pole and deviation are of the maximum likelihood fit.
     gain : (m,) float64
-        Root of twice what a peak adds to the log-likelihood of the spectrum (`RecordSpectrum`).
+        Root of twice what a peak adds to the log-likelihood of the spectrum (`BandEvidence`).
+    agreement : (m, 2) float64
+        Share of the orders of SSI-data and of pLSCF that show it; NaN where they were not asked.
     """
 
     pole: Complex
@@ -68,6 +69,7 @@ class CandidateModes:
     stable: Bool
     refined: Bool
     gain: Float
+    agreement: Float
 
     def stds(self) -> tuple[Float, Float]:
         """Standard deviations of frequency (Hz) and damping ratio, each (m,)."""
@@ -195,6 +197,7 @@ def _table(
         stable=stable,
         refined=np.zeros(m, dtype=np.bool_),
         gain=np.zeros(m),
+        agreement=np.full((m, 2), np.nan),
     )
 
 
@@ -277,65 +280,6 @@ class SpectralBins:
             (1 - self.lost, self.duration),
             (self.lost, self.lost * (1 - self.lost) / self.breaks),
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordSpectrum:
-    """The spectral matrix of a band, to weigh candidates by.
-
-    Attributes
-    ----------
-    bins : SpectralBins
-    channels : (eye,) int64
-        Their positions among all channels.
-    duration : float, s
-        Of the record.
-    """
-
-    bins: SpectralBins
-    channels: Int
-    duration: float
-
-    def with_gain(self, c: CandidateModes) -> CandidateModes:
-        """The candidates with the likelihood that a peak at each adds to the spectrum.
-
-        The spectrum along the shape of a mode, by the filter that passes least of what lies on both
-        sides of it (Capon 1969), has lines that are exponentially distributed. Their mean at the
-        mode is r times that on both sides, and 2n (r - 1 - ln r) is twice the logarithm of the
-        likelihood ratio of n lines. The sign is that of the peak. What lies 140 dB below the
-        highest level is rounding.
-        """
-        gain = [
-            self._gain(*x)
-            for x in zip(c.frequencies, c.damping, c.shape.T, strict=True)
-        ]
-        level = np.trace(self.bins.cross, axis1=1, axis2=2).real
-        here = np.interp(c.frequencies, self.bins.freqs, level)
-        rounding = here < DYNAMIC_RANGE * level.max(initial=0.0)
-        return replace(
-            c, gain=np.where(rounding, -np.inf, np.array(gain, dtype=np.float64))
-        )
-
-    def _gain(self, frequency: float, damping: float, shape: Complex) -> float:
-        bins = self.bins
-        half = max(damping * frequency, 1 / bins.duration)
-        away = np.abs(bins.freqs - frequency) / half
-        peak = np.flatnonzero(away < 1.5)
-        sides = np.flatnonzero((away >= 1.5) & (away < 6.0))
-        if not peak.size or not sides.size:
-            return 0.0
-        psi = shape[self.channels]
-        inside = np.average(bins.cross[peak], axis=0, weights=bins.count[peak])
-        outside = np.average(bins.cross[sides], axis=0, weights=bins.count[sides])
-        floor = 1e-3 * np.trace(outside).real / psi.size
-        if not floor > 0:
-            return 0.0
-        solved = np.linalg.solve(outside + floor * np.eye(psi.size), psi)
-        ratio = float(
-            (solved.conj() @ inside @ solved).real / (psi.conj() @ solved).real
-        )
-        twice = 2 * bins.count[peak].sum() * (ratio - 1 - np.log(ratio))
-        return float(np.sign(ratio - 1) * np.sqrt(max(twice, 0.0)))
 
 
 def spectral_bins(

@@ -1,8 +1,13 @@
-"""Covariance-driven stochastic subspace identification: one decomposition, every model order.
+"""Stochastic subspace identification: one decomposition, every model order.
 
 Peeters and De Roeck 1999 (reference-based SSI-cov); the orders from the leading blocks of one QR
 factorisation of the observability matrix follow Döhler and Mevel 2012 (fast multi-order
 computation).
+
+The projection of future outputs on past references, Y_f Y_pᵀ (Y_p Y_pᵀ)⁻¹ Y_p, of SSI-data has the
+left vectors of H L⁻ᵀ, with the block-Hankel matrix H of the correlations and L Lᵀ the covariance of
+the past (Van Overschee and De Moor 1996): SSI-cov with weights on its columns, without a matrix of
+the length of the record.
 """
 
 from __future__ import annotations
@@ -20,7 +25,13 @@ from ringtrue.core.signals import TimeHistory
 from ringtrue.errors import ConfigError, DataError
 from ringtrue.identification.common import uncertainty as var
 from ringtrue.identification.common.stabilisation import DAMPING_MAX, PoleSet, unit
-from ringtrue.signal.spectra import detrend
+from ringtrue.identification.frf.plscf import lower_factor
+from ringtrue.signal.spectra import (
+    Band,
+    block_bounds,
+    block_correlations,
+    detrend,
+)
 
 MAX_REFERENCES = 8
 
@@ -172,17 +183,54 @@ def hankel_gram(r: Float, rows: int) -> LinearOperator:
 
 
 def subspace(
-    r: Float, rows: int, order: int, rate: float, turn: Complex | None = None
+    r: Float,
+    settings: SsiCov,
+    rate: float,
+    *,
+    turn: Complex | None = None,
+    past: Int | None = None,
 ) -> Subspace:
-    """The decomposition of the correlations `r` (lag, ch, ref)."""
+    """The decomposition of the correlations `r` (lag, ch, ref).
+
+    With the channels `past` (ref,) of the references it is that of the projection of the future on
+    their past (SSI-data).
+    """
     ch = r.shape[1]
+    rows = settings.block_rows
     h = var.hankel(r, rows)
+    order = min(settings.order_max, (rows - 1) * ch, min(h.shape))
+    if past is not None:
+        low = past_factor(r[:rows, past])
+        u, s, v = decompose(solve_triangular(low, h.T, lower=True).T, order)
+        vs = solve_triangular(low, v / s, lower=True, trans="T")
+        return factored(u, s, vs, ch, rate, turn=turn)
     # of many columns, convolutions take less time than products
     gram = (
         hankel_gram(r, rows) if h.shape[1] > 1500 else squared_hankel(h, ch, r.shape[2])
     )
-    u, s, v = decompose(h, min(order, (rows - 1) * ch, min(h.shape)), gram)
+    u, s, v = decompose(h, order, gram)
     return factored(u, s, v / s, ch, rate, turn=turn)
+
+
+def projected_rows(settings: SsiCov, channels: int) -> int:
+    """Block rows for a projection: a third, as it whitens the past and makes as loud as the modes
+    what is noise there; more where few channels would not hold the largest order.
+    """
+    needed = settings.order_max // channels + 2
+    return min(max(settings.block_rows // 3, needed), settings.block_rows)
+
+
+def past_factor(r: Float) -> Float:
+    """Lower Cholesky factor (rows·ref, rows·ref) of the covariance of past references with the
+    correlations `r` (row, ref, ref): a block-Toeplitz matrix.
+
+    Signals of a band have no power beyond it but rounding and what filters leave, a millionth.
+    """
+    rows, ref, _ = r.shape
+    both = np.concatenate([r[:0:-1].transpose(0, 2, 1), r])
+    lag = np.arange(rows) - np.arange(rows)[:, None] + rows - 1
+    square = both[lag].transpose(0, 2, 1, 3).reshape(rows * ref, -1)
+    return lower_factor(square, 1e-6 * np.trace(square) / len(square))
 
 
 def factored(
@@ -316,22 +364,54 @@ def identify_band(
     r: Float,
     weights: Float,
     settings: SsiCov,
-    rate: float,
-    band: tuple[float, float],
+    band: Band,
+    *,
     turn: Complex | None = None,
+    past: Int | None = None,
 ) -> BandPoles:
     """All orders with their uncertainty from block correlations `r` (block, lag, ch, ref) of
-    signals at `rate`.
+    signals at the rate of the `band`; by SSI-data with the channels `past` of the references.
     """
     mean, dr = var.deviations(r, weights)
-    sub = subspace(
-        mean, settings.block_rows, order=settings.order_max, rate=rate, turn=turn
-    )
+    sub = subspace(mean, settings, band.rate, turn=turn, past=past)
     p = var.perturb(dr, settings.block_rows, sub.u, sub.vs, sub.q)
-    poles, dev, strength = all_orders(sub, p, settings, band)
+    poles, dev, strength = all_orders(sub, p, settings, (band.low, band.high))
     return BandPoles(
         poles=poles, deviation=dev, strength=strength, subspace=sub, perturbations=p
     )
+
+
+def ssi_data(
+    history: TimeHistory, settings: SsiCov, *, references: Sequence[str] | None = None
+) -> PoleSet:
+    """Poles of all orders of the record as it stands by SSI-data, with their standard deviations.
+
+    Parameters
+    ----------
+    history : TimeHistory
+    settings : SsiCov
+    references : sequence of str
+        Channel ids; None: all channels, or the 8 that span the motion best.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, a channel is dead or there is no such reference.
+    """
+    data, scale = prepared(history)
+    lags = 2 * settings.block_rows - 1
+    samples = data.shape[1]
+    if samples < 4 * lags:
+        raise DataError(
+            f"{history.source}: {samples} samples are too few; needed are {4 * lags}"
+        )
+    refs = choose_references(history, data, references)
+    blocks = settings.blocks or var.blocks_for(samples, lags)
+    r, pairs = block_correlations(data, refs, lags, block_bounds(samples, blocks))
+    weights = pairs[:, 0] / pairs[:, 0].sum()
+    whole = Band(0.0, history.rate / 2, history.rate)
+    found = identify_band(r, weights, settings, whole, past=refs)
+    return found.poles.rescaled(scale)
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:

@@ -53,6 +53,8 @@ class PoleSet:
         Standard deviation, NaN where unknown.
     std_damping : (k,) float64
         Standard deviation of the damping ratio, NaN where unknown.
+    method : str
+        The estimator; empty for that of the modes.
     """
 
     order: Int
@@ -60,6 +62,7 @@ class PoleSet:
     shape: Complex
     std_frequency: Float
     std_damping: Float
+    method: str = ""
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -89,7 +92,8 @@ class PoleSet:
 
     def take(self, at: Int | Bool) -> PoleSet:
         """The chosen poles, in the given order."""
-        return PoleSet(
+        return replace(
+            self,
             order=self.order[at],
             pole=self.pole[at],
             shape=self.shape[:, at],
@@ -121,6 +125,8 @@ class StableDiagram:
     freqs : (f,) float64, Hz
     level : (value, f) float64, dB
         Up to three singular values of the spectrum behind the poles, descending; any reference.
+    others : tuple of PoleSet
+        Poles of other estimators, which are no modes of their own.
     """
 
     poles: PoleSet
@@ -128,6 +134,7 @@ class StableDiagram:
     cluster: Int
     freqs: Float
     level: Float
+    others: tuple[PoleSet, ...] = ()
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

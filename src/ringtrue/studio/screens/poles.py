@@ -13,7 +13,7 @@ from nicegui.events import GenericEventArguments
 from ringtrue.core.choice import SAME_MODE, Choice
 from ringtrue.core.display import plus_minus
 from ringtrue.io.choices import parse_choice
-from ringtrue.plots.diagram import POLES, identification_figure
+from ringtrue.plots.diagram import OTHERS, POLES, identification_figure
 from ringtrue.studio import edits, theme
 from ringtrue.studio.screens.synthesis import Synthesis
 from ringtrue.studio.session import StudioSession
@@ -191,7 +191,7 @@ class _PolesScreen:
             line = {"color": "#d55e00", "width": 1, "dash": "dot"}
             figure.add_vline(selected, line=line)
         spec = theme.drawn(figure, dark=self.session.dark)
-        kinds = {name for name, _, _ in POLES}
+        kinds = {name for name, *_ in POLES[len(OTHERS) :]}
         for trace in spec["data"]:
             if trace.get("name") in kinds and trace.get("yaxis", "y") == "y":
                 # without a label nothing can be clicked
