@@ -5,6 +5,7 @@ choice.
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import chromium
@@ -49,6 +50,7 @@ def diagram() -> StableDiagram:
         np.where(order > 14, 0, -1),
         np.linspace(2, 4, 50),
         np.zeros((3, 50)),
+        others=(replace(poles.take(order > 16), method="pLSCF"),),
     )
 
 
@@ -90,7 +92,9 @@ CHOICE = "document.getElementById('choice').textContent"
 
 @needs_browser
 def test_a_click_makes_a_choice(tmp_path: Path) -> None:
-    """One click takes a doubtful mode or a pole up, one on what is shown takes it out."""
+    """One click takes a doubtful mode or a pole up, one on what is shown takes it out; the pole of
+    another estimator is only shown.
+    """
     path = tmp_path / "d.html"
     path.write_text(picker_page("tower </script>", shown()))
     with chromium.page(tmp_path / "profile") as page:
@@ -102,7 +106,7 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
         page.evaluate(CLICK % 1)
         back = page.evaluate(CHOICE)
         # the natural one is first shown, then out
-        for about in ("1", "0", "0", "[6, 2]"):
+        for about in ("1", "0", "0", "[10, 18]", "[6, 2]"):
             page.evaluate(CLICK % about)
         text = page.evaluate(CHOICE)
         named = page.evaluate(
@@ -126,6 +130,7 @@ def test_a_click_makes_a_choice(tmp_path: Path) -> None:
     ]
     assert [r.frequency for r in choice.rejects] == [3.05]
     assert ["unstable pole", 4] in named
+    assert ["pole by pLSCF", 2] in named
     assert ["unexplained peak", 1] in named
     assert ["line of a machine", 1] in named
     assert ["doubtful mode", 1] in named
