@@ -43,7 +43,7 @@ from ringtrue.viewer.scene import asset, script_json, to_json, viewer_script
 
 # kinds of poles: name, colour, size and symbol of the mark; those of other estimators first
 POLES = (
-    ("pole by pLSCF", "#c9b3a0", 5, "x-thin-open"),
+    ("pole by pLSCF", "#b5916f", 5, "x-thin-open"),
     ("pole by SSI-data", "#a8b8c8", 5, "cross-thin-open"),
     ("unstable pole", "#d3cbbd", 4, "circle"),
     ("stable pole", QUALITATIVE[5], 4, "circle"),
@@ -120,6 +120,8 @@ def identification_figure(
                 **look,
             )
     for k, (name, color, size, symbol) in enumerate(POLES):
+        if not _of_kind(shown, k).size:
+            continue
         frequency, order, damping = (
             _poles(shown, k, most) if most else (np.empty(0),) * 3
         )
