@@ -327,11 +327,17 @@ def cases(more: int) -> dict[str, Case]:
         for x in np.array_split(whole.record.data[:, :39_999], 3, 1)
     ]
     made["stretches"] = Case(lambda: rt.identify_ambient(parts), whole, "record_bands")
-    for method in ("plscf", "fdd", "era", "ssi-data"):
+    modules = {
+        "plscf": "signal.spectra",
+        "fdd": "ambient.fdd",
+        "era": "ambient.era",
+        "ssi-data": "ambient.ssi_cov",
+    }
+    for method, module in modules.items():
         made[method] = Case(
             lambda m=method: rt.identify_ambient(whole.record, method=m),  # type: ignore[misc]
             whole,
-            f"ambient.{method.replace('-', '_')}",
+            module,
         )
     if records.DATA.exists():
         for published in records.ambient_records()[:3]:
