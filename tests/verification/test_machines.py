@@ -106,6 +106,23 @@ def test_the_speed_its_wander_and_all_harmonics_are_found(comb: Comb) -> None:
     assert machine.chance < 1e-6
 
 
+@pytest.mark.parametrize("seed", [19, 28, 35, 51, 73])
+def test_a_part_or_a_multiple_of_the_speed_is_not_taken_for_it(seed: int) -> None:
+    """Combs of 60 to 140 lines, 20 to 29 dB high: their orders beat with those of a multiple, and
+    their images by an interpolation look like lines of a part.
+    """
+    rng = np.random.default_rng(7000 + seed)
+    comb = Comb(
+        rng.uniform(0.9, 2.2),
+        float(rng.choice([0, 0.001, 0.003])),
+        rng.uniform(10, 60),
+        rng.uniform(15, 30),
+    )
+    quiet = structure(rng, np.exp(rng.uniform(np.log(4), np.log(120), 7)))
+    (machine,) = find_machines(record(with_combs(rng, quiet, comb)))
+    assert machine.frequency == pytest.approx(comb.speed, rel=1e-5)
+
+
 def test_two_machines_are_told_apart() -> None:
     rng = np.random.default_rng(8)
     combs = (Comb(5.2, 0.002, 20, 12), Comb(8.3, 0.001, 40, 16))

@@ -11,6 +11,7 @@ is one where Hotelling's T² of its amplitudes in some channels against those of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -271,29 +272,35 @@ def _fundamental(signals: SearchedSignals, course: ShaftCourse) -> ShaftCourse:
     """The angle of the shaft whose multiples the lines are: orders between those of the course make
     it slower, a common factor of all orders faster.
     """
-    for _ in range(4):  # parts of parts
-        slow = course.geared(1 / 6)
-        most = min(6 * SEARCH.orders, _orders(signals, slow))
-        blocks = order_blocks(signals, slow, most)
-        if blocks is None:
-            return course
-        lines = _line_chances(blocks, np.zeros(len(blocks.values))) < FALSE_ALARM
-        spacing = 6
-        for part in (2, 3):
-            own = lines[spacing // part - 1 :: spacing // part]
-            if _chance(_between(own, part)) < FALSE_ALARM / SEARCH.most:
-                spacing //= part
-        own = lines[spacing - 1 :: spacing]
-        ratio = spacing / 6
-        for factor in (2, 3, 5, 7):
-            by_chance = _chance(_between(own, factor)) > FALSE_ALARM
-            if by_chance and own[factor - 1 :: factor].any():
-                own = own[factor - 1 :: factor]
-                ratio *= factor
-        course = course.geared(ratio)
-        if ratio == 1:
-            break
+    for parts in 2 * ((2, 3), (5,)):  # and parts of parts
+        course = _by_parts(signals, course, parts)
     return course
+
+
+def _by_parts(
+    signals: SearchedSignals, course: ShaftCourse, parts: tuple[int, ...]
+) -> ShaftCourse:
+    """The same, where its orders are those of the course over some of the `parts`."""
+    most_parts = math.prod(parts)
+    slow = course.geared(1 / most_parts).smoothed()
+    most = min(most_parts * SEARCH.orders, _orders(signals, slow))
+    blocks = order_blocks(signals, slow, most)
+    if blocks is None:
+        return course
+    lines = _line_chances(blocks, np.zeros(len(blocks.values))) < FALSE_ALARM
+    spacing = most_parts
+    for part in parts:
+        own = lines[spacing // part - 1 :: spacing // part]
+        if _chance(_between(own, part)) < FALSE_ALARM / SEARCH.most:
+            spacing //= part
+    own = lines[spacing - 1 :: spacing]
+    ratio = spacing / most_parts
+    for factor in (2, 3, 5, 7):
+        by_chance = _chance(_between(own, factor)) > FALSE_ALARM
+        if by_chance and own[factor - 1 :: factor].any():
+            own = own[factor - 1 :: factor]
+            ratio *= factor
+    return course.geared(ratio)
 
 
 def _between(lines: Bool, factor: int) -> Bool:
@@ -310,7 +317,11 @@ def _whole(
     harmonics = np.ones(1, dtype=np.int64)
     blocks = order_blocks(signals, course, _orders(signals, course))
     if blocks is not None:
-        error = phase_errors(blocks, shortest=4)
+        # lower orders first: to a high one an angle that is a turn of it off looks as good
+        error = np.zeros(len(blocks.values))
+        for used in (blocks.orders <= SEARCH.orders, blocks.orders > 0):
+            turned = replace(blocks, values=blocks.turned(error))
+            error = error + phase_errors(turned.taken(used), shortest=4)
         chances = _line_chances(blocks, error)
         course = corrected(course, blocks, error)
         harmonics = blocks.orders[chances < FALSE_ALARM]

@@ -160,6 +160,14 @@ class ShaftCourse:
         """Of a shaft that turns `ratio` times as fast."""
         return ShaftCourse(self.knots, ratio * self.revolutions)
 
+    def smoothed(self) -> ShaftCourse:
+        """Without what changes within a dozen knots: orders between those of the course beat with
+        them, and the angle has a ripple of that.
+        """
+        kernel = np.hanning(15)[1:-1] / np.hanning(15).sum()
+        both = (self.knots, self.revolutions)
+        return ShaftCourse(*(np.convolve(x, kernel, mode="valid") for x in both))
+
     def angle(self, times: Float) -> Float:
         """Revolutions at `times` (i,), s."""
         return np.asarray(CubicSpline(self.knots, self.revolutions)(times))
@@ -444,8 +452,8 @@ def order_blocks(
     size = block_size(turned)
     if turned < 12 * size or not course.rises:
         return None
-    # cubic splines need samples twice as near as the band
-    x, rate = signals.whitened(min(signals.highest, 1.05 * f * orders), 4 * f, 2.6)
+    # an image of a line by the cubic splines stands between orders, 40 dB below it at this rate
+    x, rate = signals.whitened(min(signals.highest, 1.05 * f * orders), 4 * f, 5.2)
     per_turn = 2 * int(np.ceil(1.3 * orders))
     angles = course.revolutions[0] + np.arange(turned * per_turn) / per_turn
     places = course.instants(angles)[None] * rate
