@@ -95,7 +95,7 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
     """
     history, f, z, shape = made(seed)
     try:
-        all_bands = weighed_candidates([history], AmbientSettings(), None, quiet)
+        found = weighed_candidates([history], AmbientSettings(), None, quiet).found
     except DataError:  # too short
         return np.empty((0, len(NAMES))), np.empty(0, dtype=np.bool_), 0
     weights = np.array([getattr(WEIGHTS, name) for name in NAMES[1:]])
@@ -104,7 +104,7 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
     rows = []
     real = []
     best: dict[int, tuple[float, int]] = {}
-    for band in all_bands.found:
+    for band in found:
         # a pair that stands for one candidate leaves it no orders
         for k in np.flatnonzero(band.table.orders[:, 0]):
             near = np.abs(band.table.frequencies[k] - f) < reach
@@ -123,7 +123,7 @@ def weighed(seed: int) -> tuple[Float, Bool, int]:
                     continue
                 if before is not None:
                     real[before[1]] = False
-                    rows[before[1]] = np.full(len(NAMES), np.inf)
+                    rows[before[1]] = np.full(len(NAMES), np.nan)
                 real[-1] = True
                 best[mode] = float(band.confidence[k]), len(rows) - 1
     x = np.array(rows).reshape(-1, len(NAMES))

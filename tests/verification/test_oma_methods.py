@@ -194,9 +194,9 @@ def test_the_projection_is_that_of_the_whole_data_matrix():
     r = np.stack([np.roll(y, -k, axis=1) @ y[refs].T / 900 for k in lags])
     sub = subspace(r, SsiCov(rows, 6), RATE, past=refs)
     size, left = np.linalg.eigh(whole @ whole.T / 900)
-    assert sub.s**2 == pytest.approx(size[:-7:-1], rel=1e-4)  # with the ridge
+    assert sub.s**2 == pytest.approx(size[:-7:-1], rel=1e-5)  # the ridge is 1e-6
     inside = np.linalg.norm(left[:, -6:].T @ sub.u, axis=0)
-    assert inside == pytest.approx(np.ones(6), abs=1e-4)
+    assert inside == pytest.approx(np.ones(6), abs=1e-9)
     with pytest.raises(DataError, match="too few"):
         ssi_data(wrap(y[:, :40]), SsiCov(10, 4))
 

@@ -21,7 +21,7 @@ from ringtrue.identification.ambient import era, fdd, plscf
 from ringtrue.identification.ambient.pipeline import AmbientSettings, bands_for, lowest
 from ringtrue.identification.ambient.record_checks import long_enough
 from ringtrue.identification.ambient.spectral_bins import oscillator_spectrum
-from ringtrue.identification.ambient.ssi_cov import SsiCov, projected_rows, ssi_data
+from ringtrue.identification.ambient.ssi_cov import SsiCov, ssi_data
 from ringtrue.identification.common.stabilisation import modes_of
 from ringtrue.shapes import mac
 from ringtrue.signal.channel_checks import bridge_gaps, usable
@@ -50,8 +50,6 @@ class BandMethod:
     evidence : str
         What its confidence is.
     identify : callable (part, band in Hz, settings) -> (ModeSet, Uncertainty)
-    samples : callable (channels, settings) -> int
-        Samples of a band that it needs.
     deviations : bool
         Whether it states standard deviations.
     least : float
@@ -61,7 +59,6 @@ class BandMethod:
     title: str
     evidence: str
     identify: Callable[[TimeHistory, tuple[float, float], AmbientSettings], Found]
-    samples: Callable[[int, AmbientSettings], int]
     deviations: bool = False
     least: float = 0.33
 
@@ -105,7 +102,7 @@ def _ssi_data_modes(
     """Modes of one band (Hz) that most orders show."""
     rows = min(settings.block_rows, part.data.shape[1] // era.SAMPLES_A_LAG)
     full = SsiCov(rows, order_max=40)
-    own = replace(full, block_rows=projected_rows(full, len(part.channels)))
+    own = full.projected(len(part.channels))
     poles = ssi_data(part, own, references=settings.references or None)
     return modes_of(poles, tuple(c.id for c in part.channels))
 
@@ -119,19 +116,16 @@ AMBIENT_METHODS: Mapping[str, BandMethod | PeakMethod] = {
         "pLSCF on half spectra",
         "confidence of the fit" + BOTH_HALVES,
         plscf.half_spectra_modes,
-        era.fewest_samples,
     ),
     "era": BandMethod(
         "ERA on correlations (NExT)",
         ORDERS + BOTH_HALVES,
         era.era_modes,
-        era.fewest_samples,
     ),
     "ssi-data": BandMethod(
         "SSI-data",
         ORDERS,
         _ssi_data_modes,
-        era.fewest_samples,
         deviations=True,
     ),
     "fdd": PeakMethod("FDD", "mean MAC over the bell", fdd.fdd_modes, deviations=True),
@@ -232,7 +226,7 @@ def _in_bands(
     """Modes of every band of the pyramid, and a note where bands are too short for the method."""
     every = long_enough(bands_for(history.rate, history.duration, settings), history)
     # which decimation may cut
-    samples = method.samples(len(history.channels), settings) + 16
+    samples = era.fewest_samples(settings) + 16
     bands = long_enough(every, history, samples)
     found = []
     settings = replace(settings, confidence_min=method.least)

@@ -120,10 +120,11 @@ def identification_figure(
                 **look,
             )
     for k, (name, color, size, symbol) in enumerate(POLES):
-        if not _of_kind(shown, k).size:
+        every = _of_kind(shown, k)
+        if not every.size:
             continue
         frequency, order, damping = (
-            _poles(shown, k, most) if most else (np.empty(0),) * 3
+            _drawn(shown, every, most) if most else (np.empty(0),) * 3
         )
         for y, on, large in ((order, "y", size), (100 * damping, "y3", size - 1)):
             fig.add_scatter(
@@ -198,11 +199,11 @@ def _add_beyond(fig: go.Figure, shown: IdentificationDiagram) -> None:
     )
 
 
-def _poles(
-    shown: IdentificationDiagram, kind: int, most: int
+def _drawn(
+    shown: IdentificationDiagram, every: Float, most: int
 ) -> tuple[Float, Float, Float]:
-    """Frequency, order and damping of the poles of a kind, as many as can be distinguished."""
-    f, order, damping = _of_kind(shown, kind)
+    """Frequency, order and damping of poles (3, k), as many as can be distinguished."""
+    f, order, damping = every
     at = _apart(f, order, shown)
     at = at[:: -(-at.size // most) or 1]
     return f32(f[at]), f32(order[at]), f32(damping[at])

@@ -272,7 +272,7 @@ def _fundamental(signals: SearchedSignals, course: ShaftCourse) -> ShaftCourse:
     """The angle of the shaft whose multiples the lines are: orders between those of the course make
     it slower, a common factor of all orders faster.
     """
-    for parts in 2 * ((2, 3), (5,)):  # and parts of parts
+    for parts in ((2, 3), (5,), (2, 3), (5,)):  # parts of parts, too
         course = _by_parts(signals, course, parts)
     return course
 
@@ -280,21 +280,23 @@ def _fundamental(signals: SearchedSignals, course: ShaftCourse) -> ShaftCourse:
 def _by_parts(
     signals: SearchedSignals, course: ShaftCourse, parts: tuple[int, ...]
 ) -> ShaftCourse:
-    """The same, where its orders are those of the course over some of the `parts`."""
-    most_parts = math.prod(parts)
-    slow = course.geared(1 / most_parts).smoothed()
-    most = min(most_parts * SEARCH.orders, _orders(signals, slow))
+    """The angle of the shaft if it turns slower than the course by some of the factors `parts`, or
+    faster by a common factor of all orders; the course itself if it has too few revolutions.
+    """
+    slowest = math.prod(parts)
+    slow = course.geared(1 / slowest).smoothed()
+    most = min(slowest * SEARCH.orders, _orders(signals, slow))
     blocks = order_blocks(signals, slow, most)
     if blocks is None:
         return course
     lines = _line_chances(blocks, np.zeros(len(blocks.values))) < FALSE_ALARM
-    spacing = most_parts
+    spacing = slowest
     for part in parts:
         own = lines[spacing // part - 1 :: spacing // part]
         if _chance(_between(own, part)) < FALSE_ALARM / SEARCH.most:
             spacing //= part
     own = lines[spacing - 1 :: spacing]
-    ratio = spacing / most_parts
+    ratio = spacing / slowest
     for factor in (2, 3, 5, 7):
         by_chance = _chance(_between(own, factor)) > FALSE_ALARM
         if by_chance and own[factor - 1 :: factor].any():

@@ -161,8 +161,8 @@ class ShaftCourse:
         return ShaftCourse(self.knots, ratio * self.revolutions)
 
     def smoothed(self) -> ShaftCourse:
-        """Without what changes within a dozen knots: orders between those of the course beat with
-        them, and the angle has a ripple of that.
+        """Without what changes within a dozen knots: if the shaft is slower, its orders between
+        those of the course beat with them, and leave a ripple of the angle.
         """
         kernel = np.hanning(15)[1:-1] / np.hanning(15).sum()
         both = (self.knots, self.revolutions)
@@ -452,7 +452,7 @@ def order_blocks(
     size = block_size(turned)
     if turned < 12 * size or not course.rises:
         return None
-    # an image of a line by the cubic splines stands between orders, 40 dB below it at this rate
+    # cubic splines leave an image of each line between the orders: 50 dB below it at this rate
     x, rate = signals.whitened(min(signals.highest, 1.05 * f * orders), 4 * f, 5.2)
     per_turn = 2 * int(np.ceil(1.3 * orders))
     angles = course.revolutions[0] + np.arange(turned * per_turn) / per_turn

@@ -209,8 +209,10 @@
     else refresh();
     diagram.on("plotly_click", (event) => {
       const about = event.points[0].customdata;
-      if (Array.isArray(about)) (poles.kind[about[0]] < data.others ? show : click)("pole", about[0]); // those of other estimators are shown, not taken
-      else if (about !== undefined) click("mode", about);
+      if (about === undefined) return;
+      if (!Array.isArray(about)) click("mode", about);
+      else if (poles.kind[about[0]] < data.others) show("pole", about[0]); // of another estimator: shown, not taken
+      else click("pole", about[0]);
     });
     diagram.on("plotly_relayout", (change) => { if (Object.keys(change).some((key) => key.startsWith("xaxis"))) fillPoles(); });
     document.documentElement.dataset.drawn = "true";

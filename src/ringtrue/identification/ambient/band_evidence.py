@@ -17,7 +17,6 @@ from ringtrue.identification.ambient.spectral_bins import CandidateModes, Spectr
 from ringtrue.identification.ambient.ssi_cov import (
     SsiCov,
     all_orders,
-    projected_rows,
     subspace,
 )
 from ringtrue.identification.common.stabilisation import DAMPING_MAX, PoleSet, unit
@@ -96,10 +95,10 @@ class BandEvidence:
 
 
 def share_of_orders(poles: PoleSet, pole: Complex, shape: Complex) -> Float:
-    """(m,) share of the orders of `poles` that show a mode; it is half an order away from none and
-    all.
+    """(m,) share of the orders of `poles` that show a mode: by a pole of its shape, within half of
+    its half bandwidth.
 
-    An order shows it by a pole within half of its half bandwidth that has its shape.
+    Half an order is counted for it and half against it, as its logarithm is taken.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def other_poles(
         Phases that make one motion of channels of different kinds.
     """
     limits = band.low, band.high
-    own = replace(ssi, block_rows=projected_rows(ssi, r.shape[1]))
+    own = ssi.projected(r.shape[1])
     projected = subspace(r, own, band.rate, turn=turn, past=references)
     by_projection = replace(
         all_orders(projected, None, ssi, limits)[0], method="SSI-data"

@@ -19,9 +19,8 @@ from ringtrue.errors import DataError
 from ringtrue.identification.ambient.pipeline import AmbientSettings
 from ringtrue.identification.ambient.ssi_cov import (
     SsiCov,
-    choose_references,
+    correlated,
     decompose,
-    prepared,
 )
 from ringtrue.identification.common.stabilisation import (
     DAMPING_MAX,
@@ -119,13 +118,8 @@ def next_era(
     DataError
         If the record is too short, a channel is dead or there is no such reference.
     """
-    data, scale = prepared(history)
     lags = 2 * settings.block_rows
-    if data.shape[1] < 4 * lags:
-        raise DataError(
-            f"{history.source}: {data.shape[1]} samples are too few; needed are {4 * lags}"
-        )
-    refs = choose_references(history, data, references)
+    data, scale, refs = correlated(history, references, lags)
     return era(correlations(data, refs, lags), history.rate, settings).rescaled(scale)
 
 
@@ -149,6 +143,6 @@ def era_modes(
     return confirmed(modes, (poles(first), poles(second)), part.duration), std
 
 
-def fewest_samples(channels: int, settings: AmbientSettings) -> int:
-    """Samples of a band that all block rows need, whatever the channels."""
+def fewest_samples(settings: AmbientSettings) -> int:
+    """Samples of a band that all block rows need."""
     return SAMPLES_A_LAG * settings.block_rows

@@ -105,8 +105,8 @@ def half_spectra_modes(
 
 
 def _lags(history: TimeHistory, settings: AmbientSettings) -> int:
-    channels, samples = history.data.shape
-    if samples < (needed := fewest_samples(channels, settings)):
+    samples = history.data.shape[1]
+    if samples < (needed := fewest_samples(settings)):
         raise DataError(
             f"{history.source}: {samples} samples are too few for half spectra; needed: {needed}"
         )

@@ -13,7 +13,7 @@ the length of the record.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -63,6 +63,15 @@ class SsiCov:
                 f"SSI: block_rows {self.block_rows} >= 2, order_max {self.order_max} >= 2, "
                 f"blocks {self.blocks} not 2"
             )
+
+    def projected(self, channels: int) -> SsiCov:
+        """For SSI-data: a third of the block rows, as the projection whitens the past and makes as
+        loud as the modes what is noise there; more where few channels would not hold the largest
+        order.
+        """
+        needed = self.order_max // channels + 2
+        rows = min(max(self.block_rows // 3, needed), self.block_rows)
+        return replace(self, block_rows=rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,14 +219,6 @@ def subspace(
     )
     u, s, v = decompose(h, order, gram)
     return factored(u, s, v / s, ch, rate, turn=turn)
-
-
-def projected_rows(settings: SsiCov, channels: int) -> int:
-    """Block rows for a projection: a third, as it whitens the past and makes as loud as the modes
-    what is noise there; more where few channels would not hold the largest order.
-    """
-    needed = settings.order_max // channels + 2
-    return min(max(settings.block_rows // 3, needed), settings.block_rows)
 
 
 def past_factor(r: Float) -> Float:
@@ -398,20 +399,35 @@ def ssi_data(
     DataError
         If the record is too short, a channel is dead or there is no such reference.
     """
-    data, scale = prepared(history)
     lags = 2 * settings.block_rows - 1
+    data, scale, refs = correlated(history, references, lags)
     samples = data.shape[1]
-    if samples < 4 * lags:
-        raise DataError(
-            f"{history.source}: {samples} samples are too few; needed are {4 * lags}"
-        )
-    refs = choose_references(history, data, references)
     blocks = settings.blocks or var.blocks_for(samples, lags)
     r, pairs = block_correlations(data, refs, lags, block_bounds(samples, blocks))
     weights = pairs[:, 0] / pairs[:, 0].sum()
     whole = Band(0.0, history.rate / 2, history.rate)
     found = identify_band(r, weights, settings, whole, past=refs)
     return found.poles.rescaled(scale)
+
+
+def correlated(
+    history: TimeHistory, references: Sequence[str] | None, lags: int
+) -> tuple[Float, Float, Int]:
+    """What correlations of so many lags are made of: `prepared` signals, their root mean squares,
+    and the references, as `choose_references` takes them.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, a channel is dead or there is no such reference.
+    """
+    data, scale = prepared(history)
+    samples = data.shape[1]
+    if samples < 4 * lags:
+        raise DataError(
+            f"{history.source}: {samples} samples are too few; needed are {4 * lags}"
+        )
+    return data, scale, choose_references(history, data, references)
 
 
 def prepared(history: TimeHistory) -> tuple[Float, Float]:
