@@ -21,6 +21,7 @@ from ringtrue.signal.machines import (
     near_harmonics,
     remove_machines,
 )
+from ringtrue.signal.shaft_tracking import ShaftCourse
 
 RATE, SECONDS = 300.0, 300.0
 SAMPLES = int(RATE * SECONDS)
@@ -121,6 +122,17 @@ def test_a_part_or_a_multiple_of_the_speed_is_not_taken_for_it(seed: int) -> Non
     quiet = structure(rng, np.exp(rng.uniform(np.log(4), np.log(120), 7)))
     (machine,) = find_machines(record(with_combs(rng, quiet, comb)))
     assert machine.frequency == pytest.approx(comb.speed, rel=1e-5)
+
+
+def test_smoothing_an_angle_takes_nothing_off_its_ends() -> None:
+    """A short record of many revolutions, as its parts are looked at, loses none of them."""
+    knots = np.linspace(0.0, 40.0, 90)
+    even = ShaftCourse(knots, 3.0 * knots)
+    assert even.smoothed().knots == pytest.approx(knots, abs=1e-12)
+    assert even.smoothed().revolutions == pytest.approx(3.0 * knots, abs=1e-12)
+    ripple = 0.01 * np.cos(np.pi * np.arange(90))
+    left = ShaftCourse(knots, 3.0 * knots + ripple).smoothed().revolutions - 3.0 * knots
+    assert np.abs(left[6:-6]).max() < 1e-4
 
 
 def test_two_machines_are_told_apart() -> None:

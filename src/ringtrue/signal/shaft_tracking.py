@@ -165,7 +165,10 @@ class ShaftCourse:
         those of the course beat with them, and leave a ripple of the angle.
         """
         kernel = np.hanning(15)[1:-1] / np.hanning(15).sum()
-        both = (self.knots, self.revolutions)
+        both = [
+            np.pad(x, 6, mode="reflect", reflect_type="odd")  # the ends stay in place
+            for x in (self.knots, self.revolutions)
+        ]
         return ShaftCourse(*(np.convolve(x, kernel, mode="valid") for x in both))
 
     def angle(self, times: Float) -> Float:
